@@ -1,0 +1,52 @@
+"""Spring in parallel with one joint's drive (PEA)."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from rrr_oc.effects.effect import Effect
+from rrr_oc.errors import UserError
+from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import ramp, ramp_integral
+
+
+@dataclass(frozen=True)
+class ParallelSpring(Effect):
+    """Unilateral spiral torsion spring across one joint (Eq. 3).
+
+    tau_p = −k (q − q_eq) where q ≥ q_eq (`active="above"`, as Eq. 3 is printed), or where q ≤ q_eq (`active="below"`, the
+    inverted orientation, which holds the arm up with the joint signs used here).
+    """
+
+    name = "parallel_spring"
+    parameters = (
+        Parameter("stiffness", "Nm/rad", 5.0, lower=0.0),
+        Parameter("equilibrium", "rad", 0.0),
+    )
+    width = Parameter("width", "rad", 1e-3, lower=0.0)
+
+    active: Literal["below", "above"] = field(default="below")
+
+    def __post_init__(self) -> None:
+        if self.active not in ("below", "above"):
+            raise UserError(f"a parallel spring is active 'below' or 'above' its equilibrium, got {self.active!r}")
+
+    @property
+    def _sign(self) -> int:
+        return 1 if self.active == "below" else -1
+
+    def _deflection(self, signals, theta):
+        return self._sign * (theta["equilibrium"] - signals.q[self.joints[0]])
+
+    def torque(self, signals, theta, width):
+        return (self._sign * theta["stiffness"] * ramp(self._deflection(signals, theta), width),)
+
+    def energy(self, signals, theta, width):
+        return theta["stiffness"] * ramp_integral(self._deflection(signals, theta), width)
+
+    def native(self, spec, joints, theta):
+        """A fixed tendon over one joint; its spring is slack between `springlength`'s two lengths."""
+        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}")
+        tendon.wrap_joint(joints[self.joints[0]], -self._sign)
+        tendon.stiffness[0] = theta["stiffness"]
+        tendon.springlength = [-1e6, -self._sign * theta["equilibrium"]]
+        return True

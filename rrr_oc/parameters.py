@@ -1,0 +1,46 @@
+"""Parameters: names with units, bounds and a nominal value."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from rrr_oc.errors import UserError
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One scalar of a physical law.
+
+    Attributes:
+        name: Key in files and tables.
+        unit: Unit of `nominal`, `lower` and `upper` (SI and radians; "1" for a ratio).
+        nominal: Value where nothing is known of it.
+        lower, upper: Bounds that physics or the law's derivation imposes; a task may narrow them.
+    """
+
+    name: str
+    unit: str
+    nominal: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.upper:
+            raise UserError(f"{self.name}: lower bound {self.lower:g} is above upper bound {self.upper:g} [{self.unit}]")
+        if not self.lower <= self.nominal <= self.upper:
+            object.__setattr__(self, "nominal", min(max(self.nominal, self.lower), self.upper))
+
+    def bounded(self, lower: float, upper: float) -> "Parameter":
+        """This parameter within narrower bounds; raises `UserError` if they are crossed or leave its own."""
+        if lower < self.lower or upper > self.upper:
+            raise UserError(
+                f"{self.name}: bounds {lower:g} … {upper:g} reach outside {self.lower:g} … {self.upper:g} [{self.unit}]"
+            )
+        return replace(self, lower=lower, upper=upper)
+
+
+def check_names(found: Mapping[str, object], allowed: tuple[str, ...], where: str) -> None:
+    """Raise `UserError` if `found` has a key that is not in `allowed`."""
+    unknown = sorted(set(found) - set(allowed))
+    if unknown:
+        raise UserError(f"{where}: unknown key {unknown[0]!r}; allowed are {', '.join(allowed)}")

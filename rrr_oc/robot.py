@@ -1,0 +1,217 @@
+"""A robot: a serial chain of revolute joints, read from a URDF and checked at the door."""
+
+import importlib.resources
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from rrr_oc.errors import UserError
+
+BUNDLED = ("rrr", "rrr_prototype")
+
+
+@dataclass(frozen=True)
+class ToolPoint:
+    """A point fixed to a link, where a payload is held.
+
+    Attributes:
+        joint: Index of the joint that moves the link.
+        position: The point in that joint's frame [m], shape (3,).
+    """
+
+    joint: int
+    position: np.ndarray
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A serial chain of n revolute joints from base to tip.
+
+    Attributes:
+        name: Name in reports.
+        joints: Names of the joints, base first (n).
+        links: Name of the link that each joint moves (n).
+        placements: Pose of each joint's frame in the frame of the joint before it, at q = 0, shape (n, 4, 4) [m].
+        axes: Joint axes in the joints' frames, unit length, shape (n, 3).
+        inertial: Dynamic parameters of the links in the joints' frames, shape (10, n): mass [kg], first moment [kg m] (3),
+            rotational inertia about the frame's origin xx, xy, yy, xz, yz, zz [kg m²] (Pinocchio's order).
+        lower, upper: Joint ranges [rad], shape (n,).
+        velocity: Speed limits [rad/s], shape (n,).
+        effort: Torque limits [Nm], shape (n,).
+        tool: The last link's tool frame (a link fixed to it, if the URDF has one; else the last joint's origin).
+        frames: For each link of the URDF, the joint that moves it (-1: the base) and its pose in that joint's frame.
+        gravity: Acceleration of gravity in the base frame [m/s²], shape (3,).
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    placements: np.ndarray
+    axes: np.ndarray
+    inertial: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    tool: ToolPoint
+    frames: Mapping[str, tuple[int, np.ndarray]]
+    gravity: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    def index(self, joint: str) -> int:
+        """Position of a joint in the chain; raises `UserError` that lists the joints there are."""
+        if joint not in self.joints:
+            raise UserError(f"robot {self.name!r} has no joint {joint!r}; it has {', '.join(self.joints)}")
+        return self.joints.index(joint)
+
+    def point(self, link: str, position: Sequence[float]) -> ToolPoint:
+        """The `ToolPoint` at `position` [m] of a link's frame; raises `UserError` for a link that does not move."""
+        if link not in self.frames:
+            raise UserError(f"robot {self.name!r} has no link {link!r}; it has {', '.join(self.frames)}")
+        if len(position) != 3 or not np.all(np.isfinite(position)):
+            raise UserError(f"the position on link {link!r} must be three finite numbers [m], got {list(position)}")
+        joint, pose = self.frames[link]
+        if joint < 0:
+            raise UserError(f"link {link!r} of robot {self.name!r} does not move; a tool needs one of {', '.join(self.links)}")
+        return ToolPoint(joint, pose[:3, :3] @ np.asarray(position, float) + pose[:3, 3])
+
+
+def load_robot(
+    source: str | Path, joints: Sequence[str] | None = None, inertial: bool = True, gravity: Sequence[float] = (0.0, 0.0, -9.81)
+) -> Robot:
+    """Read a robot.
+
+    Args:
+        source: Name of a bundled model (`BUNDLED`) or path of a URDF.
+        joints: Joints to keep, in the order of the chain; the others are locked at zero. Default: all.
+        inertial: Whether the links' masses are used, and so must be there.
+        gravity: Acceleration of gravity in the base frame [m/s²].
+
+    Raises:
+        UserError: The file is missing or no URDF; a joint is neither fixed nor revolute; the chain branches; a moving
+            link has no mass; `joints` names one that is not there or is out of order.
+    """
+    name, text = _read(source)
+    model = _parse(name, text)
+    model = _lock_all_but(name, model, joints)
+    if model.nq == 0:
+        raise UserError(f"robot {name!r} has no revolute joint; at least one is needed")
+    for i in range(1, model.njoints):
+        if model.parents[i] != i - 1:
+            raise UserError(
+                f"robot {name!r} is no serial chain: joint {model.names[i]!r} hangs on {model.names[model.parents[i]]!r}; "
+                "branches are not supported"
+            )
+    parameters = np.array([model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]).T  # (10, n)
+    if inertial:
+        _check_inertial(name, model, parameters)
+    frames = {f.name: (f.parentJoint - 1, f.placement.homogeneous) for f in model.frames if f.type == pin.FrameType.BODY}
+    links = tuple(_moved_link(model, i) for i in range(1, model.njoints))
+    last = model.njoints - 2
+    tips = [link for link, (joint, _) in frames.items() if joint == last]
+    return Robot(
+        name=name,
+        joints=tuple(model.names)[1:],
+        links=links,
+        placements=np.array([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]),
+        axes=np.array([_axis(model.joints[i]) for i in range(1, model.njoints)]),
+        inertial=parameters,
+        lower=model.lowerPositionLimit.copy(),
+        upper=model.upperPositionLimit.copy(),
+        velocity=model.upperVelocityLimit.copy(),
+        effort=model.upperEffortLimit.copy(),
+        tool=ToolPoint(last, frames[tips[-1]][1][:3, 3]),
+        frames=frames,
+        gravity=np.asarray(gravity, float),
+    )
+
+
+def _read(source: str | Path) -> tuple[str, str]:
+    if str(source) in BUNDLED:
+        text = importlib.resources.files("rrr_oc.urdf").joinpath(f"{source}.urdf").read_text()
+        return str(source), text
+    path = Path(source)
+    if not path.is_file():
+        raise UserError(f"no robot at {str(source)!r}; give the path of a URDF or one of {', '.join(BUNDLED)}")
+    try:
+        return path.stem, path.read_text()
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: not a text file, so no URDF ({error.reason})") from None
+
+
+def _parse(name: str, text: str) -> pin.Model:
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise UserError(f"robot {name!r}: not well-formed XML: {error}") from None
+    if root.tag != "robot":
+        raise UserError(f"robot {name!r}: the outer element is <{root.tag}>; a URDF has <robot>")
+    for joint in root.iter("joint"):
+        kind = joint.get("type")
+        if kind is None:
+            continue  # <joint> of a <transmission>
+        if kind not in ("fixed", "revolute", "continuous"):
+            raise UserError(f"robot {name!r}: joint {joint.get('name')!r} is {kind}; allowed are revolute, continuous and fixed")
+        if joint.find("mimic") is not None:
+            raise UserError(f"robot {name!r}: joint {joint.get('name')!r} mimics another; every joint must move on its own")
+        if kind == "continuous":  # an angle without end is still one coordinate here
+            joint.set("type", "revolute")
+            limit = joint.find("limit")
+            limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
+            limit.attrib = {"effort": "inf", "velocity": "inf", **limit.attrib, "lower": "-inf", "upper": "inf"}
+        elif kind == "revolute" and joint.find("limit") is None:
+            raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
+    try:
+        return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    except (RuntimeError, ValueError) as error:
+        raise UserError(f"robot {name!r}: not a usable URDF: {str(error).strip()}") from None
+
+
+def _lock_all_but(name: str, model: pin.Model, joints: Sequence[str] | None) -> pin.Model:
+    if joints is None:
+        return model
+    present = list(model.names)[1:]
+    for joint in joints:
+        if joint not in present:
+            raise UserError(f"robot {name!r} has no joint {joint!r}; it has {', '.join(present)}")
+    if len(set(joints)) != len(joints) or [j for j in present if j in joints] != list(joints):
+        raise UserError(f"robot {name!r}: joints {', '.join(joints)} are not in the order of the chain: {', '.join(present)}")
+    locked = [model.getJointId(j) for j in present if j not in joints]
+    return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
+
+
+def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None:
+    for i in range(model.njoints - 1):
+        mass = parameters[0, i]
+        if not mass > 0:
+            raise UserError(
+                f"robot {name!r}: link {_moved_link(model, i + 1)!r}, moved by joint {model.names[i + 1]!r}, has mass {mass:g} kg; "
+                "a moving link needs a mass above 0"
+            )
+        inertia = model.inertias[i + 1].inertia
+        moments = np.linalg.eigvalsh(inertia)
+        if moments[0] < -1e-9 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-6) + 1e-9:
+            raise UserError(
+                f"robot {name!r}: link {_moved_link(model, i + 1)!r} has principal moments of inertia "
+                f"{', '.join(f'{m:.3g}' for m in moments)} kg m²; they must be positive and none above the sum of the other two"
+            )
+
+
+def _moved_link(model: pin.Model, joint: int) -> str:
+    """The link that hangs on a joint itself, not through fixed joints."""
+    return next(f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
+
+
+def _axis(joint: pin.JointModel) -> np.ndarray:
+    """Axis of a revolute joint in its own frame: the column of its motion subspace."""
+    data = joint.createData()
+    joint.calc(data, np.zeros(1))
+    return np.array(data.S).reshape(6)[3:]
