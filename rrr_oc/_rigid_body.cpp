@@ -12,6 +12,7 @@
 #include <pinocchio/multibody.hpp>
 #include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/crba.hpp>
+#include <pinocchio/algorithm/kinematics.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
 
 #include <map>
@@ -118,10 +119,12 @@ chain_functions(const std::vector<double> & placements, const std::vector<double
   add("forward_dynamics", {q, dq, tau, inertial, gravity}, {"q", "dq", "tau", "inertial", "gravity"},
       to_casadi(pinocchio::aba(model, forward_data, q_, dq_, tau_)));
 
+  Data kinematic_data(model);
+  pinocchio::forwardKinematics(model, kinematic_data, q_);
   SX frames(12, n);  // column i: joint i's rotation (column-major) and origin in the base frame
   for (casadi_int i = 0; i < n; ++i)
   {
-    const auto & frame = inverse_data.oMi[i + 1];
+    const auto & frame = kinematic_data.oMi[i + 1];
     for (int c = 0; c < 3; ++c)
       for (int r = 0; r < 3; ++r) frames(3 * c + r, i) = frame.rotation()(r, c);
     for (int r = 0; r < 3; ++r) frames(9 + r, i) = frame.translation()[r];

@@ -105,9 +105,9 @@ def _from_pinocchio(robot: Robot, symbolic) -> dict[str, ca.Function]:
     data = model.createData()
     mass = symbolic.crba(model, data, q)
     mass = ca.triu(mass) + ca.triu(mass, False).T
-    inverse_data = model.createData()
-    inverse = symbolic.rnea(model, inverse_data, q, dq, ddq)
-    frames = [ca.vertcat(ca.vec(inverse_data.oMi[i + 1].rotation), inverse_data.oMi[i + 1].translation) for i in range(n)]
+    inverse = symbolic.rnea(model, model.createData(), q, dq, ddq)
+    symbolic.forwardKinematics(model, data, q)
+    frames = [ca.vertcat(ca.vec(data.oMi[i + 1].rotation), data.oMi[i + 1].translation) for i in range(n)]
     outputs = {
         "mass_matrix": ({"q": q, "inertial": inertial}, mass),
         "coriolis_matrix": (

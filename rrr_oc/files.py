@@ -1,0 +1,78 @@
+"""Files and folders that are written whole or not at all: under a temporary name, then renamed."""
+
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from rrr_oc.errors import UserError
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write UTF-8 text. Raises `UserError` where the path cannot be written, as all functions here do."""
+    with _new_file(Path(path)) as file:
+        file.write(text.encode())
+
+
+def write_json(path: str | Path, data: Any) -> None:
+    """Write plain data; a NaN or infinity, which JSON lacks, raises ValueError."""
+    write_text(path, json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays, compressed; an array of objects, which would need pickle, raises ValueError."""
+    with _new_file(Path(path)) as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+@contextmanager
+def new_folder(folder: str | Path) -> Iterator[Path]:
+    """A folder to fill, which takes its name when the block ends without an error and vanishes otherwise.
+
+    Raises `UserError` where `folder` is a file or a folder with something in it.
+    """
+    folder = Path(folder)
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise UserError(f"{folder}: exists already; give a new or an empty folder")
+    temporary = _beside(folder)
+    try:
+        with _as_user_error(folder):
+            temporary.mkdir(parents=True)
+        yield temporary
+        with _as_user_error(folder):
+            os.replace(temporary, folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def _new_file(path: Path) -> Iterator[BinaryIO]:
+    temporary = _beside(path)
+    try:
+        with _as_user_error(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with temporary.open("xb") as file:
+                yield file
+            os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _beside(path: Path) -> Path:
+    """A fresh hidden name in the same folder, so that renaming stays within one file system."""
+    path = path.absolute()
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+
+
+@contextmanager
+def _as_user_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -1,0 +1,106 @@
+"""Optimal-control problems: what is minimised, over which motion, within which bounds."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.errors import UserError
+
+
+@dataclass(frozen=True, eq=False)
+class Phase:
+    """One phase of motion, with a clock of its own.
+
+    Attributes:
+        name: Used in messages.
+        rates: casadi Function (x, u, p, d) -> (dx/dt (nx,), cost rate (1,), path (ng,)): states, controls, the problem's
+            parameters and its data.
+        states, controls, paths: Their names, for messages.
+        x_lower, x_upper, u_lower, u_upper, path_lower, path_upper: Bounds along the phase.
+        start, end: Values of the states at both ends; NaN leaves a state free there.
+        duration: Bounds of the phase's duration [s]; equal bounds fix it.
+        x_scale, u_scale: Typical magnitudes, by which the solver's variables are scaled.
+    """
+
+    name: str
+    rates: ca.Function
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    x_lower: np.ndarray
+    x_upper: np.ndarray
+    u_lower: np.ndarray
+    u_upper: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    duration: tuple[float, float]
+    x_scale: np.ndarray
+    u_scale: np.ndarray
+    paths: tuple[str, ...] = ()
+    path_lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    path_upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        nx, nu, ng = len(self.states), len(self.controls), len(self.paths)
+        for name, size in (("x", nx), ("u", nu), ("path", ng)):
+            lower, upper = getattr(self, f"{name}_lower"), getattr(self, f"{name}_upper")
+            if np.shape(lower) != (size,) or np.shape(upper) != (size,):
+                raise UserError(f"phase {self.name!r}: {name} bounds have shapes {np.shape(lower)}, {np.shape(upper)}, not ({size},)")
+            names = {"x": self.states, "u": self.controls, "path": self.paths}[name]
+            for i in np.flatnonzero(~(lower <= upper)):
+                raise UserError(f"phase {self.name!r}: bounds of {names[i]} are crossed: {lower[i]:g} … {upper[i]:g}")
+        if not 0 < self.duration[0] <= self.duration[1] < np.inf:
+            raise UserError(f"phase {self.name!r}: durations {self.duration} must be positive, finite and not crossed")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Minimise the integral of the cost rates, summed over the phases.
+
+    Attributes:
+        phases: In their order; they share the parameters.
+        parameters: Names of the decision parameters p (np,).
+        p_lower, p_upper, p_scale: Their bounds and typical magnitudes.
+        data: Values of d (nd,): fixed in a solve, but the optimum's sensitivity to them is reported.
+        design: (p, d) -> inequalities ≤ 0 on the parameters, or None.
+        designs: Their names.
+        cost_scale: Typical magnitude of the cost.
+    """
+
+    phases: tuple[Phase, ...]
+    parameters: tuple[str, ...] = ()
+    p_lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    p_upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    p_scale: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    data: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    design: ca.Function | None = None
+    designs: tuple[str, ...] = ()
+    cost_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for i in np.flatnonzero(~(self.p_lower <= self.p_upper)):
+            raise UserError(f"bounds of {self.parameters[i]} are crossed: {self.p_lower[i]:g} … {self.p_upper[i]:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseGuess:
+    """A motion to start from: states and controls over normalised time s in [0, 1].
+
+    Attributes:
+        duration: [s].
+        states: s (K,) -> (nx, K).
+        controls: s (K,) -> (nu, K).
+    """
+
+    duration: float
+    states: Callable[[np.ndarray], np.ndarray]
+    controls: Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Where a solve starts: a motion a phase, and the parameters."""
+
+    phases: tuple[PhaseGuess, ...]
+    parameters: np.ndarray

@@ -1,0 +1,500 @@
+"""The physics-engine twin: a model's robot and effects in MuJoCo, following reference motions under the paper's controllers."""
+
+# pyright: reportAttributeAccessIssue=false
+# (mujoco's wheel has no stubs)
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, get_args
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
+
+from rrr_oc import metrics, native
+from rrr_oc.effects import Effect
+from rrr_oc.errors import UserError
+from rrr_oc.metrics import Metrics
+from rrr_oc.model import Model
+from rrr_oc.native import PAYLOAD, Native
+from rrr_oc.robot import Robot, ToolPoint
+
+Form = Literal["generated", "native"]
+Integrator = Literal["rk4", "implicitfast", "implicit", "euler"]
+Start = Literal["continue", "reference"]
+
+K_P = 572.96  # Nm/rad, the prototype's P-controllers: 10 Nm a degree
+INERTIA_FLOOR = 1e-12  # kg m²; MuJoCo refuses a body without rotational inertia, so a point mass gets this much
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a motion is simulated.
+
+    Attributes:
+        effects: "generated": the smoothed law as C generated from the effects' expressions; "native": MuJoCo's own tendons,
+            which follow the exact law.
+        timestep: Longest step [s]; a phase is cut into equal steps no longer than this.
+        integrator: "rk4" evaluates controller and effects at every stage; the others are first order in `timestep`.
+        start: "continue": a phase starts in the state in which the one before ended; "reference": at its own first point.
+        damping: Viscous friction of the joints [Nm s/rad], scalar or (n,).
+        armature: Reflected inertia of the motors [kg m²], scalar or (n,).
+        frictionloss: Dry friction of the joints [Nm], scalar or (n,).
+    """
+
+    effects: Form = "generated"
+    timestep: float = 1e-3
+    integrator: Integrator = "rk4"
+    start: Start = "continue"
+    damping: float | np.ndarray = 0.0
+    armature: float | np.ndarray = 0.0
+    frictionloss: float | np.ndarray = 0.0
+
+    def __post_init__(self) -> None:
+        for name, kind in (("effects", Form), ("integrator", Integrator), ("start", Start)):
+            if getattr(self, name) not in get_args(kind):
+                raise UserError(f"simulation: {name} is {getattr(self, name)!r}; allowed are {', '.join(get_args(kind))}")
+        if not 0 < self.timestep < np.inf:
+            raise UserError(f"simulation: timestep {self.timestep} s must be positive and finite")
+        for name in ("damping", "armature", "frictionloss"):
+            if not np.all((np.asarray(getattr(self, name)) >= 0) & np.isfinite(getattr(self, name))):
+                raise UserError(f"simulation: {name} {getattr(self, name)} must be finite and not negative")
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Joint controllers: tau = k_p (q_ref − q) + k_d (dq_ref − dq) + tau_ff, cut off at ±limit.
+
+    Attributes:
+        k_p: [Nm/rad], shape (n,).
+        k_d: [Nm s/rad], shape (n,).
+        limit: Torque limits [Nm], shape (n,); infinite where there is none.
+    """
+
+    k_p: np.ndarray
+    k_d: np.ndarray
+    limit: np.ndarray
+
+
+def controller(model: Model, k_p: float | np.ndarray = K_P, damping_ratio: float = 1.0) -> Controller:
+    """The paper's P-controllers with a derivative part, limited to the robot's efforts.
+
+    The paper's gain k_p acts on an arm whose gears damp it (the authors' calibrated joints have 40 and 23 Nm s/rad). On the
+    frictionless arm k_p alone leaves every disturbance ringing for good, so k_d = 2 ζ sqrt(k_p I) stands in for the gears,
+    but on the error of speed, so that it costs no torque on the reference. I is each joint's inertia at q = 0 with the
+    other joints free and no payload, 1/(M⁻¹)_ii: the least there, so that no joint is stiffer than the step can follow.
+    """
+    n = model.robot.n
+    gain = np.broadcast_to(np.asarray(k_p, float), (n,)).copy()
+    mass = np.asarray(model.body.mass_matrix(np.zeros(n), model.robot.inertial))
+    inertia = 1 / np.diag(np.linalg.inv(mass))
+    return Controller(gain, 2 * damping_ratio * np.sqrt(gain * inertia), model.robot.effort.copy())
+
+
+@dataclass(frozen=True)
+class ReferencePhase:
+    """A phase of motion to follow; joints that stand still have rows of their own.
+
+    Attributes:
+        name: Used in messages.
+        t: Times [s], shape (K,), increasing.
+        q, dq, ddq: Motion [rad, rad/s, rad/s²], shape (n, K).
+        payload: Mass at the tool [kg].
+        tau_load: Load torque of Eq. 6 [Nm], shape (n, K), fed forward.
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    payload: float
+    tau_load: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.t.ndim != 1 or self.t.size < 3 or not np.all(np.diff(self.t) > 0):
+            raise UserError(f"phase {self.name!r}: needs at least 3 increasing times, got an array of shape {self.t.shape}")
+        for name in ("q", "dq", "ddq", "tau_load"):
+            value = getattr(self, name)
+            if value.shape != (self.q.shape[0], self.t.size) or not np.all(np.isfinite(value)):
+                raise UserError(f"phase {self.name!r}: {name} must be finite, of shape (n, {self.t.size}), got {value.shape}")
+        if not 0 <= self.payload < np.inf:
+            raise UserError(f"phase {self.name!r}: payload {self.payload} kg must be finite and not negative")
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A model in the engine.
+
+    Attributes:
+        mj: The mjModel. Joint i of the robot is coordinate i, and actuator i is its controller: the activation is
+            u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within limits.
+        library: The compiled effects; None where MuJoCo's own do the work, or there are none.
+    """
+
+    model: Model
+    theta: np.ndarray
+    widths: np.ndarray
+    mj: mujoco.MjModel
+    library: Native | None
+
+    def effects(self) -> AbstractContextManager[None]:
+        """The context within which `mj` feels the compiled effects: step, forward and roll out inside it."""
+        return nullcontext() if self.library is None else native.installed(self.library)
+
+    def grip(self, payload: float) -> None:
+        """Set the payload's mass [kg], 0 to let go. Nothing is compiled anew; states keep their meaning."""
+        self.mj.body(PAYLOAD).mass[0] = payload
+        mujoco.mj_setConst(self.mj, mujoco.MjData(self.mj))  # what follows from masses: invweights, subtree masses
+
+    def with_theta(self, theta: Sequence[float] | np.ndarray, widths: np.ndarray | None = None) -> "Twin":
+        """A copy with other parameters (and widths) of its generated effects; the compiled library is shared.
+
+        Raises `UserError` where there is none.
+        """
+        if self.library is None:
+            raise UserError("only generated effects take new parameters in a compiled model; build another twin")
+        theta, widths = _checked(self.model, theta, self.widths if widths is None else widths)
+        mj = copy(self.mj)
+        mj.numeric(self.library.marker).data[:] = native.values(theta, widths)
+        return replace(self, theta=theta, widths=widths, mj=mj)
+
+
+def twin(
+    model: Model,
+    theta: Sequence[float] | np.ndarray = (),
+    control: Controller | None = None,
+    settings: Settings = Settings(),
+    widths: np.ndarray | None = None,
+) -> Twin:
+    """A model compiled for the engine.
+
+    Args:
+        theta: Parameters of the effects, as in `Model.theta`.
+        control: Joint controllers. Default: `controller(model)`.
+        settings: Which form the effects take, the step, and the joints' friction and armature.
+        widths: Smoothing widths of generated effects; 0 is the exact law. Default: `Model.widths`.
+
+    Raises:
+        UserError: An effect has internal states, depends on the load or acts on the drive's side; has no native form where
+            that is asked for; there is no C compiler where one is needed; the engine refuses the robot.
+    """
+    theta, widths = _checked(model, theta, widths)
+    spec = build_spec(model.robot, model.tool, controller(model) if control is None else control, settings)
+    for effect in model.effects:
+        _check_supported(effect, model)
+    library = None
+    if settings.effects == "native":
+        _add_native(spec, model, theta)
+    elif model.effects:
+        library = native.compile_effects(model)
+        data = native.values(theta, widths)
+        spec.add_numeric(name=library.marker, data=data, size=data.size)
+    try:
+        return Twin(model, theta, widths, spec.compile(), library)
+    except ValueError as error:
+        raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {str(error).strip()}") from None
+
+
+def _checked(model: Model, theta, widths) -> tuple[np.ndarray, np.ndarray]:
+    theta = np.asarray(theta, float).reshape(-1)
+    widths = model.widths if widths is None else np.asarray(widths, float).reshape(-1)
+    if theta.size != len(model.parameters) or widths.size != len(model.widths):
+        sizes = f"{len(model.parameters)} parameters and {len(model.widths)} widths"
+        raise UserError(f"the effects have {sizes}, got {theta.size} and {widths.size}")
+    return theta, widths
+
+
+def build_spec(robot: Robot, tool: ToolPoint, control: Controller, settings: Settings) -> mujoco.MjSpec:
+    """A robot in MuJoCo, without contacts and joint limits; the massless body `PAYLOAD` at the tool waits for a load."""
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.name
+    spec.option.gravity = robot.gravity
+    spec.option.timestep = settings.timestep
+    spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{settings.integrator.upper()}")
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    damping, armature, frictionloss = (
+        np.broadcast_to(np.asarray(v, float), (robot.n,)) for v in (settings.damping, settings.armature, settings.frictionloss)
+    )
+    body = spec.worldbody
+    for i in range(robot.n):
+        body = body.add_body(name=f"{robot.links[i]}", **_pose(robot.placements[i]), **_inertial(robot.inertial[:, i]))
+        joint = body.add_joint(name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=robot.axes[i])
+        joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.damping[0], joint.armature, joint.frictionloss = damping[i], armature[i], frictionloss[i]
+        if i == tool.joint:
+            body.add_body(name=PAYLOAD, pos=tool.position, mass=0.0, ipos=np.zeros(3), explicitinertial=True)
+        _add_actuator(spec, robot.joints[i], control.k_p[i], control.k_d[i], control.limit[i])
+    return spec
+
+
+def _pose(placement: np.ndarray) -> dict[str, np.ndarray]:
+    return {"pos": placement[:3, 3], "quat": _quaternion(placement[:3, :3])}
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).reshape(9))
+    return quaternion
+
+
+def _inertial(parameters: np.ndarray) -> dict:
+    """Mass, centre of mass, principal axes and moments about it, from `Robot.inertial`'s ten numbers."""
+    mass, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[4:]
+    if not mass > 0:
+        raise UserError(f"a link has mass {mass:g} kg; the simulation needs a mass above 0 (load_robot with inertial=True)")
+    com = parameters[1:4] / mass
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments, axes = np.linalg.eigh(about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+    axes = axes * np.sign(np.linalg.det(axes))
+    moments = np.maximum(moments, INERTIA_FLOOR)
+    return {"mass": mass, "ipos": com, "iquat": _quaternion(axes), "inertia": moments, "explicitinertial": True}
+
+
+def _add_actuator(spec: mujoco.MjSpec, joint: str, k_p: float, k_d: float, limit: float) -> None:
+    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.dyntype, actuator.biastype = mujoco.mjtDyn.mjDYN_INTEGRATOR, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.biasprm[1:3] = -k_p, -k_d
+    if np.isfinite(limit):
+        actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
+
+
+def _check_supported(effect: Effect, model: Model) -> None:
+    reasons = {
+        "has internal states": bool(effect.states),
+        "depends on the load torque": effect.load_dependent,
+        f"acts on the {effect.side}'s side": effect.side != "link",
+    }
+    for reason, found in reasons.items():
+        if found:
+            raise UserError(f"{model.label(effect)} {reason}; the simulation supports effects on the links without states")
+
+
+def _add_native(spec: mujoco.MjSpec, model: Model, theta: np.ndarray) -> None:
+    numbers = iter(theta.tolist())
+    for effect in model.effects:
+        if not effect.native(spec, model.robot.joints, {p.name: next(numbers) for p in effect.parameters}):
+            raise UserError(f"{model.label(effect)} has no form of its own in MuJoCo; use effects='generated'")
+
+
+@dataclass(frozen=True)
+class TrackedPhase:
+    """A phase as the engine moved it, at every step; joints (n,), time last.
+
+    Attributes:
+        t: Times on the reference's clock [s], shape (K,).
+        q, dq, ddq: Motion [rad, rad/s, rad/s²], shape (n, K).
+        tau_motor: Torque of the controllers, after the limits [Nm]: `qfrc_actuator`.
+        tau_load: Load torque M ddq + C dq + G − tau_spring [Nm], shape (n, K): `mj_rne` at the engine's `qacc` (which knows
+            no armature, so the motors' inertia and friction stand on the drive's side) less `qfrc_spring`.
+        tau_spring: Torque of the effects on the links [Nm], shape (n, K): `qfrc_spring`.
+        kinetic, potential: Energy of the links and payload [J], shape (K,): from the engine, without the armature's.
+        stored: In springs [J], shape (K,): the engine's for native effects; of generated ones, which the engine knows only as
+            torques, their own expression at the engine's positions.
+        work_load, dissipated: Of tau_load, and in the joints' friction, since the start [J], shape (K,).
+        reference: What was to be followed.
+    """
+
+    name: str
+    payload: float
+    t: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    tau_motor: np.ndarray
+    tau_load: np.ndarray
+    tau_spring: np.ndarray
+    kinetic: np.ndarray
+    potential: np.ndarray
+    stored: np.ndarray
+    work_load: np.ndarray
+    dissipated: np.ndarray
+    reference: ReferencePhase
+
+    @property
+    def energy_residual(self) -> float:
+        """Largest |change of kinetic, potential and stored energy − work of tau_load| over the work's total variation."""
+        total = self.kinetic + self.potential + self.stored
+        change = total - total[0] - self.work_load
+        turnover = np.trapezoid(np.sum(np.abs(self.tau_load * self.dq), axis=0), self.t)
+        return float(np.max(np.abs(change)) / max(turnover, 1e-12))
+
+    @property
+    def error(self) -> np.ndarray:
+        """Largest |q − q_ref| of each joint [rad], shape (n,)."""
+        return np.max(np.abs(self.q - _position(self.reference)(self.t)), axis=1)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A simulated task: its phases and what they were simulated with."""
+
+    phases: tuple[TrackedPhase, ...]
+    twin: Twin
+    control: Controller
+    settings: Settings
+
+    @cached_property
+    def metrics(self) -> Metrics:
+        """E1, RMS and peak of the load torque that the engine gives."""
+        return metrics.measure([(p.t, p.tau_load) for p in self.phases])
+
+    @property
+    def energy_residual(self) -> float:
+        """The phases' largest."""
+        return max(p.energy_residual for p in self.phases)
+
+    @property
+    def saturated(self) -> np.ndarray:
+        """Whether each joint's controller ran into its limit, shape (n,)."""
+        return np.any([np.any(np.abs(p.tau_motor) >= self.control.limit[:, None], axis=1) for p in self.phases], axis=0)
+
+
+def track(
+    model: Model,
+    phases: Sequence[ReferencePhase],
+    theta: Sequence[float] | np.ndarray = (),
+    control: Controller | None = None,
+    settings: Settings = Settings(),
+    widths: np.ndarray | None = None,
+) -> Tracked:
+    """Follow a reference in the engine, phase after phase.
+
+    A payload is held in the phases that have one, and let go between them. The reference between its points is the cubic
+    with the points' q and dq (and dq with ddq), tau_load Akima's interpolant. The controllers read q and dq at every stage
+    of a step, while q_ref, dq_ref and tau_ff pass linearly from one step to the next (under "rk4"; the other integrators hold
+    them). Held over a step they would make the torque a saw-tooth of height k_p dq h (0.5 Nm here at 1 ms).
+
+    Raises:
+        UserError: As in `twin`; the reference has another number of joints; the simulation diverges.
+    """
+    control = controller(model) if control is None else control
+    for phase in phases:
+        if phase.q.shape[0] != model.robot.n:
+            raise UserError(
+                f"phase {phase.name!r} moves {phase.q.shape[0]} joints, but {model.robot.name!r} has {model.robot.n}"
+            )
+    engine = twin(model, theta, control, settings, widths)
+    tracked: list[TrackedPhase] = []
+    with engine.effects():
+        for phase in phases:
+            if tracked and settings.start == "continue":
+                start = tracked[-1].q[:, -1], tracked[-1].dq[:, -1]
+            else:
+                start = phase.q[:, 0], phase.dq[:, 0]
+            tracked.append(_follow(engine, phase, control, start, settings.timestep))
+    return Tracked(tuple(tracked), engine, control, settings)
+
+
+def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, timestep: float) -> TrackedPhase:
+    """One phase: a roll-out in one call, then its states read one by one."""
+    steps = max(1, int(np.ceil((phase.t[-1] - phase.t[0]) / timestep - 1e-9)))
+    t = np.linspace(phase.t[0], phase.t[-1], steps + 1)
+    engine.grip(phase.payload)
+    engine.mj.opt.timestep = t[1] - t[0]
+    data = mujoco.MjData(engine.mj)
+    data.time, data.qpos[:], data.qvel[:] = t[0], *start
+    u = _control_signal(phase, control, t)
+    data.act[:] = u[:, 0]
+    physics = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    initial = np.zeros(mujoco.mj_stateSize(engine.mj, physics))
+    mujoco.mj_getState(engine.mj, data, initial, physics)
+    states, _ = rollout.rollout(engine.mj, data, initial, (np.diff(u) / np.diff(t)).T)
+    states = np.vstack([initial, np.asarray(states)[0]])[:, 1:]  # without time
+    _check_finite(states, data, phase, t)
+    return _read(engine, phase, t, states)
+
+
+def _position(phase: ReferencePhase) -> CubicHermiteSpline:
+    return CubicHermiteSpline(phase.t, phase.q, phase.dq, axis=1)
+
+
+def _control_signal(phase: ReferencePhase, control: Controller, t: np.ndarray) -> np.ndarray:
+    """u = k_p q_ref + k_d dq_ref + tau_ff [Nm], shape (n, K)."""
+    q, dq = _position(phase), CubicHermiteSpline(phase.t, phase.dq, phase.ddq, axis=1)
+    tau = Akima1DInterpolator(phase.t, phase.tau_load, axis=1)
+    return control.k_p[:, None] * q(t) + control.k_d[:, None] * dq(t) + tau(t)
+
+
+def _check_finite(states: np.ndarray, data: mujoco.MjData, phase: ReferencePhase, t: np.ndarray) -> None:
+    warnings = mujoco.mjtWarning
+    counts = [data.warning[w].number for w in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)]
+    if any(counts) or not np.all(np.isfinite(states)):
+        lost = np.flatnonzero(~np.all(np.abs(states) < 1e3, axis=1))
+        when = f" near t = {t[lost[0]]:.4g} s" if lost.size else ""
+        raise UserError(f"phase {phase.name!r}: the simulation diverges{when}; shorten the timestep or lower the gains")
+
+
+def _read(engine: Twin, phase: ReferencePhase, t: np.ndarray, states: np.ndarray) -> TrackedPhase:
+    m, d, n = engine.mj, mujoco.MjData(engine.mj), engine.model.robot.n
+    fields = {"q": "qpos", "dq": "qvel", "ddq": "qacc", "tau_motor": "qfrc_actuator", "tau_spring": "qfrc_spring"}
+    rows = {name: np.zeros((n, t.size)) for name in (*fields, "tau_load")}
+    lost, kinetic, gravity, total, rne = (
+        np.zeros((n, t.size)),
+        np.zeros(t.size),
+        np.zeros(t.size),
+        np.zeros(t.size),
+        np.zeros(n),
+    )
+    for k in range(t.size):
+        d.time, d.qpos[:], d.qvel[:], d.act[:] = t[k], *np.split(states[k], 3)
+        mujoco.mj_forward(m, d)
+        mujoco.mj_rne(m, d, 1, rne)
+        mujoco.mj_energyPos(m, d)
+        mujoco.mj_energyVel(m, d)
+        for name, field in fields.items():
+            rows[name][:, k] = getattr(d, field)
+        rows["tau_load"][:, k], lost[:, k] = rne - d.qfrc_spring, d.qfrc_damper + d.qfrc_constraint
+        total[k], kinetic[k] = d.energy[0], d.energy[1] - m.dof_armature @ d.qvel**2 / 2
+        gravity[k] = -m.body_mass @ (d.xipos @ m.opt.gravity)
+    return TrackedPhase(
+        name=phase.name,
+        payload=phase.payload,
+        t=t,
+        **rows,
+        kinetic=kinetic,
+        potential=gravity,
+        stored=total - gravity if engine.library is None else _stored(engine, rows["q"], rows["dq"], phase.payload),
+        work_load=_since_start(np.sum(rows["tau_load"] * rows["dq"], axis=0), t),
+        dissipated=_since_start(-np.sum(lost * rows["dq"], axis=0), t),
+        reference=phase,
+    )
+
+
+def _stored(engine: Twin, q: np.ndarray, dq: np.ndarray, payload: float) -> np.ndarray:
+    return np.asarray(engine.model.energy(q, dq, payload, engine.theta, engine.widths)[2]).reshape(-1)
+
+
+def _since_start(power: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """∫ power dt from the first time on, by the trapezoid rule [J], shape (K,)."""
+    return np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(t))])
+
+
+def on_all_joints(
+    model: Model,
+    phases: Sequence[ReferencePhase],
+    robot: Robot,
+    theta: Sequence[float] | np.ndarray = (),
+    widths: np.ndarray | None = None,
+) -> tuple[Model, tuple[ReferencePhase, ...]]:
+    """A model and reference of some of a robot's joints, on all of them: the others stand at zero, torques are Eq. 6's.
+
+    Args:
+        robot: The same robot with all its joints; joints are found by name.
+    """
+    rows = [robot.index(joint) for joint in model.robot.joints]
+    effects = tuple(replace(e, joints=tuple(rows[j] for j in e.joints)) for e in model.effects)
+    full = Model(robot, ToolPoint(rows[model.tool.joint], model.tool.position), effects)
+    widths = model.widths if widths is None else widths
+    result = []
+    for phase in phases:
+        motion = {name: np.zeros((robot.n, phase.t.size)) for name in ("q", "dq", "ddq")}
+        for name, value in motion.items():
+            value[rows] = getattr(phase, name)
+        load = full.inverse(motion["q"], motion["dq"], motion["ddq"], phase.payload, np.asarray(theta, float), widths)[0]
+        result.append(replace(phase, **motion, tau_load=np.asarray(load)))
+    return full, tuple(result)

@@ -1,0 +1,253 @@
+"""The pick-and-place task: where from, where to, with what load, within which limits. All of it data, read from a file."""
+
+import importlib.resources
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from rrr_oc.errors import UserError
+from rrr_oc.model import Model
+from rrr_oc.parameters import check_names
+from rrr_oc.rigid_body import RigidBody, rigid_body
+from rrr_oc.robot import Robot, ToolPoint, load_robot
+
+PRESETS = ("paper", "prototype")
+PHASES = ("go", "return")
+_KEYS = (
+    "format",
+    "name",
+    "robot",
+    "gravity",
+    "moving",
+    "tool",
+    "start",
+    "release",
+    "payload_kg",
+    "duration_s",
+    "path_margin",
+    "limits",
+    "springs",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Carry a payload from start to release (phase "go"), and come back without it ("return"); at rest at both ends of each.
+
+    Attributes:
+        name: Name in reports.
+        robot: The whole arm.
+        tool: Where it holds the payload.
+        moving: Indices of the joints that move (m); the others are locked at zero.
+        start, release: Angles of the moving joints [rad], (m,).
+        payload: Carried in the go phase only [kg].
+        duration: Bounds of each phase's duration [s].
+        lower, upper: Angles allowed [rad], (m,).
+        speed: Speed limits [rad/s], (m,).
+        acceleration: Acceleration limits [rad/s²], (m,); infinite where there is none.
+        torque: Load-torque limits [Nm], (m,); infinite where there is none.
+        springs: The springs that a design may use, as in the file.
+    """
+
+    name: str
+    robot: Robot
+    tool: ToolPoint
+    moving: tuple[int, ...]
+    start: np.ndarray
+    release: np.ndarray
+    payload: float
+    duration: tuple[float, float]
+    lower: np.ndarray
+    upper: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    springs: tuple[Mapping[str, Any], ...]
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the moving joints."""
+        return tuple(self.robot.joints[j] for j in self.moving)
+
+    @property
+    def payloads(self) -> tuple[float, float]:
+        """Payload in each phase [kg]."""
+        return self.payload, 0.0
+
+    def ends(self, phase: int) -> tuple[np.ndarray, np.ndarray]:
+        """Angles at the start and at the end of a phase [rad]."""
+        return (self.start, self.release) if phase == 0 else (self.release, self.start)
+
+    def model(self, effects: Sequence = ()) -> Model:
+        """The whole arm with these effects."""
+        return Model(self.robot, self.tool, tuple(effects))
+
+    def full(self, moving: np.ndarray) -> np.ndarray:
+        """Values of all joints, (n, ...), from those of the moving ones, (m, ...); the locked ones are zero."""
+        values = np.zeros((self.robot.n, *np.shape(moving)[1:]))
+        values[list(self.moving)] = moving
+        return values
+
+
+def load_task(source: str | Path) -> Task:
+    """Read a task: the name of a preset (`PRESETS`) or the path of a JSON file of the same form.
+
+    Raises:
+        UserError: The file is missing or malformed; bounds are crossed; a position is out of reach; an end lies outside
+            the joint ranges.
+    """
+    where, content = _read(source)
+    check_names(content, _KEYS, where)
+    missing = [k for k in ("robot", "moving", "start", "release", "payload_kg", "duration_s", "limits") if k not in content]
+    if missing:
+        raise UserError(f"{where}: key {missing[0]!r} is missing")
+    robot = _robot(source, content)
+    moving = tuple(robot.index(j) for j in content["moving"])
+    if not moving or list(moving) != sorted(set(moving)):
+        raise UserError(f"{where}: moving must list different joints, base first, got {content['moving']}")
+    tool = robot.tool
+    if "tool" in content:
+        tool = robot.point(content["tool"]["link"], content["tool"]["position_m"])
+    limits = _limits(where, robot, moving, content["limits"])
+    low, high = _pair(where, "duration_s", content["duration_s"])
+    if not 0 < low:
+        raise UserError(f"{where}: duration_s must be above 0, got {low:g} … {high:g}")
+    payload = float(content["payload_kg"])
+    if not 0 <= payload < np.inf:
+        raise UserError(f"{where}: payload_kg must be 0 or more, got {payload:g}")
+    task = Task(
+        name=str(content.get("name", Path(str(source)).stem)),
+        robot=robot,
+        tool=tool,
+        moving=moving,
+        start=np.zeros(len(moving)),
+        release=np.zeros(len(moving)),
+        payload=payload,
+        duration=(low, high),
+        springs=tuple(content.get("springs", ())),
+        **limits,
+    )
+    body = rigid_body(robot)
+    start, release = (_angles(f"{where}: {end}", task, body, content[end]) for end in ("start", "release"))
+    return _within_margin(replace(task, start=start, release=release), content.get("path_margin"))
+
+
+def _read(source: str | Path) -> tuple[str, dict]:
+    if str(source) in PRESETS:
+        return f"preset {source!r}", json.loads(importlib.resources.files("rrr_oc.data").joinpath(f"{source}.json").read_text())
+    path = Path(source)
+    if not path.is_file():
+        raise UserError(f"no task at {str(source)!r}; give the path of a task file or one of the presets {', '.join(PRESETS)}")
+    try:
+        content = json.loads(path.read_text())
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: not valid JSON: {error}") from None
+    if not isinstance(content, dict) or content.get("format") != "rrr_oc-task/1":
+        raise UserError(f'{path}: expected an object with "format": "rrr_oc-task/1"')
+    return str(path), content
+
+
+def _robot(source: str | Path, content: dict) -> Robot:
+    name, gravity = str(content["robot"]), content.get("gravity", (0.0, 0.0, -9.81))
+    beside = Path(source).parent / name
+    return load_robot(beside if str(source) not in PRESETS and beside.is_file() else name, gravity=gravity)
+
+
+def _limits(where: str, robot: Robot, moving: tuple[int, ...], content: dict) -> dict[str, np.ndarray]:
+    columns: dict[str, list[float]] = {k: [] for k in ("lower", "upper", "speed", "acceleration", "torque")}
+    check_names(content, tuple(robot.joints[j] for j in moving), f"{where}: limits")
+    for j in moving:
+        joint = robot.joints[j]
+        given, here = content.get(joint, {}), f"{where}: limits of {joint}"
+        check_names(given, ("range_deg", "speed_deg_per_s", "acceleration_deg_per_s2", "torque_Nm"), here)
+        low, high = _pair(here, "range_deg", given.get("range_deg", np.degrees([robot.lower[j], robot.upper[j]])))
+        columns["lower"].append(np.radians(low))
+        columns["upper"].append(np.radians(high))
+        for column, key, default in (
+            ("speed", "speed_deg_per_s", np.degrees(robot.velocity[j])),
+            ("acceleration", "acceleration_deg_per_s2", np.inf),
+        ):
+            columns[column].append(np.radians(_positive(here, key, given.get(key, default))))
+        columns["torque"].append(_positive(here, "torque_Nm", given.get("torque_Nm", np.inf)))
+    return {k: np.array(v, float) for k, v in columns.items()}
+
+
+def _pair(where: str, key: str, values: Any) -> tuple[float, float]:
+    try:
+        low, high = (float(v) for v in values)
+    except (TypeError, ValueError):
+        raise UserError(f"{where}: {key} must be two numbers [lower, upper], got {values!r}") from None
+    if not low <= high:
+        raise UserError(f"{where}: bounds of {key} are crossed: {low:g} … {high:g}; the lower must not be above the upper")
+    return low, high
+
+
+def _positive(where: str, key: str, value: Any) -> float:
+    if not isinstance(value, int | float) or not value > 0:
+        raise UserError(f"{where}: {key} must be a number above 0, got {value!r}")
+    return float(value)
+
+
+def _angles(where: str, task: Task, body: RigidBody, content: Any) -> np.ndarray:
+    """Angles of the moving joints from `angles_deg` or `position_m`."""
+    if not isinstance(content, dict) or set(content) not in ({"angles_deg"}, {"position_m"}):
+        raise UserError(f'{where}: give either "angles_deg" or "position_m", got {content!r}')
+    if "position_m" in content:
+        return inverse_kinematics(task, body, np.asarray(content["position_m"], float), where)
+    angles = np.radians(np.asarray(content["angles_deg"], float))
+    if angles.shape != (len(task.moving),):
+        raise UserError(f"{where}: angles_deg needs {len(task.moving)} numbers, got {content['angles_deg']}")
+    for joint, angle, low, high in zip(task.joints, angles, task.lower, task.upper, strict=True):
+        if not low <= angle <= high:
+            raise UserError(
+                f"{where}: {joint} would stand at {np.degrees(angle):.2f}°, outside its range "
+                f"{np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
+            )
+    return angles
+
+
+def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where: str = "position") -> np.ndarray:
+    """Angles of the moving joints that put the tool at `position` [m], elbow up, within the joint ranges.
+
+    Of all solutions, the one whose joints lie highest against gravity is taken, which is what "elbow up" means.
+    Raises `UserError` with the nearest distance if the tool does not reach the position.
+    """
+    if task.tool.joint != task.robot.n - 1:
+        raise UserError(f"{where}: a position needs the tool on the last link; give angles_deg")
+    jacobian, columns = body.tool_jacobian, list(task.moving)
+
+    def error(q: np.ndarray) -> np.ndarray:
+        return np.array(body.tool_position(task.full(q), task.tool.position)).ravel() - position
+
+    def slope(q: np.ndarray) -> np.ndarray:
+        return np.array(jacobian(task.full(q), task.tool.position))[:, columns]
+
+    low, high = np.maximum(task.lower, -np.pi), np.minimum(task.upper, np.pi)
+    starts = low + (high - low) * np.random.default_rng(0).random((32, len(columns)))
+    fits = [least_squares(error, s, slope, bounds=(low - 1e-9, high + 1e-9), xtol=1e-15, ftol=1e-15, gtol=1e-15) for s in starts]
+    reached = [fit.x for fit in fits if np.abs(fit.fun).max() < 1e-8]
+    if not reached:
+        nearest = min(float(np.linalg.norm(fit.fun)) for fit in fits)
+        raise UserError(
+            f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges: "
+            f"the tool comes no nearer than {nearest:.4f} m"
+        )
+    up = -task.robot.gravity / max(float(np.linalg.norm(task.robot.gravity)), 1e-12)
+    best = max(reached, key=lambda q: float((up @ np.array(body.joint_frames(task.full(q)))[9:]).sum()))
+    return np.clip(best, task.lower, task.upper)
+
+
+def _within_margin(task: Task, margin: float | None) -> Task:
+    """Narrow the joint ranges to the range start–release, widened by `margin` of it on each side."""
+    if margin is None:
+        return task
+    ends = np.array([task.start, task.release])
+    width = margin * np.ptp(ends, axis=0)
+    return replace(
+        task, lower=np.maximum(task.lower, ends.min(axis=0) - width), upper=np.minimum(task.upper, ends.max(axis=0) + width)
+    )
