@@ -37,12 +37,14 @@ class SpringBounds:
         effect: The spring.
         lower, upper: Bounds of its parameters, in their order.
         hardware: For a biarticular spring the bounds of k_b, q_0, r_1, r_2, r_3 in SI units; else empty.
+        fixed: For a biarticular spring of given hardware its k_b, r_1, r_2, r_3 in SI units; else empty.
     """
 
     effect: Effect
     lower: np.ndarray
     upper: np.ndarray
     hardware: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
 
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
@@ -82,8 +84,9 @@ def _spring(task: Task, entry: Mapping) -> SpringBounds:
     )
     ratio = bounds["r_1"][1] / bounds["r_2"][0]
     kappa = bounds["k_b"][1] * (bounds["r_2"][1] / bounds["r_1"][0]) ** 2
-    lower = [0.0, bounds["r_3"][0] / bounds["r_2"][1], bounds["q_0"][0] * ratio]
-    upper = [kappa, bounds["r_3"][1] / bounds["r_2"][0], bounds["q_0"][1] * ratio]
+    wider = 1.05  # the hardware's inequalities bind, not this box around them
+    lower = [0.0, bounds["r_3"][0] / bounds["r_2"][1] / wider, bounds["q_0"][0] * ratio * wider]
+    upper = [kappa * wider, bounds["r_3"][1] / bounds["r_2"][0] * wider, bounds["q_0"][1] * ratio * wider]
     return SpringBounds(effect, np.array(lower), np.array(upper), bounds)
 
 
@@ -244,7 +247,9 @@ class CoDesign:
         found, values = {}, self.model.values(parameters)
         for spring in self.springs:
             named = values[self.model.label(spring.effect)]
-            if spring.hardware:
+            if spring.fixed:
+                found |= {**spring.fixed, "q_0": named["phi"] * spring.fixed["r_2"] / spring.fixed["r_1"]}
+            elif spring.hardware:
                 found |= pick_hardware(named["kappa"], named["rho"], named["phi"], spring.hardware)
             else:
                 number = spring.effect.joints[0] + 1
@@ -260,13 +265,12 @@ class CoDesign:
         for spring in self.springs:
             lower, upper = spring.lower.copy(), spring.upper.copy()
             if spring.hardware:
-                values = [hardware.get(h, 0.0) for h in HARDWARE]
-                kappa, rho, phi = reduced(*values)
-                lower[:2] = upper[:2] = kappa, rho
-                ratio = hardware["r_1"] / hardware["r_2"]
-                free = "q_0" in keep_free
-                lower[2], upper[2] = (b * ratio for b in spring.hardware["q_0"]) if free else (phi, phi)
-                springs.append(SpringBounds(spring.effect, lower, upper))
+                fixed = {h: hardware[h] for h in HARDWARE if h != "q_0"}
+                kappa, rho, phi = reduced(fixed["k_b"], hardware.get("q_0", 0.0), fixed["r_1"], fixed["r_2"], fixed["r_3"])
+                ratio = fixed["r_1"] / fixed["r_2"]
+                free = [b * ratio for b in spring.hardware["q_0"]] if "q_0" in keep_free else [phi, phi]
+                bounds = np.array([kappa, rho, free[0]]), np.array([kappa, rho, free[1]])
+                springs.append(SpringBounds(spring.effect, *bounds, fixed=fixed))
                 continue
             number = spring.effect.joints[0] + 1
             for i, name in enumerate((f"k_p{number}", f"q_eq{number}")):

@@ -70,8 +70,8 @@ class Table:
         cells = content.rstrip("\r\n").split(self.delimiter)
         if len(cells) != len(self.names):
             raise UserError(
-                f"{self.path}, line {number}: {len(cells)} {_cells(len(cells))}, but the header names {len(self.names)} columns; "
-                "every row needs one cell per column"
+                f"{self.path}, line {number}: {len(cells)} {'cell' if len(cells) == 1 else 'cells'}, "
+                f"but the header names {len(self.names)} columns; every row needs one cell per column"
             )
         return [self._cell(number, i, cells[i].strip()) for i in indices]
 
@@ -109,7 +109,9 @@ def read_table(path: Path) -> Table:
         elif content:
             if _all_numbers(content):
                 if comment is None:
-                    raise UserError(f"{path}, line {number}: found numbers; a header line that names the columns must come first")
+                    raise UserError(
+                        f"{path}, line {number}: found numbers; a header line that names the columns must come first"
+                    )
                 number, content = comment
             return _with_header(path, text, number, content)
     raise UserError(f"{path}: the file is empty; a header line and rows of numbers are required")
@@ -120,7 +122,9 @@ def _with_header(path: Path, text: str, number: int, content: str) -> Table:
     delimiter = next((d for d in ",;\t" if d in content), ",")
     names = tuple(name.strip().strip("\"'").strip() for name in content.split(delimiter))
     if "" in names:
-        raise UserError(f"{path}, line {number}: column {names.index('') + 1} of {len(names)} has no name; every column needs one")
+        raise UserError(
+            f"{path}, line {number}: column {names.index('') + 1} of {len(names)} has no name; every column needs one"
+        )
     for i, name in enumerate(names):
         if name in names[:i]:
             raise UserError(f"{path}, line {number}: column {name!r} stands twice; each may stand once")
@@ -132,7 +136,3 @@ def _all_numbers(content: str) -> bool:
         return all(math.isfinite(float(cell)) for cell in content.replace(";", ",").replace("\t", ",").split(","))
     except ValueError:
         return False
-
-
-def _cells(count: int) -> str:
-    return "cell" if count == 1 else "cells"

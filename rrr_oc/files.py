@@ -5,7 +5,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -38,14 +38,14 @@ def new_folder(folder: str | Path) -> Iterator[Path]:
     Raises `UserError` where `folder` is a file or a folder with something in it.
     """
     folder = Path(folder)
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise UserError(f"{folder}: exists already; give a new or an empty folder")
+    with _as_user_error(folder):
+        if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+            raise UserError(f"{folder}: exists already; give a new or an empty folder")
     temporary = _beside(folder)
     try:
         with _as_user_error(folder):
             temporary.mkdir(parents=True)
-        yield temporary
-        with _as_user_error(folder):
+            yield temporary
             os.replace(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -61,7 +61,8 @@ def _new_file(path: Path) -> Iterator[BinaryIO]:
                 yield file
             os.replace(temporary, path)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def _beside(path: Path) -> Path:

@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import mujoco
@@ -128,11 +129,13 @@ def installed(*libraries: Native) -> Iterator[None]:
             for library in libraries:
                 _active.remove(library)
             _link()
+            for library in set(libraries).difference(_active):
+                _set_next(library, None)
 
 
 _lock = threading.Lock()
 _active: list[Native] = []
-_before: list[object] = [None]
+_before: list[Any] = [None]
 
 
 def _add(libraries: tuple[Native, ...]) -> None:
@@ -149,12 +152,16 @@ def _add(libraries: tuple[Native, ...]) -> None:
 
 def _link() -> None:
     """Each active library calls the next one, the last one the callback that was there before."""
-    chain = [native.library for native in dict.fromkeys(_active)]
-    functions = [library.rrr_oc_passive for library in chain]
-    for library, following in zip(chain, [*functions[1:], _before[0]], strict=False):
-        address = ctypes.cast(following, ctypes.c_void_p).value if following is not None else None  # type: ignore[arg-type]
-        ctypes.c_void_p.in_dll(library, "rrr_oc_next").value = address
-    mujoco.set_mjcb_passive(functions[0] if functions else _before[0])
+    chain = list(dict.fromkeys(_active))
+    functions = [*(native.library.rrr_oc_passive for native in chain), _before[0]]
+    for native, following in zip(chain, functions[1:], strict=True):
+        _set_next(native, following)
+    mujoco.set_mjcb_passive(functions[0])
+
+
+def _set_next(native: Native, function: Any) -> None:
+    address = None if function is None else ctypes.cast(function, ctypes.c_void_p).value
+    ctypes.c_void_p.in_dll(native.library, "rrr_oc_next").value = address
 
 
 def _torque(model: Model) -> ca.Function:
@@ -203,5 +210,5 @@ def _load(path: Path) -> ctypes.CDLL:
 
 
 def values(theta: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """What the marker's numeric field holds."""
-    return np.concatenate([theta, widths])
+    """What the marker's numeric field holds; the last number means nothing, as MuJoCo refuses an empty field."""
+    return np.concatenate([theta, widths, [0.0]])

@@ -31,7 +31,9 @@ def check_time(where: str, t: np.ndarray) -> None:
         units = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
         unit = next((name for name, factor in units if step / factor < SLOW_STEP), None)
         looks = f"; it looks like {unit}" if unit else ""
-        raise UserError(f"{where}: column 't' has a median step of {step:g}; the unit is s, up to {LONGEST_STEP:g} s are allowed{looks}")
+        raise UserError(
+            f"{where}: column 't' has a median step of {step:g}; the unit is s, up to {LONGEST_STEP:g} s are allowed{looks}"
+        )
 
 
 def check_slowness(where: str, t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
@@ -92,6 +94,6 @@ def check_torques(where: str, robot: Robot, torque: np.ndarray, columns: tuple[s
         middle, limit = float(np.median(np.abs(torque[i]))), float(robot.effort[i])
         if limit > 0 and middle > TORQUE_FACTOR * limit:
             raise UserError(
-                f"{where}: column '{column}': half of the samples mean more than {middle:.3g} Nm, and the joint's effort limit "
+                f"{where}: column '{column}' has a median magnitude of {middle:.3g} Nm at the output, and the effort limit "
                 f"is {limit:g} Nm; the unit is {unit}, it looks like m{unit}"
             )

@@ -76,7 +76,11 @@ def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, A
     for effect, theta in springs:
         names = [joints[j] for j in effect.joints]
         if isinstance(effect, ParallelSpring):
-            spring = {"stiffness_Nm_per_rad": theta["stiffness"], "equilibrium_rad": theta["equilibrium"], "active": effect.active}
+            spring = {
+                "stiffness_Nm_per_rad": theta["stiffness"],
+                "equilibrium_rad": theta["equilibrium"],
+                "active": effect.active,
+            }
             result.setdefault("pea", {}).setdefault(names[0], []).append(spring)
         elif isinstance(effect, BiarticularSpring):
             radii = {"radius1_m": 1.0, "radius2_m": 1.0, "radius3_m": theta["rho"]}  # Eq. 5 decides κ, ρ and φ only
@@ -139,7 +143,9 @@ def _bpea(node: "_Node", joints: tuple[str, ...]) -> Spring:
     elif len(joints) in (2, 3):
         pair = joints[-2:]
     else:
-        raise UserError(f"{node.where}: 'joints' is missing; with {len(joints)} joints it must name the two that the spring spans")
+        raise UserError(
+            f"{node.where}: 'joints' is missing; with {len(joints)} joints it must name the two that the spring spans"
+        )
     if len(pair) != 2 or pair[0] == pair[1]:
         raise UserError(f"{node.where}.joints: found {', '.join(pair)}; two different joints are required")
     winding = (1, 1)
@@ -166,7 +172,9 @@ def _torque_constants(node: "_Node", joints: tuple[str, ...], torque: str) -> tu
                 raise UserError(f"{data['torque_constant'].where}: found 0; a number of Nm/A other than 0 is required")
     missing = [joint for joint in joints if joint not in constants]
     if torque == "current" and missing:
-        raise UserError(f"{node.where}: no torque_constant [Nm/A] of {', '.join(missing)}; torque 'current' needs one per joint")
+        raise UserError(
+            f"{node.where}: no torque_constant [Nm/A] of {', '.join(missing)}; torque 'current' needs one per joint"
+        )
     return tuple(constants.get(joint) for joint in joints)
 
 
@@ -175,7 +183,9 @@ def _json(path: Path) -> Any:
     try:
         return json.loads(text, object_pairs_hook=lambda pairs: _once(path, pairs))
     except json.JSONDecodeError as error:
-        raise UserError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}; one complete JSON object is required") from None
+        raise UserError(
+            f"{path}, line {error.lineno}, column {error.colno}: {error.msg}; one complete JSON object is required"
+        ) from None
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets thousands deep
         raise UserError(f"{path}: not usable JSON: {error}") from None
 
@@ -232,7 +242,9 @@ class _Node:
         return self.value
 
     def number(self, at_least: float = -math.inf) -> float:
-        allowed = "a finite number is required" if at_least == -math.inf else f"a finite number of {at_least:g} or more is required"
+        allowed = (
+            "a finite number is required" if at_least == -math.inf else f"a finite number of {at_least:g} or more is required"
+        )
         if isinstance(self.value, bool) or not isinstance(self.value, int | float):
             raise self.fail(allowed)
         try:

@@ -1,6 +1,7 @@
 """Recordings of a robot's motion and torques: a folder with `recordings.json` and CSV files, read and written."""
 
 import difflib
+import itertools
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -157,13 +158,15 @@ def write_set(
     """
     folder = Path(folder)
     bundled = str(source) in BUNDLED
-    robot = str(source) if bundled else Path(source).name
+    robot = str(source) if bundled else f"{Path(source).stem}.urdf"  # never a bundled name
     with new_folder(folder) as temporary:
         if not bundled:
             try:
                 shutil.copyfile(source, temporary / robot)
             except OSError as error:
-                raise UserError(f"{source}: cannot be read: {error.strerror}; a URDF or one of {', '.join(BUNDLED)} is needed") from None
+                raise UserError(
+                    f"{source}: cannot be read: {error.strerror}; a URDF or one of {', '.join(BUNDLED)} is needed"
+                ) from None
         content = {"format": FORMAT, "robot": robot, **header}
         (temporary / HEADER).write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         for file, columns in tables.items():
@@ -216,7 +219,9 @@ def _used_columns(table: Table, joints: Sequence[str], recorded: Sequence[str]) 
     for name in required:
         if name not in table.names:
             found = ", ".join(table.names)
-            raise UserError(f"{table.path}, line {table.header_line}: column {name!r} is missing; found {found[:300]}; {allowed}")
+            raise UserError(
+                f"{table.path}, line {table.header_line}: column {name!r} is missing; found {found[:300]}; {allowed}"
+            )
     ignored = tuple(name for name in table.names if name not in required and name not in optional)
     absent = [name for name in optional if name not in table.names]
     for name in ignored:
@@ -232,8 +237,8 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
         raise UserError(f"{table.path}: a header and no rows; at least {LEAST_ROWS} rows are required")
     infinite = np.argwhere(np.isinf(values).T)
     if len(infinite):
-        row, column = infinite[0]
-        raise UserError(f"{table.path}, line {table.line(row)}, column {used[column]!r}: found an infinite value; numbers or nan are allowed")
+        row, column = map(int, infinite[0])
+        raise _wrong_cell(table, row, used[column], "an infinite value", "numbers or nan are allowed")
     rows = np.flatnonzero(~np.isnan(values).any(axis=0))
     if len(rows) < LEAST_ROWS:
         total = values.shape[1]
@@ -241,17 +246,19 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
     t = values[used.index("t"), rows]
     back = np.flatnonzero(t[1:] <= t[:-1])
     if len(back):
-        i = back[0]
-        word = "again" if t[i + 1] == t[i] else f"after {t[i].item()!r} s"
-        raise UserError(
-            f"{table.path}, line {table.line(rows[i + 1])}, column 't': found {t[i + 1].item()!r} s {word}; time must increase from row to row"
-        )
+        before, now = t[back[0] : back[0] + 2].tolist()
+        found = f"{now!r} s {'again' if now == before else f'after {before!r} s'}"
+        raise _wrong_cell(table, int(rows[back[0] + 1]), "t", found, "time must increase from row to row")
     if "payload" in used:
         payload = values[used.index("payload"), rows]
         if payload.min() < 0:
             i = int(np.argmax(payload < 0))
-            raise UserError(f"{table.path}, line {table.line(rows[i])}, column 'payload': found {payload[i]:g}; 0 kg or more is allowed")
+            raise _wrong_cell(table, int(rows[i]), "payload", f"{payload[i]:g}", "0 kg or more is allowed")
     return rows
+
+
+def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -> UserError:
+    return UserError(f"{table.path}, line {table.line(row)}, column {column!r}: found {found}; {allowed}")
 
 
 def _motion(
@@ -284,8 +291,10 @@ def _without_short_segments(path: Path, recording: Recording) -> Recording:
     arrays = {name: getattr(recording, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
     for name in ("dq", "ddq"):
         if not np.all(np.isfinite(arrays[name])):
-            raise UserError(f"{path}: {name} computed from the file is not finite; positions are too large or times too close together")
-    segments = tuple(slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True))
+            raise UserError(
+                f"{path}: {name} computed from the file is not finite; positions are too large or times too close together"
+            )
+    segments = tuple(slice(a, b) for a, b in itertools.pairwise([0, *ends]))
     return replace(recording, **arrays, segments=segments, short=len(recording.t) - len(rows))
 
 

@@ -1,10 +1,11 @@
 """Savitzky–Golay filtering of samples that need not be uniform in time, within segments that gaps separate."""
 
+import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 GAP = 5.0  # longest step within a segment, in median steps
 WINDOW = 0.15  # default length of the window [s]
@@ -16,7 +17,7 @@ def split(t: np.ndarray) -> tuple[slice, ...]:
     """Segments of `t` (K,) [s], strictly increasing: a step longer than `GAP` median steps ends one."""
     steps = np.diff(t)
     ends = [0, *(np.flatnonzero(steps > GAP * np.median(steps)) + 1).tolist(), len(t)] if len(t) > 1 else [0, len(t)]
-    return tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+    return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
 
 
 def differentiate(t: np.ndarray, x: np.ndarray, segments: Sequence[slice], derivative: int = 1) -> np.ndarray:
@@ -58,62 +59,75 @@ def window_samples(t: np.ndarray, window: float, least: int = 1) -> int:
 def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, count: int) -> np.ndarray:
     """Derivative at each t (K,) of the least-squares polynomial of `order` over the `count` nearest samples of x (n, K).
 
-    The polynomials are fitted to the samples at their own times: to interpolate first, onto uniform times, would mix
-    neighbours before the fit and bias it by the jitter. At both ends the window stays inside and the point moves in it.
-    Where steps are equal to 0.1 % this is the Savitzky–Golay filter. NaN where the times decide no polynomial.
-    """
-    if x.size == 0:
-        return np.empty(x.shape)
-    step = (t[-1] - t[0]) / (len(t) - 1)
-    with np.errstate(all="ignore"):  # absurd numbers become inf or NaN, which the caller looks for
-        if np.all(np.abs(np.diff(t) - step) < 1e-3 * step):
-            return savgol_filter(x, count, order, deriv=derivative, delta=step, axis=-1, mode="interp")
-        return _moving_fits(t, x, derivative, order, count)
+    On uniform times this is the Savitzky–Golay filter. The polynomials are fitted to the samples at their own times: to
+    interpolate first, onto uniform times, would mix neighbours before the fit and bias it by the jitter. At both ends the
+    window stays inside and the point moves in it. NaN where the times decide no polynomial.
 
-
-def _moving_fits(t: np.ndarray, x: np.ndarray, derivative: int, order: int, count: int) -> np.ndarray:
-    """`local_polynomial` for any t, at a cost that does not grow with the window.
-
-    Windows that start next to one another form a block; over its samples, centred and scaled to -1 … 1, the normal equations
-    of every window are differences of cumulative sums of powers.
+    The cost does not grow with the window: windows that start next to one another form a block; over its samples, centred
+    and scaled to -1 … 1, the normal equations of every window are differences of cumulative sums of powers.
     """
     windows, half = len(t) - count + 1, count // 2
     size = min(count, windows)  # windows of a block
     starts = np.append(np.arange(0, windows - size, size), windows - size)
     result = np.empty(x.shape)
-    for chunk in np.array_split(starts, 1 + len(starts) * size * count // CHUNK):
-        samples = chunk[:, None] + np.arange(size + count - 1)  # (blocks, samples)
-        centre, scale = t[samples[:, samples.shape[1] // 2]], (t[samples[:, -1]] - t[samples[:, 0]]) / 2
-        base = x[:, samples[:, :1]]  # (n, blocks, 1)
-        coefficients = _block_fits((t[samples] - centre[:, None]) / scale[:, None], x[:, samples] - base, order, count)
-
-        def value(at: np.ndarray, c: np.ndarray, block: slice | int, centre=centre, scale=scale, base=base) -> np.ndarray:
-            u = (t[at] - centre[block, None]) / scale[block, None]
-            polynomial = sum(math.perm(k, derivative) * c[..., k] * u ** (k - derivative) for k in range(derivative, order + 1))
-            return polynomial / scale[block, None] ** derivative + (base[:, block] if derivative == 0 else 0.0)
-
-        result[:, chunk[:, None] + np.arange(size) + half] = value(samples[:, half : half + size], coefficients, slice(None))
-        if chunk[0] == 0:  # rows before the first window's centre, and after the last one's
-            result[:, :half] = value(np.arange(half), coefficients[:, 0, :1], 0)
-        if chunk[-1] == starts[-1]:
-            result[:, windows + half :] = value(np.arange(windows + half, len(t)), coefficients[:, -1, -1:], -1)
+    with np.errstate(all="ignore"):  # absurd numbers become inf or NaN, which the caller looks for
+        for chunk in np.array_split(starts, min(len(starts), 1 + windows // CHUNK)):
+            samples = chunk[:, None] + np.arange(size + count - 1)  # (blocks, samples)
+            polynomials = _Polynomials.fit(t[samples], x[:, samples], order, count)
+            centres = samples[:, half : half + size]
+            result[:, centres] = polynomials.value(t[centres], derivative)
+            if chunk[0] == 0:  # rows before the first window's centre
+                result[:, :half] = polynomials.one(0).value(t[None, :half], derivative)[:, 0]
+            if chunk[-1] == starts[-1]:  # rows after the last one's
+                result[:, windows + half :] = polynomials.one(-1).value(t[None, windows + half :], derivative)[:, 0]
     return result
 
 
-def _block_fits(u: np.ndarray, x: np.ndarray, order: int, count: int) -> np.ndarray:
-    """Coefficients (n, blocks, windows, order + 1) of polynomials in u (blocks, samples) fitted to x (n, blocks, samples)."""
+@dataclass(frozen=True)
+class _Polynomials:
+    """Polynomials in (t − centre) / scale of n signals, one a window.
 
-    def window_sums(values: np.ndarray) -> np.ndarray:
-        sums = np.cumsum(np.concatenate([np.zeros((*values.shape[:-1], 1)), values], axis=-1), axis=-1)
-        return sums[..., count:] - sums[..., :-count]
+    Attributes:
+        centre, scale: Of each block [s], shape (blocks, 1).
+        offset: Taken off each signal for accuracy's sake, shape (n, blocks, 1).
+        coefficients: Shape (n, blocks, windows, order + 1).
+    """
 
-    powers = [np.ones_like(u)]
-    for _ in range(2 * order):
-        powers.append(powers[-1] * u)
-    moments = [window_sums(power) for power in powers]
-    matrix = np.stack([np.stack(moments[k : k + order + 1], axis=-1) for k in range(order + 1)], axis=-1)
-    right = np.stack([window_sums(x * power) for power in powers[: order + 1]], axis=-1)  # (n, blocks, windows, order + 1)
-    try:
-        return np.moveaxis(np.linalg.solve(matrix, np.moveaxis(right, 0, -1)), -1, 0)
-    except np.linalg.LinAlgError:
-        return np.full(right.shape, np.nan)
+    centre: np.ndarray
+    scale: np.ndarray
+    offset: np.ndarray
+    coefficients: np.ndarray
+
+    @classmethod
+    def fit(cls, t: np.ndarray, x: np.ndarray, order: int, count: int) -> "_Polynomials":
+        """Fits over every `count` neighbours of the samples t (blocks, samples), x (n, blocks, samples)."""
+        centre, scale, offset = t[:, t.shape[1] // 2, None], (t[:, -1:] - t[:, :1]) / 2, x[..., :1]
+        powers = [np.ones_like(t)]
+        for _ in range(2 * order):
+            powers.append(powers[-1] * ((t - centre) / scale))
+        moments = [_window_sums(power, count) for power in powers]
+        matrix = np.stack([np.stack(moments[k : k + order + 1], axis=-1) for k in range(order + 1)], axis=-1)
+        right = np.stack([_window_sums((x - offset) * power, count) for power in powers[: order + 1]], axis=-1)
+        try:
+            coefficients = np.moveaxis(np.linalg.solve(matrix, np.moveaxis(right, 0, -1)), -1, 0)
+        except np.linalg.LinAlgError:
+            coefficients = np.full(right.shape, np.nan)
+        return cls(centre, scale, offset, coefficients)
+
+    def one(self, end: int) -> "_Polynomials":
+        """The very first (0) or last (-1) polynomial of each signal."""
+        coefficients = self.coefficients[:, end, end][:, None, None]
+        return _Polynomials(self.centre[end, None], self.scale[end, None], self.offset[:, end, None], coefficients)
+
+    def value(self, t: np.ndarray, derivative: int) -> np.ndarray:
+        """Derivatives (n, blocks, times) at t (blocks, times): at one time each, or of one polynomial at many."""
+        u, result = (t - self.centre) / self.scale, 0.0
+        for k in reversed(range(derivative, self.coefficients.shape[-1])):  # Horner's scheme
+            result = result * u + math.perm(k, derivative) * self.coefficients[..., k]
+        return result / self.scale**derivative + (self.offset if derivative == 0 else 0.0)
+
+
+def _window_sums(values: np.ndarray, count: int) -> np.ndarray:
+    """Sums over every `count` neighbours along the last axis."""
+    sums = np.cumsum(np.concatenate([np.zeros((*values.shape[:-1], 1)), values], axis=-1), axis=-1)
+    return sums[..., count:] - sums[..., :-count]

@@ -11,6 +11,8 @@ from scipy.stats import qmc
 from rrr_oc.codesign import HARDWARE, CoDesign, motion_guess
 from rrr_oc.collocation import Transcription, scheme, uniform_mesh
 from rrr_oc.effects.biarticular_spring import reduced
+from rrr_oc.optimality import Kkt
+from rrr_oc.problem import Guess
 from rrr_oc.solve import Options, Refinement, Solution, Solver, SolverFailure, continue_in, refine
 
 LAYERS = ("sobol", "cma-es")
@@ -134,7 +136,7 @@ class Polisher:
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
         self.design, self.options = design, options
-        transcription = _transcription(design, options, options.coarse)
+        transcription = transcribed(design, options, options.coarse)
         self.solver = Solver(transcription, Options(tolerance=1e-6, iterations=200))
         self.data = design.data(options.width)
 
@@ -254,7 +256,8 @@ def _polish(key: tuple[int, int], design: CoDesign, options: SearchOptions, laye
     return index, _polishers[key](layer, vector)
 
 
-def _transcription(design: CoDesign, options: SearchOptions, intervals: int) -> Transcription:
+def transcribed(design: CoDesign, options: SearchOptions, intervals: int) -> Transcription:
+    """The problem on a uniform mesh with the search's scheme."""
     problem = design.problem
     return Transcription(problem, scheme(options.scheme, options.stages), uniform_mesh(problem, intervals))
 
@@ -264,18 +267,18 @@ def _explain(design: CoDesign, options: SearchOptions, starts: list[Start]) -> N
     if not starts:
         raise KeyboardInterrupt
     middle = motion_guess(design, *decode(design, np.full(dimensions(design, options.via), 0.5), options.via)[:2])
-    Solver(_transcription(design, options, options.coarse)).solve(middle, design.data(options.width))
+    Solver(transcribed(design, options, options.coarse)).solve(middle, design.data(options.width))
 
 
 def _keep(design: CoDesign, options: SearchOptions, starts: list[Start], interrupted: bool) -> tuple[Optimum, ...]:
     """The distinct optima on a fine mesh, the best of them refined, in parallel."""
-    coarse = _transcription(design, options, options.coarse)
+    coarse = transcribed(design, options, options.coarse)
     groups: list[Optimum] = []
     for start in sorted((s for s in starts if s.w.size), key=lambda s: s.polished):
         solution = Solution(coarse, start.w, np.empty(0), np.empty(0), start.polished, start.message, 0, 0.0)
         _join(groups, Optimum(solution, [], 1))
     kept = groups[: 1 if interrupted else options.kept]
-    followed = _parallel(options, _follow, [(design, options, g.solution.w) for g in kept])
+    followed = _parallel(options, _follow, [(design, options, g.solution.guess()) for g in kept])
     optima: list[Optimum] = []
     for group, packed in zip(kept, followed, strict=True):
         if packed is not None:
@@ -290,6 +293,24 @@ def _keep(design: CoDesign, options: SearchOptions, starts: list[Start], interru
         _join(refined, Optimum(_unpack(design, options, packed), packed.rows, optimum.reached))
     refined.sort(key=lambda o: o.solution.cost)
     return (*refined, *optima[len(chosen) :])
+
+
+def continued(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:
+    """Optima near given starts, each of a problem of its own: on the fine mesh, the best one refined.
+
+    Returns:
+        (index of the start, optimum), best first; starts that led nowhere are missing.
+    """
+    packed = _parallel(options, _follow, [(design, options, guess) for design, guess in starts])
+    found = [
+        (i, Optimum(_unpack(starts[i][0], options, p), p.rows, 1)) for i, p in enumerate(packed) if p is not None
+    ]
+    found.sort(key=lambda pair: pair[1].solution.cost)
+    if found:
+        index, optimum = found[0]
+        p = _refine(starts[index][0], options, _pack(optimum))
+        found[0] = index, Optimum(_unpack(starts[index][0], options, p), p.rows, 1)
+    return found
 
 
 @dataclass(frozen=True)
@@ -323,17 +344,35 @@ def _parallel(options: SearchOptions, function: Callable, arguments: list[tuple]
     return list(joblib.Parallel(n_jobs=options.jobs, batch_size=1)(joblib.delayed(function)(*a) for a in arguments))
 
 
-def _follow(design: CoDesign, options: SearchOptions, w: np.ndarray) -> _Packed | None:
-    """The optimum near a coarse one on the fine mesh, followed to the smallest smoothing width; None where it is lost."""
-    coarse = Solution(_transcription(design, options, options.coarse), w, np.empty(0), np.empty(0), 0.0, "", 0, 0.0)
-    solver = Solver(_transcription(design, options, options.fine), Options(barrier=1e-6))
+def _follow(design: CoDesign, options: SearchOptions, guess: Guess) -> _Packed | None:
+    """The optimum near a guess on the fine mesh, followed to the smallest smoothing width; None where it is lost."""
+    solver = Solver(transcribed(design, options, options.fine), Options(barrier=1e-6))
     try:
-        followed = solver.solve(coarse.guess(), design.data(options.width))
+        followed = solver.solve(guess, design.data(options.width))
         widths = options.widths if design.springs else options.widths[-1:]
         followed = continue_in(solver, followed, [design.data(width) for width in widths])
+        followed = _descend(solver, followed)
     except SolverFailure:
         return None
     return _pack(Optimum(followed, refine(followed, Refinement(rounds=0))[1], 0))
+
+
+def _descend(solver: Solver, solution: Solution, rounds: int = 3) -> Solution:
+    """Leave a saddle: where the curvature is negative along some direction, go both ways along it and solve again."""
+    for _ in range(rounds):
+        verdict, _, direction = Kkt(solution).second_order()
+        if verdict != "violated":
+            break
+        step = 0.1 * direction / np.abs(direction).max()
+        found = []
+        for sign in (1, -1):
+            away = solver.solve(solution.w + sign * step, solution.problem.data, check=False)
+            if away.status == "Solve_Succeeded" and away.cost < solution.cost * (1 - 1e-6):
+                found.append(away)
+        if not found:
+            break
+        solution = min(found, key=lambda s: s.cost)
+    return solution
 
 
 def _refine(design: CoDesign, options: SearchOptions, packed: _Packed) -> _Packed:

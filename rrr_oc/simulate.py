@@ -276,9 +276,12 @@ def _check_supported(effect: Effect, model: Model) -> None:
 
 def _add_native(spec: mujoco.MjSpec, model: Model, theta: np.ndarray) -> None:
     numbers = iter(theta.tolist())
-    for effect in model.effects:
+    for i, effect in enumerate(model.effects):
+        known = len(spec.tendons)
         if not effect.native(spec, model.robot.joints, {p.name: next(numbers) for p in effect.parameters}):
             raise UserError(f"{model.label(effect)} has no form of its own in MuJoCo; use effects='generated'")
+        for tendon in spec.tendons[known:]:
+            tendon.name = f"{i}_{tendon.name}"  # two springs on one joint would get the same name
 
 
 @dataclass(frozen=True)
@@ -472,29 +475,3 @@ def _stored(engine: Twin, q: np.ndarray, dq: np.ndarray, payload: float) -> np.n
 def _since_start(power: np.ndarray, t: np.ndarray) -> np.ndarray:
     """∫ power dt from the first time on, by the trapezoid rule [J], shape (K,)."""
     return np.concatenate([[0.0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(t))])
-
-
-def on_all_joints(
-    model: Model,
-    phases: Sequence[ReferencePhase],
-    robot: Robot,
-    theta: Sequence[float] | np.ndarray = (),
-    widths: np.ndarray | None = None,
-) -> tuple[Model, tuple[ReferencePhase, ...]]:
-    """A model and reference of some of a robot's joints, on all of them: the others stand at zero, torques are Eq. 6's.
-
-    Args:
-        robot: The same robot with all its joints; joints are found by name.
-    """
-    rows = [robot.index(joint) for joint in model.robot.joints]
-    effects = tuple(replace(e, joints=tuple(rows[j] for j in e.joints)) for e in model.effects)
-    full = Model(robot, ToolPoint(rows[model.tool.joint], model.tool.position), effects)
-    widths = model.widths if widths is None else widths
-    result = []
-    for phase in phases:
-        motion = {name: np.zeros((robot.n, phase.t.size)) for name in ("q", "dq", "ddq")}
-        for name, value in motion.items():
-            value[rows] = getattr(phase, name)
-        load = full.inverse(motion["q"], motion["dq"], motion["ddq"], phase.payload, np.asarray(theta, float), widths)[0]
-        result.append(replace(phase, **motion, tau_load=np.asarray(load)))
-    return full, tuple(result)

@@ -219,19 +219,29 @@ class Solver:
         self._nlp = functions.pop("nlp")
         self._solvers: dict[float | None, ca.Function] = {}
 
-    def solve(self, start: Guess | Solution | np.ndarray, data: np.ndarray | None = None, check: bool = True) -> Solution:
+    def solve(
+        self,
+        start: Guess | Solution | np.ndarray,
+        data: np.ndarray | None = None,
+        check: bool = True,
+        parameters: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> Solution:
         """Solve from a guess, from scaled variables, or from a solution on the same mesh (its multipliers serve too).
 
         Args:
             start: Where to start. A solution starts IPOPT warm.
             data: Values of d; default the problem's.
             check: Raise `SolverFailure` unless IPOPT reports an optimum; otherwise the solution carries the status.
+            parameters: Bounds of the parameters for this solve only; default the problem's.
         """
         transcription = self.transcription
         problem = transcription.problem if data is None else replace(transcription.problem, data=np.asarray(data, float))
         warm = isinstance(start, Solution)
         w0 = start.w if isinstance(start, Solution) else transcription.pack(start) if isinstance(start, Guess) else start
-        lower, upper = transcription.bounds
+        lower, upper = (b.copy() for b in transcription.bounds)
+        if parameters is not None:
+            n_p = len(problem.parameters)
+            lower[:n_p], upper[:n_p] = (b / problem.p_scale for b in parameters)
         arguments = {"x0": np.clip(w0, lower, upper), "p": problem.data, "lbx": lower, "ubx": upper}
         arguments["lbg"], arguments["ubg"] = transcription.row_bounds
         if isinstance(start, Solution) and start.lam_g.size == arguments["lbg"].size:

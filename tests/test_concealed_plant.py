@@ -1,0 +1,288 @@
+# pyright: reportAttributeAccessIssue=false
+"""The plant that makes sealed cases: its physics, its effects, its files. It must share no code with rrr_oc."""
+
+import ast
+import csv
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from validation.concealed.arms import PROTOTYPE_MOTOR, Arm, generated_arm, rrr_arm  # noqa: E402
+from validation.concealed.build import Bench, Built, build, make_arm  # noqa: E402
+from validation.concealed.cases import Case, Concealed, declare  # noqa: E402
+from validation.concealed.catalogue import CATALOGUE, OUTSIDE, effect_type  # noqa: E402
+from validation.concealed.effect import Effect  # noqa: E402
+from validation.concealed.effects_friction import Backlash, JointElasticity, LoadDependentFriction  # noqa: E402
+from validation.concealed.plain import calibrate, thinned  # noqa: E402
+from validation.concealed.plant import Plant, Setup, signals  # noqa: E402
+from validation.concealed.sensors import sample  # noqa: E402
+from validation.concealed.springs import SpringBank, spring_torque  # noqa: E402
+from validation.concealed.write import write_case  # noqa: E402
+
+CONTRACT = {
+    "coulomb_asymmetry": {"asymmetry"},
+    "stribeck": {"excess", "velocity"},
+    "quadratic_drag": {"coefficient"},
+    "load_dependent_friction": {"mu"},
+    "presliding_hysteresis": {"stiffness"},
+    "friction_drift": {"ratio", "time_constant"},
+    "position_dependent_friction": {"amplitude"},
+    "torque_ripple": {"amplitude", "order", "phase"},
+    "torque_gain": {"gain"},
+    "torque_offset": {"offset"},
+    "backlash": {"gap"},
+    "joint_elasticity": {"stiffness"},
+    "cable_harness": {"stiffness", "rest"},
+    "encoder_offset": {"offset"},
+    "coupled_friction": {"coulomb", "viscous"},
+    "parallel_spring": {"stiffness", "equilibrium"},
+    "biarticular_spring": {"kappa", "rho", "phi"},
+    "spring_stiffness": {"scale"},
+    "spring_preload": {"offset"},
+    "spring_hysteresis": {"loss"},
+    "payload_mass": {"mass"},
+    "payload_com": {"x", "y", "z"},
+    "link_inertial": {"mass", "first_moment", "inertia"},
+    "gravity_tilt": {"about_x", "about_y"},
+    "time_delay": {"delay"},
+}
+SECONDS = 2.0  # of motion in the tests' benches
+
+
+def bench(effect: str | None = None, robot: str = "rrr", ratio: float = 1.0, **case) -> Bench:
+    concealed = (Concealed(effect, ratio),) if effect else ()
+    declared = Case(f"test/{effect}", "test", 3, robot, concealed, **case)
+    return Bench(declared, make_arm(declared), ("multisine", "spline"), 2, SECONDS)
+
+
+def bare(arm: Arm, **change) -> Arm:
+    """The arm without friction, unless `change` says otherwise."""
+    nothing = np.zeros(arm.n)
+    return dataclasses.replace(arm, **({"coulomb": nothing, "viscous": nothing} | change))
+
+
+def mechanical_energy(arm: Arm, h, b: int = 0) -> np.ndarray:
+    data = arm.model.createData()
+    rotor = 0.5 * arm.armature @ h.dtheta[b] ** 2
+    link = [
+        pin.computeKineticEnergy(arm.model, data, q, v) + pin.computePotentialEnergy(arm.model, data, q)
+        for q, v in zip(h.q[b].T, h.dq[b].T, strict=True)
+    ]
+    return rotor + np.array(link)
+
+
+def dropped(arm: Arm, effects: list[Effect], seconds: float = 1.5, step: float = 5e-4, setup: Setup | None = None):
+    """The arm let go without controllers from a fixed posture and speed."""
+    setup = setup or Setup(np.zeros(1), [{}])
+    steps = round(seconds / step)
+    start = np.repeat(np.linspace(0.9, -0.6, arm.n)[None, :, None], steps, axis=2)
+    return Plant(arm, setup, effects, step, controlled=False).run(start, start_speed=np.full((1, arm.n), 0.3))
+
+
+def test_no_import_from_the_tool():
+    for path in sorted((ROOT / "validation" / "concealed").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [n for n in names if n.split(".")[0] in {"rrr_oc", "importlib"}], path
+
+
+def test_catalogue_and_parameters_are_the_contracts():
+    assert set(CATALOGUE) == set(CONTRACT)
+    assert len(OUTSIDE) >= 6
+
+
+@pytest.mark.parametrize("n", [1, 3, 6])
+def test_energy_is_conserved_without_friction(n):
+    arm = bare(generated_arm(n, np.random.default_rng(n)))
+    energy = mechanical_energy(arm, dropped(arm, []))
+    exchanged = np.ptp([pin.computePotentialEnergy(arm.model, arm.model.createData(), q) for q in dropped(arm, []).q[0].T])
+    # second order in the step: halving it must divide the error by four; 1e-3 is ample at 0.5 ms
+    assert np.ptp(energy) < 1e-3 * exchanged
+
+
+def test_integrator_is_second_order():
+    arm = generated_arm(3, np.random.default_rng(5))
+    fine = dropped(arm, [], 0.5, 1.25e-4).q[0, :, ::8]
+    errors = [
+        np.abs(dropped(arm, [], 0.5, s).q[0, :, :: round(1e-3 / s)] - fine[:, : round(0.5 / 1e-3)]).max() for s in (1e-3, 5e-4)
+    ]
+    assert errors[0] / errors[1] > 3.0  # 4 but for the reference's own error
+    assert errors[1] < 1e-5  # [rad]
+
+
+def test_friction_dissipates():
+    arm = generated_arm(3, np.random.default_rng(2))
+    mu = LoadDependentFriction((1,), 0.3)
+    kinds: tuple[list[Effect], ...] = ([], [mu], [mu.on(np.ones(1)), JointElasticity.at(arm, 1, 1e-3)])
+    for effects in kinds:
+        h = dropped(arm, effects)
+        assert np.all(h.friction * h.dtheta > -1e-6)  # power taken by friction [W]
+    assert np.ptp(mechanical_energy(arm, dropped(arm, []))) > 0.1  # [J]
+    lost = np.diff(mechanical_energy(arm, dropped(arm, [])))
+    assert lost.max() < 1e-4  # [J per step] of integration error
+
+
+def test_motion_obeys_rnea_and_eq_9():
+    """Eq. 10 gives back the load torque, and the load torque is RNEA's."""
+    arm = rrr_arm("rrr_prototype", np.random.default_rng(0), motor=PROTOTYPE_MOTOR)
+    declared = Case("test/motor", "test", 1, "rrr_prototype", motor=True)
+    h = Bench(declared, arm, ("multisine", "spline"), 2, SECONDS).baseline
+    setup = Bench(declared, arm, ("multisine", "spline"), 2, SECONDS).setup
+    m = PROTOTYPE_MOTOR
+    v, a = h.dq[0], h.ddq[0]
+    s = np.tanh(20 * v)
+    current = h.motor[0] / m.constant[:, None]
+    losses = m.inertia[:, None] * a + m.nu[:, None] * v + m.c0[:, None] * s + m.cv2[:, None] * s * v**2
+    load = (current - losses) / (m.c1[:, None] + m.c12[:, None] * s * np.sign(h.load[0]))
+    slow = np.abs(v) < 1.2  # below the bound of c_v2 [rad/s]
+    error = np.abs(load - h.load[0])[slow]
+    assert np.quantile(error, 0.999) < 0.02  # [Nm] of 30; Eq. 9 is linearised within a step
+    assert error.max() < 0.5  # the step in which the load changes sign
+    tool = arm.model.copy()
+    payload = pin.Inertia(setup.payload[0], np.zeros(3), np.zeros((3, 3)))
+    tool.appendBodyToJoint(3, payload, pin.SE3(np.eye(3), arm.tool_point))
+    data = tool.createData()
+    exact = np.array([pin.rnea(tool, data, *x).copy() for x in zip(h.q[0].T, v.T, a.T, strict=True)]).T
+    exact -= spring_torque(setup.springs[0], arm, h.q[0])
+    assert np.abs(exact - h.load[0]).max() < 1e-2  # [Nm]; speed within a step is predicted
+
+
+@pytest.mark.parametrize("kind", [JointElasticity, Backlash])
+def test_two_inertias_stay_together(kind):
+    strength = {"joint_elasticity": 1 / 300, "backlash": 0.02}[kind.name]
+    arm = generated_arm(2, np.random.default_rng(4))
+    j = 1
+    h = dropped(arm, [kind.at(arm, j, strength)], 1.0)
+    twist = h.theta[0, j] - h.q[0, j]
+    if kind is Backlash:
+        assert 0.9 * strength < np.ptp(twist) < 2.0 * strength  # through the gap, with contact compliance
+    else:
+        rate = np.abs(h.dtheta[0, j] - h.dq[0, j])
+        still = rate < 0.05 * rate.max()  # where the transmission's own damping is small
+        assert still.any()
+        assert np.abs(twist - h.load[0, j] * strength)[still].max() < 0.03 * np.abs(twist).max()
+
+
+def test_springs_are_eq_3_and_eq_5():
+    arm = rrr_arm("rrr", np.random.default_rng(0))
+    bpea = {"stiffness_Nm_per_rad": 10.97, "equilibrium_rad": -1.16, "radius1_m": 0.015, "radius2_m": 0.036, "radius3_m": 0.014}
+    listed = {
+        "pea": {"joint2": {"stiffness_Nm_per_rad": 13.705, "equilibrium_rad": 1.92, "active": "below"}},
+        "bpea": bpea | {"joints": ["joint2", "joint3"]},
+    }
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(-2, 2, (20, 3)):
+        stretch = -0.036 * q[1] - 0.014 * q[2] + 0.015 * 1.16
+        tension = 10.97 / 0.015**2 * max(stretch, 0.0)
+        expected = np.array([0.0, 13.705 * max(1.92 - q[1], 0.0) + 0.036 * tension, 0.014 * tension])
+        np.testing.assert_allclose(spring_torque(listed, arm, q), expected, rtol=1e-12)
+        np.testing.assert_allclose(SpringBank([listed], arm).torque(q[None])[0], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*CATALOGUE, *OUTSIDE])
+def test_effect_changes_the_recordings_and_vanishes_at_zero(name):
+    b = bench(name, "arm3" if name == "coupled_friction" else "rrr")
+    effect = effect_type(name).draw(b.arm, b.motion, np.random.default_rng(1)).on(np.ones(2))
+    plain = b.signals([])
+    nothing, something = b.signals([effect.of(0.0)]), b.signals([effect])
+    for field in ("q", "tau"):
+        np.testing.assert_array_equal(getattr(nothing, field), getattr(plain, field))
+    noise = b.sensing.torque_noise[:, None]
+    changed = np.abs(something.tau - plain.tau) > 0.1 * noise
+    assert changed.mean(axis=(0, 2)).max() > 0.01 or np.abs(something.q - plain.q).max() > 1e-3
+    if effect.catalogue:
+        assert CONTRACT[name] <= set(effect.parameters(b.arm))
+    else:
+        assert effect.depends_on(b.arm)
+
+
+def test_effect_stays_in_its_recordings():
+    b = bench("cable_harness")
+    effect = effect_type("cable_harness").draw(b.arm, b.motion, np.random.default_rng(1)).on(np.array([0.0, 1.0]))
+    plain, x = b.signals([]), b.signals([effect])
+    np.testing.assert_array_equal(x.tau[0], plain.tau[0])
+    assert np.abs(x.tau[1] - plain.tau[1]).max() > 0.01
+
+
+@pytest.mark.parametrize("robot", ["rrr", "arm2", "arm7"])
+def test_clean_residual_is_the_noise(robot):
+    b = bench(robot=robot)
+    x = thinned(signals(b.baseline, b.arm, [], "motor"), 100.0)
+    fit = calibrate(b.arm, b.setup, x)
+    assert np.all(fit.rms() < 0.02 * b.sensing.torque_noise)  # the plain model is exact but for the integrator
+    np.testing.assert_allclose(fit.coefficients[:, 1], b.arm.viscous, rtol=0.02)
+    noisy = dataclasses.replace(x, tau=x.tau + np.array([sampled_noise(b, x, i) for i in range(2)]))
+    expected = b.sensing.torque_noise
+    np.testing.assert_allclose(calibrate(b.arm, b.setup, noisy).rms(), expected, rtol=0.15)  # 400 samples: 3.5 %, three σ
+
+
+def sampled_noise(b: Bench, x, recording: int) -> np.ndarray:
+    rng = np.random.default_rng(recording)
+    return sample(x, recording, b.sensing, rng)["tau"] - x.tau[recording]
+
+
+@pytest.fixture(scope="module")
+def short_case() -> tuple[Case, Built]:
+    case = Case("test/files", "test", 5, "arm2", (Concealed("cable_harness", 3.0),), short=True, torque="current")
+    return case, build(case, duration=2.0)
+
+
+def test_strength_reaches_its_ratio(short_case):
+    scaled = short_case[1].scaled[0]
+    assert scaled.reached == pytest.approx(3.0, rel=0.15)
+
+
+def test_files_follow_the_contract(short_case, tmp_path):
+    case, built = short_case
+    write_case(built, tmp_path)
+    for folder, count in (("data", 4), ("unseen", 2)):
+        at = tmp_path / case.id / folder
+        head = json.loads((at / "recordings.json").read_text())
+        assert head["format"] == "rrr_oc-recordings/1"
+        assert head["torque"] == "current"
+        assert set(head["actuators"]) == {"joint1", "joint2"}
+        assert len(head["recordings"]) == count
+        assert pin.buildModelFromUrdf(str(at / head["robot"])).nq == 2
+        for entry in head["recordings"]:
+            with (at / entry["file"]).open() as file:
+                rows = list(csv.reader(file))
+            assert {"t", "q_joint1", "q_joint2", "current_joint1", "current_joint2"} <= set(rows[0])
+            table = np.array(rows[1:], float)
+            assert np.all(np.diff(table[:, 0]) > 0)
+            assert 0 < np.isnan(table).any(axis=1).sum() <= 3
+    truth = json.loads((tmp_path / "sealed" / f"{case.id}.json").read_text())
+    effect = truth["effects"][0]
+    assert truth["verdict"] == "missing_physics"
+    assert effect["effect"] == "cable_harness"
+    assert effect["recordings"] == "all"
+    assert {"effect": "cable_harness", "joint": effect["joint"]}.items() <= effect["equal_effects"]["nearest"][0].items()
+    assert "cable_harness" not in "".join(p.read_text() for p in (tmp_path / case.id).rglob("*.json"))
+
+
+def test_same_seed_same_files(short_case, tmp_path):
+    case, built = short_case
+    write_case(built, tmp_path / "a")
+    write_case(build(case, duration=2.0), tmp_path / "b")
+    one, two = (sorted(p for p in (tmp_path / x).rglob("*") if p.is_file()) for x in "ab")
+    assert [p.name for p in one] == [p.name for p in two]
+    assert all(p.read_bytes() == r.read_bytes() for p, r in zip(one, two, strict=True))
+
+
+def test_declarations():
+    cases = declare(0)
+    assert len({c.id for c in cases}) == len(cases)
+    assert sum(c.kind == "clean" for c in cases) >= 150
+    for name in CATALOGUE:
+        ratios = {c.concealed[0].ratio for c in cases if c.kind == "single" and c.concealed[0].effect == name}
+        assert ratios == {3.0, 1.0, 0.5}
+    assert [c.id for c in declare(0)] == [c.id for c in cases]
+    assert not {c.id for c in declare(1)} & {c.id for c in cases}

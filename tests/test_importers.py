@@ -1,0 +1,223 @@
+"""Importers: the prototype's layout, made up and real where it is at hand, and MCAP files that a ROS 2 writer made."""
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.errors import UserError
+from rrr_oc.importers import import_mcap, import_prototype
+from rrr_oc.model import Model
+from rrr_oc.recordings import load_recordings
+
+SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
+JOINTS = ("joint1", "joint2", "joint3")
+
+
+def write_prototype(folder, experiments, rows=200):
+    """Files in the authors' layout; motor M is polled 2 ms after motor M − 1 and follows sines in degrees."""
+    folder.mkdir(exist_ok=True)
+    for number in experiments:
+        for motor in (1, 2, 3):
+            t = 0.006 * np.arange(rows) + 0.002 * motor
+            q, dq = 20 * motor * np.sin(3 * t), 60 * motor * np.cos(3 * t)
+            columns = [t, q, dq, 0 * t, 0 * t, motor * t, 0 * t]
+            text = "".join(" ".join(f"{x:.6f}" for x in row) + "\r\n" for row in zip(*columns, strict=True))
+            (folder / f"data_file_{motor}_Exp{number}.txt").write_text(text, newline="")
+    return folder
+
+
+def test_prototype_units_signs_and_times(tmp_path):
+    found = import_prototype(write_prototype(tmp_path / "raw", [3, 4, 7, 12]), tmp_path / "out")
+    assert (found.robot.name, found.torque, found.joints) == ("rrr_prototype", "motor", JOINTS)
+    assert [r.group for r in found.recordings] == ["payload", "springs", "payload+springs", "bare"]
+    assert [r.payload[0] for r in found.recordings] == [5.0, 0.0, 5.0, 0.0]
+    assert [len(r.springs) for r in found.recordings] == [0, 2, 2, 0]
+    effect, theta = found.recordings[1].springs[1]
+    assert effect == ParallelSpring((2,), active="below")
+    assert theta == {"stiffness": 1.318, "equilibrium": pytest.approx(np.radians(140))}
+    recording = found.recordings[0]
+    t = recording.t
+    assert (t[0], t[-1]) == pytest.approx((0.010, 0.004 + 0.006 * 198))  # within what all three motors cover
+    amplitudes, signs = np.radians([20, 40, 60])[:, None], np.array([1, 1, -1])[:, None]
+    # interpolation leaves step² / 8 · 9 · amplitude, and the text six decimals of a degree
+    np.testing.assert_allclose(recording.q, signs * amplitudes * np.sin(3 * t), atol=0.006**2 / 8 * 9 * 1.05 + 2e-8)
+    np.testing.assert_allclose(recording.dq, signs * amplitudes * 3 * np.cos(3 * t), atol=0.006**2 / 8 * 27 * 1.05 + 2e-8)
+    np.testing.assert_allclose(recording.tau, signs * np.array([[1], [2], [3]]) * t, atol=2e-6)
+    assert recording.computed == tuple(f"ddq_{joint}" for joint in JOINTS)
+
+
+def test_prototype_refuses(tmp_path):
+    with pytest.raises(UserError, match="no such folder"):
+        import_prototype(tmp_path / "nowhere", tmp_path / "out")
+    with pytest.raises(UserError, match="holds no file data_file_M_ExpN"):
+        import_prototype(tmp_path, tmp_path / "out")
+    raw = write_prototype(tmp_path / "raw", [3])
+    (raw / "data_file_2_Exp3.txt").unlink()
+    with pytest.raises(UserError, match=r"data_file_2_Exp3\.txt is missing"):
+        import_prototype(raw, tmp_path / "out")
+    (raw / "data_file_2_Exp3.txt").write_text("1 2 3\n4 5 6\n")
+    with pytest.raises(UserError, match="2 rows of 3 numbers; 7"):
+        import_prototype(raw, tmp_path / "out")
+    (raw / "data_file_2_Exp3.txt").write_text("0 0 0 0 0 0 0\n1 x 0 0 0 0 0\n")
+    with pytest.raises(UserError, match="could not convert string 'x'"):
+        import_prototype(raw, tmp_path / "out")
+    (raw / "data_file_2_Exp3.txt").write_text("0 0 0 0 0 0 0\n1 0 0 0 0 0 0\n1 0 0 0 0 0 0\n")
+    with pytest.raises(UserError, match="row 3: time is 1 s after 1 s"):
+        import_prototype(raw, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_prototype_recordings_obey_gravity_and_the_listed_springs(tmp_path):
+    folder = SHARED / "recordings" / "rrr_prototype"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
+    found = import_prototype(folder, tmp_path / "out")
+    assert len(found.recordings) == 8
+    for r in found.recordings:
+        effects = tuple(effect for effect, _ in r.springs)
+        model = Model(found.robot, found.tool, effects)
+        theta = [value for _, values in r.springs for value in values.values()]
+        zero, count = np.zeros(3), len(r.t)
+        static = model.inverse.map(count)
+        load = np.array(static(r.q, zero, zero, r.payload, np.array(theta)[:, None] if theta else [], model.widths)[0])
+        for j in (1, 2):  # torque = gain · (gravity − springs) + Coulomb + viscous + offset; signs and springs decide the gain
+            regressors = np.column_stack([load[j], np.tanh(r.dq[j] / 0.02), r.dq[j], np.ones(count)])
+            gain, coulomb, viscous, _ = np.linalg.lstsq(regressors, r.tau[j], rcond=None)[0]
+            assert 0.75 < gain < 1.3, (r.file, j)  # the payload's place is 15 % off and friction depends on load; else 1
+            assert coulomb > 0
+            assert viscous > 0
+
+
+DEFINITION = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+START = 1_700_000_000_000_000_000
+
+
+def joint_state(stamp, names, position, velocity, effort):
+    header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": ""}
+    return {"header": header, "name": list(names), "position": position, "velocity": velocity, "effort": effort}
+
+
+def states(rows=100, velocity=True, effort=True):
+    """Joint states of a made-up motion, in shuffled joint order, with a gripper's messages in between."""
+    for k in range(rows):
+        t, stamp = 0.01 * k, START + k * 10_000_000
+        q = [0.1 * t, 1 + 0.2 * t, -1 - 0.3 * t]
+        order = [2, 0, 1] if k % 2 else [0, 1, 2]
+        names = [JOINTS[i] for i in order] + ["finger"]
+        speeds = [(0.1, 0.2, -0.3)[i] for i in order] + [0.0]
+        efforts = [float(i + k) for i in order] + [0.0]
+        yield joint_state(stamp, names, [q[i] for i in order] + [0.0], speeds if velocity else [], efforts if effort else [])
+        yield joint_state(stamp + 5, ["finger"], [0.0], [], [])
+
+
+def write_mcap(path, messages, topics=("/joint_states",)):
+    mcap = pytest.importorskip("mcap_ros2.writer", reason="needs the extra 'mcap'")
+    with path.open("wb") as file, mcap.Writer(file) as writer:
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", DEFINITION)
+        other = writer.register_msgdef("std_msgs/msg/String", "string data")
+        writer.write_message("/log", other, {"data": "hello"}, log_time=START)
+        for i, message in enumerate(messages):
+            writer.write_message(topics[i % len(topics)], schema, message, log_time=START + i)
+    return path
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+def test_mcap_round_trip(tmp_path, velocity):
+    files = [write_mcap(tmp_path / f"{name}.mcap", states(velocity=velocity)) for name in ("one", "two")]
+    found = import_mcap(files, "rrr", tmp_path / "out")
+    assert [r.file for r in found.recordings] == ["one.csv", "two.csv"]
+    recording = load_recordings(tmp_path / "out").recordings[1]
+    t = 0.01 * np.arange(100)
+    np.testing.assert_allclose(recording.t, t, rtol=1e-15)  # nanoseconds since the first stamp, to rounding
+    np.testing.assert_array_equal(recording.q, [0.1 * t, 1 + 0.2 * t, -1 - 0.3 * t])
+    np.testing.assert_array_equal(recording.tau, np.arange(100.0) + np.arange(3)[:, None])
+    np.testing.assert_allclose(recording.dq, np.array([[0.1], [0.2], [-0.3]]) * np.ones(100), atol=1e-11)  # differences of sums
+    assert ("dq_joint1" in recording.computed) is not velocity
+
+
+def test_mcap_with_some_joints_in_amperes(tmp_path):
+    file = write_mcap(tmp_path / "a.mcap", states())
+    constants = {"joint2": 12.34, "joint3": 10.89}
+    found = import_mcap([file], "rrr", tmp_path / "out", ["joint2", "joint3"], torque="current", torque_constant=constants)
+    assert found.joints == ("joint2", "joint3")
+    np.testing.assert_allclose(found.output_torque(found.recordings[0])[0], 12.34 * (np.arange(100.0) + 1))
+    with pytest.raises(UserError, match="torque_constant"):
+        import_mcap([file], "rrr", tmp_path / "none", torque="current")
+
+
+def changed(index, **change):
+    return [{**message, **change} if i == index else message for i, message in enumerate(states())]
+
+
+@pytest.mark.parametrize(
+    ("messages", "arguments", "sentence"),
+    [
+        (list(states(effort=False)), {}, "0 values of effort for 4 joints"),
+        (list(states()), {"joints": ["joint1", "elbow"]}, "'elbow' is missing; found joint1"),
+        (list(states()), {"joints": ["elbow"]}, "no joint state holds any of elbow"),
+        (list(states()), {"topic": "/robot"}, "no message of topic '/robot'"),
+        (list(states()), {"topic": "/log"}, "'/log' carries std_msgs/msg/String"),
+        (changed(4, header={"stamp": {"sec": START // 10**9, "nanosec": 0}, "frame_id": ""}), {}, "two different joint states"),
+        ([m | {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}} for m in states()], {}, "have the stamp 0 ns"),
+        ([], {}, "no topic carries joint states"),
+    ],
+)
+def test_mcap_refuses(tmp_path, messages, arguments, sentence):
+    file = write_mcap(tmp_path / "a.mcap", messages)
+    with pytest.raises(UserError, match=sentence):
+        import_mcap([file], "rrr", tmp_path / "out", **arguments)
+    assert not (tmp_path / "out").exists()
+
+
+def test_mcap_topics_and_repeated_messages(tmp_path):
+    file = write_mcap(tmp_path / "a.mcap", [m for m in states() for _ in range(2)], topics=("/a", "/b"))
+    with pytest.raises(UserError, match="2 topics carry joint states: /a, /b; name one"):
+        import_mcap([file], "rrr", tmp_path / "out")
+    assert len(import_mcap([file], "rrr", tmp_path / "out", topic="/b").recordings[0].t) == 100
+    twice = write_mcap(tmp_path / "b.mcap", [m for m in states() for _ in range(2)])
+    assert len(import_mcap([twice], "rrr", tmp_path / "again").recordings[0].t) == 100
+
+
+def test_mcap_broken_files(tmp_path):
+    data = write_mcap(tmp_path / "a.mcap", states()).read_bytes()
+    rng = np.random.default_rng(5)
+    outcomes = set()
+    for trial in range(60):
+        broken = bytearray(data[: rng.integers(len(data))] if trial % 2 else data)
+        for _ in range(3):
+            broken[rng.integers(len(broken))] = rng.integers(256)
+        (tmp_path / "b.mcap").write_bytes(broken)
+        try:
+            outcomes.add(type(import_mcap([tmp_path / "b.mcap"], "rrr", tmp_path / f"out{trial}")))
+        except UserError as error:
+            outcomes.add(type(error))
+    assert UserError in outcomes
+    with pytest.raises(UserError, match="no such file"):
+        import_mcap([tmp_path / "none.mcap"], "rrr", tmp_path / "out")
+    with pytest.raises(UserError, match="same name"):
+        import_mcap([tmp_path / "a.mcap"] * 2, "rrr", tmp_path / "out")
+    with pytest.raises(UserError, match="at least one"):
+        import_mcap([], "rrr", tmp_path / "out")
+
+
+def test_mcap_without_its_packages(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mcap.reader", None)
+    with pytest.raises(UserError, match=r"pip install 'rrr_oc\[mcap\]'"):
+        import_mcap([tmp_path / "a.mcap"], "rrr", tmp_path / "out")
