@@ -9,6 +9,7 @@ from pathlib import Path
 
 import joblib
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 from rrr_oc.codesign import CoDesign
 from rrr_oc.effects.biarticular_spring import reduced
@@ -16,6 +17,9 @@ from rrr_oc.errors import UserError
 from rrr_oc.parameters import check_names
 from rrr_oc.search import Optimum, SearchOptions, continued, transcribed
 from rrr_oc.solve import Options, Solution, Solver, SolverFailure
+
+
+METHODS = ("exhaustive", "screened")
 
 
 @dataclass(frozen=True)
@@ -70,17 +74,18 @@ class Coverage:
         combinations: In the catalogue.
         distinct: Of those, that differ in what the arm feels (kappa, rho, stiffnesses).
         solved: Co-design problems solved with the hardware held.
-        relaxed: Problems solved to bound those that were not.
-        failed: Of all, that IPOPT did not solve.
-        excluded: Distinct combinations ruled out because their relaxed optimum already costs more than the best.
+        relaxed: Problems solved with parallel stiffnesses free, to screen the rest.
+        margin: Where not all were solved: by how much the screening value of the best combination left out exceeds the
+            best cost, relative; infinite where all were solved.
+        failed: Problems that IPOPT did not solve.
     """
 
     combinations: int
     distinct: int
     solved: int
     relaxed: int
+    margin: float
     failed: int
-    excluded: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,39 +121,99 @@ def search_catalogue(
     start: Solution,
     catalogue: Catalogue,
     options: SearchOptions | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    method: str = "exhaustive",
+    progress: Callable[[int], None] | None = None,
     finalists: int = 6,
 ) -> CatalogueResult:
     """The best purchasable hardware, near the continuous optimum `start`, everything else re-optimised for each choice.
 
-    Parallel springs alone, or a biarticular spring alone: every distinct choice is solved. Both together: each distinct
-    (kappa, rho) is solved with the parallel stiffnesses free, which bounds from below what any catalogued ones can give;
-    in the order of these bounds the parallel springs are enumerated, until the bound is above the best found. The bound
-    holds as far as the local optima followed do.
+    Parallel springs alone: every choice is solved. A biarticular spring alone: every distinct (kappa, rho) is solved
+    (`method="exhaustive"`: on a mesh of 10 intervals, the best hundred again on the usual coarse mesh), or all are screened
+    and the best solved (`method="screened"`, see `_screened`), as they always are for both kinds together.
     """
+    if method not in METHODS:
+        raise UserError(f"unknown catalogue search {method!r}; there are {', '.join(METHODS)}")
     options = options or SearchOptions()
     springs, combinations = _choices(design, catalogue)
     bar = next((i for i, s in enumerate(design.springs) if s.hardware), None)
-    parallel = [i for i, s in enumerate(design.springs) if not s.hardware]
-    run = _Runner(design, start, options, progress)
-    counts = {"solved": 0, "relaxed": 0, "excluded": 0}
-    if bar is None or not parallel:
-        choices = [_merge(design, c) for c in itertools.product(*springs)]
-        ranked = run.all(choices)
-        counts["solved"], distinct = len(choices), len(choices)
+    distinct = int(np.prod([len(s) for s in springs]))
+    run, counts = _Runner(design, start, options, progress), {"relaxed": 0, "margin": float("inf")}
+    if bar is not None and (len(springs) > 1 or method == "screened"):
+        ranked, counts = _screened(design, run, springs, bar, finalists)
     else:
-        relaxed = run.all([_merge(design, [None] * bar + [c]) for c in springs[bar]])
-        others = list(itertools.product(*[springs[i] for i in parallel]))
-        distinct, counts["relaxed"], ranked = len(springs[bar]) * len(others), len(relaxed), []
-        for position, (bound, choice) in enumerate(relaxed):
-            if ranked and bound > ranked[min(finalists, len(ranked)) - 1][0]:
-                counts["excluded"] = (len(relaxed) - position) * len(others)
-                break
-            candidates = [_merge(design, [*other, _part(design, choice, bar)]) for other in others]
-            ranked = sorted(ranked + run.all(candidates), key=lambda r: r[0])
-            counts["solved"] += len(candidates)
-    coverage = Coverage(combinations, distinct, **counts, failed=run.failed)
+        choices = [_merge(design, c) for c in itertools.product(*springs)]
+        if bar is not None:
+            rough = _Runner(design, start, replace(options, coarse=10), progress)
+            choices = [choice for _, choice, _ in rough.all(choices)[:100]]
+            run.solved, run.failed = rough.solved - len(choices), rough.failed
+        ranked = [(cost, choice) for cost, choice, _ in run.all(choices)]
+    coverage = Coverage(combinations, distinct, run.solved - counts["relaxed"], **counts, failed=run.failed)
     return _finish(design, start, options, [c for _, c in ranked[:finalists]], coverage)
+
+
+def _screened(
+    design: CoDesign, run: "_Runner", springs: list[list["_Choice"]], bar: int, finalists: int, grid: int = 12, margin: float = 0.02
+) -> tuple[list[tuple[float, "_Choice"]], dict]:
+    """The catalogue's best by screening, for a biarticular spring with or without parallel ones.
+
+    With the parallel stiffnesses free, the optimal cost is a smooth function of (kappa, rho), below what any catalogued
+    parallel springs can give. It is solved on a grid and interpolated for every catalogued (kappa, rho). In the order of
+    these values each is solved itself, then with the catalogued stiffnesses next to its optimal ones, until the next
+    value lies more than `margin` above the best cost found.
+    """
+    kinds = springs[bar]
+    reach = np.array([[c.lower[0], c.lower[1]] for c in kinds])
+    axes = np.geomspace(*_range(reach[:, 0]), grid), np.linspace(*_range(reach[:, 1]), grid)
+    low, high = np.min([c.lower for c in kinds], axis=0)[2], np.max([c.upper for c in kinds], axis=0)[2]
+    nodes = [_Choice({}, np.array([k, r, low]), np.array([k, r, high])) for k in axes[0] for r in axes[1]]
+    solved = {(c.lower[_at(design, bar)], c.lower[_at(design, bar) + 1]): cost for cost, c, _ in run.all([_alone(design, c, bar) for c in nodes])}
+    table = np.array([[solved[k, r] for r in axes[1]] for k in axes[0]])
+    table = np.where(np.isfinite(table), table, np.nanmax(np.where(np.isfinite(table), table, np.nan)))
+    values = RegularGridInterpolator((np.log(axes[0]), axes[1]), np.log(table), method="cubic")(np.c_[np.log(reach[:, 0]), reach[:, 1]])
+    order, relaxed = np.argsort(values), len(nodes)
+    ranked: list[tuple[float, _Choice]] = []
+    for position in range(0, len(order), 64):
+        value = float(np.exp(values[order[position]]))
+        if ranked and value > ranked[0][0] * (1 + margin):
+            return ranked, {"relaxed": relaxed, "margin": value / ranked[0][0] - 1}
+        batch = run.all([_alone(design, kinds[i], bar) for i in order[position : position + 64]])
+        if len(springs) == 1:
+            ranked = sorted([*ranked, *[(cost, c) for cost, c, _ in batch]], key=lambda r: r[0])
+            continue
+        relaxed += len(batch)
+        limit = ranked[min(finalists, len(ranked)) - 1][0] if ranked else float("inf")
+        near = [c for cost, choice, p in batch if cost < limit for c in _neighbours(design, springs, bar, choice, p)]
+        ranked = sorted([*ranked, *[(cost, c) for cost, c, _ in run.all(near)]], key=lambda r: r[0])
+    return ranked, {"relaxed": relaxed, "margin": float("inf")}
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _at(design: CoDesign, spring: int) -> int:
+    """Where a spring's parameters begin."""
+    return sum(len(s.lower) for s in design.springs[:spring])
+
+
+def _alone(design: CoDesign, choice: "_Choice", spring: int) -> "_Choice":
+    """A choice for one spring, the others free."""
+    return _merge(design, [choice if i == spring else None for i in range(len(design.springs))])
+
+
+def _neighbours(design: CoDesign, springs, bar: int, choice: "_Choice", parameters: np.ndarray) -> list["_Choice"]:
+    """The choice with the catalogued stiffnesses next below and above the optimal ones of each parallel spring."""
+    lists = []
+    for i, kinds in enumerate(springs):
+        at = _at(design, i)
+        if i == bar:
+            rows = slice(at, at + 3)
+            lists.append([_Choice(choice.hardware, choice.lower[rows], choice.upper[rows])])
+            continue
+        stiffness = np.array([c.lower[0] for c in kinds])
+        above = int(np.searchsorted(stiffness, parameters[at]))
+        lists.append([kinds[k] for k in sorted({max(above - 1, 0), min(above, len(kinds) - 1)})])
+    return [_merge(design, c) for c in itertools.product(*lists)]
 
 
 def _choices(design: CoDesign, catalogue: Catalogue) -> tuple[list[list[_Choice]], int]:
@@ -197,13 +262,6 @@ def _merge(design: CoDesign, choices: Sequence[_Choice | None]) -> _Choice:
     return _Choice(hardware, np.concatenate(lower), np.concatenate(upper))
 
 
-def _part(design: CoDesign, choice: _Choice, spring: int) -> _Choice:
-    """The part of a merged choice that belongs to one spring."""
-    at = sum(len(s.lower) for s in design.springs[:spring])
-    rows = slice(at, at + len(design.springs[spring].lower))
-    return _Choice(choice.hardware, choice.lower[rows], choice.upper[rows])
-
-
 class _Runner:
     """Solves choices on the coarse mesh from one start, in parallel."""
 
@@ -211,37 +269,42 @@ class _Runner:
         coarse = transcribed(design, options, options.coarse)
         self._design, self._options, self._progress = design, options, progress
         self._w = Solver(coarse, Options(barrier=1e-4)).solve(start.guess(), design.data(options.widths[0])).w
-        self._done = self.failed = 0
+        self.solved = self.failed = 0
 
-    def all(self, choices: list[_Choice]) -> list[tuple[float, _Choice]]:
-        """(cost, choice), best first."""
-        chunks = [choices[i : i + 50] for i in range(0, len(choices), 50)]
+    def all(self, choices: list[_Choice]) -> list[tuple[float, _Choice, np.ndarray]]:
+        """(cost, choice, parameters), best first. Neighbours are solved in turn, each started from the one before."""
+        ordered = sorted(choices, key=lambda c: c.lower.tolist())
+        chunks = [ordered[i : i + 40] for i in range(0, len(ordered), 40)]
         jobs = (joblib.delayed(_solve_chunk)(self._design, self._options, self._w, c) for c in chunks)
-        results: list[tuple[float, _Choice]] = []
+        results: list[tuple[float, _Choice, np.ndarray]] = []
         for part in joblib.Parallel(n_jobs=self._options.jobs, return_as="generator_unordered", batch_size=1)(jobs):
             results += part
-            self._done += len(part)
+            self.solved += len(part)
             if self._progress:
-                self._progress(self._done, len(results))
-        self.failed += sum(not np.isfinite(cost) for cost, _ in results)
-        return sorted(results, key=lambda r: (r[0], sorted(r[1].hardware.items())))
+                self._progress(self.solved)
+        self.failed += sum(not np.isfinite(r[0]) for r in results)
+        return sorted(results, key=lambda r: (r[0], r[1].lower.tolist()))
 
 
 _chunk_solvers: dict[bytes, Solver] = {}
 
 
-def _solve_chunk(design: CoDesign, options: SearchOptions, w: np.ndarray, choices: list[_Choice]) -> list[tuple[float, _Choice]]:
+def _solve_chunk(design: CoDesign, options: SearchOptions, w: np.ndarray, choices: list[_Choice]):
     key = w.tobytes()
     if key not in _chunk_solvers:
         _chunk_solvers.clear()
-        _chunk_solvers[key] = Solver(transcribed(design, options, options.coarse), Options(tolerance=1e-5, iterations=100, barrier=1e-3))
+        settings = Options(tolerance=1e-5, iterations=100, barrier=1e-4)
+        _chunk_solvers[key] = Solver(transcribed(design, options, options.coarse), settings)
     solver, results, data = _chunk_solvers[key], [], design.data(options.widths[0])
+    start: np.ndarray | Solution = w
     for choice in choices:
-        try:
-            cost = solver.solve(w, data, parameters=(choice.lower, choice.upper)).cost
-        except SolverFailure:
-            cost = float("inf")
-        results.append((cost, choice))
+        bounds = choice.lower, choice.upper
+        solution = solver.solve(start, data, check=False, parameters=bounds)
+        if solution.status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
+            solution = solver.solve(w, data, check=False, parameters=bounds)
+        lost = solution.status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+        start = w if lost else solution
+        results.append((float("inf") if lost else solution.cost, choice, solution.parameters))
     return results
 
 

@@ -1,0 +1,224 @@
+"""Springs and motion of the pick-and-place task, designed together.
+
+    python studies/pea_bpea.py --out results/paper
+
+An RRR arm carries 5 kg to a release position and comes back empty. Which springs, in parallel with its joints (PEA), across
+two of them (BPEA) or both, and which motion, need the least load torque? For each configuration the integral of the squared
+load torques (Eq. 13) is minimised by direct collocation and IPOPT from starts that CMA-ES and Sobol points propose; the best
+purchasable hardware is searched in a catalogue (the starred designs); the paper's own springs are given the best motion on the
+same model; every optimum comes with a certificate and is simulated again in MuJoCo. Results stand beside the paper's.
+"""
+
+import json
+import platform
+import time
+from dataclasses import asdict, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markdown import Markdown
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from rrr_oc import __version__
+from rrr_oc.actuator import load_actuators
+from rrr_oc.catalogue import METHODS, CatalogueResult, load_catalogue, search_catalogue
+from rrr_oc.certificate import certify
+from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.errors import UserError
+from rrr_oc.figures import draw_all
+from rrr_oc.files import write_json, write_npz, write_text
+from rrr_oc.outcome import describe, describe_simulation, sample_motion
+from rrr_oc.report import published_springs, report
+from rrr_oc.search import SearchOptions, SearchResult, Start, search
+from rrr_oc.solve import Refinement, SolverFailure
+from rrr_oc.task import PHASES, PRESETS, Task, load_task
+
+PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
+console = Console()
+
+
+def main(
+    preset: Annotated[str, typer.Option(help=f"{', '.join(PRESETS)}, or the path of a task file")] = "paper",
+    configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(CONFIGURATIONS),
+    starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 40,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/pea_bpea"),
+    cost: Annotated[str, typer.Option(help="load (Eq. 13), motor (motor torque squared, Eq. 7) or energy (Eq. 11)")] = "load",
+    actuators: Annotated[str, typer.Option(help="'prototype' or a JSON file, for the costs motor and energy")] = "prototype",
+    catalogue: Annotated[str, typer.Option(help="'prototype', a JSON file, or 'none' to leave the starred designs out")] = "prototype",
+    catalogue_search: Annotated[str, typer.Option(help="for BPEA*: " + " or ".join(METHODS))] = "exhaustive",
+    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
+    jobs: Annotated[int, typer.Option(help="processes; -1 for all cores")] = -1,
+) -> None:
+    """Co-design for each configuration; writes tables, figures, summary.json and one npz a configuration."""
+    began, task = time.perf_counter(), load_task(preset)
+    names = [n.strip() for n in configurations.split(",") if n.strip()]
+    drives = load_actuators(task.joints, actuators) if cost != "load" else None
+    designs = {name: CoDesign(task, spring_bounds(task, name), cost, drives) for name in names}
+    shop = None if catalogue == "none" else load_catalogue(catalogue)
+    if catalogue_search not in METHODS:
+        raise UserError(f"--catalogue-search is {catalogue_search!r}; allowed are {', '.join(METHODS)}")
+    options = SearchOptions(starts=starts, seed=seed, jobs=jobs, refinement=Refinement(tolerance))
+    asked = {"preset": preset, "cost": cost, "catalogue": catalogue, "catalogue_search": catalogue_search, "options": asdict(options)}
+    asked["task"] = (Path(preset).read_text() if Path(preset).is_file() else preset, actuators if drives else None)
+    found: dict[str, Any] = {}
+    for name, design in designs.items():
+        found |= _once(out, name, asked, lambda name=name, design=design: _solve(name, design, options, shop, catalogue_search, out))
+    summary = {
+        "preset": task.name,
+        "cost": {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}[cost],
+        "seed": seed,
+        "starts": starts,
+        "wall_s": time.perf_counter() - began,
+        "versions": {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "options": plain(asdict(options)),
+        "configurations": dict(sorted(found.items(), key=lambda item: (item[0].endswith("*"), list(CONFIGURATIONS).index(item[0].rstrip("*"))))),
+    }
+    write_json(out / "summary.json", summary)
+    text = report(summary)
+    write_text(out / "report.md", text)
+    draw_all(out, task)
+    console.print(Markdown(text.split("## Certificates")[0]))
+    console.print(f"Everything is in {out}: report.md, summary.json, figures, one npz a configuration.")
+
+
+def _once(out: Path, name: str, asked: dict, solve) -> dict[str, Any]:
+    """The results of a configuration, solved unless this very run has already left them in the folder."""
+    saved = out / f".{name}.json"
+    key = json.loads(json.dumps(plain(asked)))
+    if saved.is_file():
+        content = json.loads(saved.read_text())
+        if content["asked"] == key and all((out / f"{n}.npz").is_file() for n in content["found"]):
+            console.print(f"{name}: taken from the interrupted or repeated run in {out}")
+            return content["found"]
+    found, interrupted = solve()
+    if not interrupted:
+        write_json(saved, {"asked": key, "found": found})
+    return found
+
+
+def _solve(name: str, design: CoDesign, options: SearchOptions, shop, method: str, out: Path) -> tuple[dict[str, Any], bool]:
+    """A configuration, its published springs, and its starred design; writes their motions."""
+    began = time.perf_counter()
+    result = _search(name, design, options)
+    found = {name: _describe(name, result, out, options, began)}
+    if shop is not None and design.springs and not result.interrupted:
+        began, starred = time.perf_counter(), f"{name}*"
+        bought = _buy(starred, design, result, shop, options, method)
+        held = SearchResult(bought.design, (bought.optimum,), result.starts, False)
+        found[starred] = _describe(starred, held, out, options, began)
+        gap = bought.optimum.solution.cost / result.best.solution.cost - 1
+        found[starred]["catalogue"] = plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})
+        found[starred].pop("optima")
+        found[starred].pop("layers")
+    return found, result.interrupted
+
+
+def _search(name: str, design: CoDesign, options: SearchOptions) -> SearchResult:
+    with _progress() as progress:
+        row = progress.add_task(name, total=options.starts, best="")
+        best = [float("inf")]
+
+        def show(start: Start) -> None:
+            best[0] = min(best[0], start.polished)
+            progress.update(row, advance=1, best=f"best so far {best[0]:.3f}")
+
+        try:
+            return search(design, options, show)
+        except SolverFailure as failure:
+            limits = "; ".join(
+                f"{j}: {np.degrees(lo):.0f} … {np.degrees(hi):.0f}°, {np.degrees(v):.0f} °/s, {np.degrees(a):.0f} °/s², {tau:g} Nm"
+                for j, lo, hi, v, a, tau in zip(
+                    design.task.joints, design.task.lower, design.task.upper, design.task.speed, design.task.acceleration,
+                    design.task.torque, strict=True,
+                )
+            )
+            raise UserError(
+                f"no motion of task {design.task.name!r} was found within its limits ({limits}; "
+                f"{design.task.duration[0]:g} … {design.task.duration[1]:g} s a phase): {failure}"
+            ) from None
+
+
+def _buy(name: str, design: CoDesign, result: SearchResult, shop, options: SearchOptions, method: str) -> CatalogueResult:
+    with _progress() as progress:
+        row = progress.add_task(name, total=None, best="")
+        return search_catalogue(
+            design, result.best.solution, shop, options, method, lambda done: progress.update(row, completed=done, best="choices solved")
+        )
+
+
+def _progress() -> Progress:
+    columns = (TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[best]}"))
+    return Progress(*columns, console=console)
+
+
+def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions, began: float) -> dict[str, Any]:
+    """What summary.json holds of a configuration; writes its motion beside."""
+    design, solution = result.design, result.best.solution
+    motion = sample_motion(design, solution)
+    described = describe(design, motion.metrics()) | {
+        "cost": solution.cost,
+        "springs": design.hardware(solution.parameters),
+        "parameters": design.model.values(solution.parameters),
+        "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
+        "certificate": certify(result, result.best).to_json(),
+        "meshes": result.best.meshes,
+        "mujoco": describe_simulation(design, solution, motion),
+        "published_springs_E1": _published(name, design, options),
+        "optima": [
+            {
+                "E1": o.solution.cost,
+                "reached": o.reached,
+                "refined": len(o.meshes) > 1,
+                "durations": dict(zip(PHASES, o.solution.durations.tolist(), strict=True)),
+                "springs": design.hardware(o.solution.parameters),
+            }
+            for o in result.optima
+        ],
+        "layers": result.layers(),
+        "interrupted": result.interrupted,
+    }
+    if design.cost == "load":
+        described["E1"] = solution.cost
+    write_npz(out / f"{name}.npz", vars(motion) | {"joints": np.array(design.task.joints)})
+    return plain(described | {"wall_s": time.perf_counter() - began})
+
+
+def _published(name: str, design: CoDesign, options: SearchOptions) -> float | None:
+    """The cost of Table 4's springs on this model, motion and durations re-optimised; None where the table has none."""
+    springs = published_springs(name)
+    task: Task = design.task
+    if not springs or not {"joint2", "joint3"} <= set(task.joints):
+        return None
+    held = CoDesign(task, spring_bounds(task, name.rstrip("*")), design.cost, design.actuators).with_fixed(springs)
+    return search(held, replace(options, starts=max(4, options.starts // 4), kept=3)).best.solution.cost
+
+
+def plain(value: Any) -> Any:
+    """Plain data for JSON: numpy to Python, NaN and infinity to null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def run() -> None:
+    """The command line; an error that the user can mend is one sentence and exit status 2."""
+    try:
+        typer.run(main)
+    except UserError as error:
+        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    run()
