@@ -16,7 +16,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.model import Model
 from rrr_oc.parameters import check_names
 from rrr_oc.problem import Guess, Phase, PhaseGuess, Problem
-from rrr_oc.task import PHASES, Task
+from rrr_oc.task import PHASES, Task, tool_height
 
 CONFIGURATIONS = {
     "SA": (),
@@ -167,7 +167,7 @@ class CoDesign:
         start, end = task.ends(index)
         rest = np.zeros(m) if self.at_rest else np.full(m, np.nan)
         peak = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * task.speed)
-        limited = np.flatnonzero(np.isfinite(task.torque))
+        limited, floor = np.flatnonzero(np.isfinite(task.torque)), int(np.isfinite(task.floor))
         return Phase(
             name=PHASES[index],
             rates=self._rates(index, limited),
@@ -182,9 +182,9 @@ class CoDesign:
             duration=task.duration,
             x_scale=np.r_[np.ones(m), np.ones(m)],
             u_scale=peak,
-            paths=tuple(f"load torque of {task.joints[i]}" for i in limited),
-            path_lower=-np.ones(limited.size),
-            path_upper=np.ones(limited.size),
+            paths=(*[f"load torque of {task.joints[i]}" for i in limited], *(["height of the tool"] if floor else [])),
+            path_lower=np.r_[-np.ones(limited.size), np.full(floor, task.floor)],
+            path_upper=np.r_[np.ones(limited.size), np.full(floor, np.inf)],
         )
 
     def _rates(self, index: int, limited: np.ndarray) -> ca.Function:
@@ -193,16 +193,21 @@ class CoDesign:
         payload = d[0] if index == 0 else 0.0
         tau = self._load_torque(x[:m], x[m:], u, payload, p, d[1 : 1 + self.model.widths.size])[0]
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for i in limited])
+        if np.isfinite(task.floor):
+            path = ca.vertcat(path, tool_height(task, self.model.body, self._all_joints(x[:m])))
         return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), self._cost_rate(x[m:], u, tau), path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
-        full = [ca.SX.zeros(self.task.robot.n) for _ in range(3)]
-        for vector, values in zip(full, (q, dq, ddq), strict=True):
-            for row, joint in enumerate(self.task.moving):
-                vector[joint] = values[row]
+        full = [self._all_joints(values) for values in (q, dq, ddq)]
         tau, spring = self.model.inverse(*full, payload, theta, widths)
         moving = list(self.task.moving)
         return tau[moving], spring[moving]
+
+    def _all_joints(self, moving: ca.SX) -> ca.SX:
+        full = ca.SX.zeros(self.task.robot.n)
+        for row, joint in enumerate(self.task.moving):
+            full[joint] = moving[row]
+        return full
 
     def _cost_rate(self, dq, ddq, tau) -> ca.SX:
         if self.cost == "load" or self.actuators is None:

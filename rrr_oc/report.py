@@ -121,6 +121,7 @@ def _certificate(name: str, c: dict) -> str:
         f"Error between the nodes {k['mesh']['error']:.1e}, limits exceeded between the nodes by at most {k['violation']:.1e} of "
         f"their scale. Exact springs on this motion: E1 = {k['exact_cost']:.4f}. An adaptive integrator run with these controls "
         f"ends {k['reintegration']['state']:.1e} away with a cost that differs by {k['reintegration']['cost']:.1e}. "
+        f"The tool comes down to {c['lowest_tool_m']:.3f} m above the base. "
         f"{100 * k['share']:.0f} % of the starts reached it. One more kg of payload: {100 * k['sensitivity']:+.1f} % of E1.\n",
     ]
     lines += [f"- {bound['sentence']}" for bound in k["active"]]

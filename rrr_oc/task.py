@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -30,6 +31,7 @@ _KEYS = (
     "payload_kg",
     "duration_s",
     "path_margin",
+    "floor_m",
     "limits",
     "springs",
 )
@@ -51,6 +53,7 @@ class Task:
         speed: Speed limits [rad/s], (m,).
         acceleration: Acceleration limits [rad/s²], (m,); infinite where there is none.
         torque: Load-torque limits [Nm], (m,); infinite where there is none.
+        floor: Height that the tool stays above [m], against gravity; -infinity where nothing stands below.
         springs: The springs that a design may use, as in the file.
     """
 
@@ -67,6 +70,7 @@ class Task:
     speed: np.ndarray
     acceleration: np.ndarray
     torque: np.ndarray
+    floor: float
     springs: tuple[Mapping[str, Any], ...]
 
     @property
@@ -129,12 +133,39 @@ def load_task(source: str | Path) -> Task:
         release=np.zeros(len(moving)),
         payload=payload,
         duration=(low, high),
+        floor=float(content.get("floor_m", -np.inf)),
         springs=tuple(content.get("springs", ())),
         **limits,
     )
     body = rigid_body(robot)
     start, release = (_angles(f"{where}: {end}", task, body, content[end]) for end in ("start", "release"))
-    return _within_margin(replace(task, start=start, release=release), content.get("path_margin"))
+    task = _within_margin(replace(task, start=start, release=release), content.get("path_margin"))
+    _check_feasible(where, task, body)
+    return task
+
+
+def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
+    """Raise `UserError` where the limits leave no motion: too little time for the way, or an end below the floor."""
+    for joint, way, speed, acceleration in zip(task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True):
+        ramp = speed / acceleration  # time to full speed; 0 without an acceleration limit
+        needed = way / speed + ramp if way > speed * ramp else 2 * np.sqrt(way / acceleration)
+        if needed > task.duration[1]:
+            raise UserError(
+                f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}° at "
+                f"{np.degrees(speed):.1f} °/s and {np.degrees(acceleration):.4g} °/s², and duration_s allows {task.duration[1]:g} s"
+            )
+    for end, q in (("start", task.start), ("release", task.release)):
+        height = float(tool_height(task, body, task.full(q)))
+        if height < task.floor:
+            raise UserError(f"{where}: at the {end} the tool stands {height:.4f} m high, below floor_m = {task.floor:g} m")
+
+
+def tool_height(task: Task, body: RigidBody, q):
+    """Height of the tool against gravity, from the base [m]; casadi or numpy angles of all joints."""
+    up = -task.robot.gravity / max(float(np.linalg.norm(task.robot.gravity)), 1e-12)
+    frames = body.joint_frames(q)
+    rotation = ca.reshape(frames[:9, task.tool.joint], 3, 3)
+    return ca.dot(ca.DM(up), rotation @ ca.DM(task.tool.position) + frames[9:, task.tool.joint])
 
 
 def _read(source: str | Path) -> tuple[str, dict]:

@@ -35,7 +35,7 @@ from rrr_oc.outcome import describe, describe_simulation, sample_motion
 from rrr_oc.report import published_springs, report
 from rrr_oc.search import SearchOptions, SearchResult, Start, search
 from rrr_oc.solve import Refinement, SolverFailure
-from rrr_oc.task import PHASES, PRESETS, Task, load_task
+from rrr_oc.task import PHASES, PRESETS, Task, load_task, tool_height
 
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
 console = Console()
@@ -162,6 +162,7 @@ def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions
     motion = sample_motion(design, solution)
     described = describe(design, motion.metrics()) | {
         "cost": solution.cost,
+        "lowest_tool_m": min(float(tool_height(design.task, design.model.body, q)) for q in design.task.full(motion.q).T[::7]),
         "springs": design.hardware(solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
