@@ -378,6 +378,10 @@ def _descend(solver: Solver, solution: Solution, rounds: int = 3) -> Solution:
 def _refine(design: CoDesign, options: SearchOptions, packed: _Packed) -> _Packed:
     try:
         solution, rows = refine(_unpack(design, options, packed), options.refinement)
+        left = _descend(Solver(solution.transcription, Options(barrier=1e-6)), solution)
+        if left is not solution:
+            solution, more = refine(left, options.refinement)
+            rows += more
     except SolverFailure:  # a finer mesh was lost: what was found before stands, with its error
         return packed
     return _pack(Optimum(solution, rows, 0))

@@ -1,5 +1,6 @@
 """Transcription against tables of Runge–Kutta coefficients, a plain loop, finite differences and casadi's own derivatives."""
 
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -279,10 +280,8 @@ def test_row_names_are_found_by_disturbing_rows(problem, method):
         arguments = [ca.SX.sym(f"a{k}", ph.rates.size1_in(k)) for k in range(4)]
         outputs = list(ph.rates(*arguments))
         outputs[output] = outputs[output] + ca.DM(np.eye(outputs[output].numel())[row])
-        phases[index] = Phase(
-            **({k: getattr(ph, k) for k in ph.__dataclass_fields__} | {"rates": ca.Function("r", arguments, outputs)})
-        )
-        return Problem(**({k: getattr(problem, k) for k in problem.__dataclass_fields__} | {"phases": tuple(phases)}))
+        phases[index] = replace(ph, rates=ca.Function("rates", arguments, outputs))
+        return replace(problem, phases=tuple(phases))
 
     t = Transcription(problem, method, MESH)
     w, d, _, _ = point(t)
