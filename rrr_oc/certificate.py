@@ -46,7 +46,8 @@ class Certificate:
         flattest: The variables that dominate that eigenvector.
         active: Bounds with their multipliers, largest saving first.
         sensitivity: Relative change of the cost by one more kg of payload.
-        mesh: Largest error between the nodes; the cost's last change from mesh to mesh; both relative.
+        mesh: Largest error between the nodes, the quadrature's, and the cost's last change from mesh to mesh, all relative;
+            and whether they are within the tolerance.
         violation: Largest excess of a limit between the nodes, relative to its scale.
         smoothing: Relative change of the cost with exact, non-smooth springs on the same motion.
         exact_cost: The cost with exact springs.
@@ -62,7 +63,7 @@ class Certificate:
     flattest: tuple[str, ...]
     active: tuple[ActiveBound, ...]
     sensitivity: float
-    mesh: dict[str, float]
+    mesh: dict[str, float | bool]
     violation: float
     smoothing: float
     exact_cost: float
@@ -80,8 +81,7 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
     kkt = Kkt(solution)
     second_order, curvature, direction = kkt.second_order()
     exact = exact_cost(design, solution)
-    costs = [row["cost"] for row in optimum.meshes]
-    change = abs(costs[-1] - costs[-2]) / abs(costs[-1]) if len(costs) > 1 else float("nan")
+    last = optimum.meshes[-1]
     return Certificate(
         primal=kkt.primal,
         dual=kkt.dual,
@@ -91,7 +91,12 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
         flattest=kkt.dominant(direction),
         active=_active(design, solution, kkt),
         sensitivity=float(kkt.data_gradient[0]) / solution.cost,
-        mesh={"error": solution.error.largest, "quadrature": solution.error.quadrature, "change": change},
+        mesh={
+            "error": solution.error.largest,
+            "quadrature": solution.error.quadrature,
+            "change": last.get("change", float("nan")),
+            "converged": last.get("converged", False),
+        },
         violation=solution.error.violation,
         smoothing=abs(exact - solution.cost) / solution.cost,
         exact_cost=exact,

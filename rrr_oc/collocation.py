@@ -26,7 +26,8 @@ class Scheme:
         name: One of `SCHEMES`.
         c: Stages in [0, 1], shape (d,).
         A, b: Runge–Kutta coefficients, shapes (d, d) and (d,).
-        order: Order of convergence of the states at the nodes, for smooth problems.
+        order: Of the Runge–Kutta method. The optimal cost converges with it for smooth problems; so do the states, except
+            that controls shared at the nodes hold the states of Lobatto's methods back to order 4.
     """
 
     name: str
@@ -267,10 +268,10 @@ class Transcription:
             n_rows = g.size1()
             multipliers = ca.reshape(lam_g[block.rows], n_rows, N)
             row_of = block.rows.start + np.arange(n_rows)[:, None] + n_rows * np.arange(N)
-            i, j = (np.array(k) for k in derivatives["jacobian"].sparsity_out(0).get_triplet())
+            i, j = (np.array(k, int) for k in derivatives["jacobian"].sparsity_out(0).get_triplet())
             values = _nonzeros(derivatives["jacobian"], N)(z, h, data)
             jacobian.add(row_of[i], gather[j], values * ca.DM(self.scale[gather[j]]))
-            i, j = (np.array(k) for k in derivatives["hessian"].sparsity_out(0).get_triplet())
+            i, j = (np.array(k, int) for k in derivatives["hessian"].sparsity_out(0).get_triplet())
             values = _nonzeros(derivatives["hessian"], N)(z, h, data, ca.repmat(lam_f, 1, N), multipliers)
             both = self.scale[gather[i]] * self.scale[gather[j]]
             hessian.add(np.minimum(gather[i], gather[j]), np.maximum(gather[i], gather[j]), values * ca.DM(both))

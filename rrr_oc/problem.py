@@ -50,6 +50,19 @@ class Phase:
             names = {"x": self.states, "u": self.controls, "path": self.paths}[name]
             for i in np.flatnonzero(~(lower <= upper)):
                 raise UserError(f"phase {self.name!r}: bounds of {names[i]} are crossed: {lower[i]:g} … {upper[i]:g}")
+        for name, values in (("start", self.start), ("end", self.end)):
+            if np.shape(values) != (nx,):
+                raise UserError(f"phase {self.name!r}: {name} has shape {np.shape(values)}, not ({nx},)")
+            for i in np.flatnonzero((values < self.x_lower) | (values > self.x_upper)):
+                raise UserError(
+                    f"phase {self.name!r}: {name} of {self.states[i]} is {values[i]:g}, outside {self.x_lower[i]:g} … {self.x_upper[i]:g}"
+                )
+        for name, scale, size in (("x_scale", self.x_scale, nx), ("u_scale", self.u_scale, nu)):
+            if np.shape(scale) != (size,) or not np.all(np.asarray(scale) > 0):
+                raise UserError(f"phase {self.name!r}: {name} must be {size} numbers above 0, got {scale}")
+        found = tuple(self.rates.numel_out(i) for i in range(self.rates.n_out()))
+        if found != (nx, 1, ng):
+            raise UserError(f"phase {self.name!r}: rates returns sizes {found}, not (dx/dt {nx}, cost rate 1, path {ng})")
         if not 0 < self.duration[0] <= self.duration[1] < np.inf:
             raise UserError(f"phase {self.name!r}: durations {self.duration} must be positive, finite and not crossed")
 
@@ -79,6 +92,11 @@ class Problem:
     cost_scale: float = 1.0
 
     def __post_init__(self) -> None:
+        for name in ("p_lower", "p_upper", "p_scale"):
+            if np.shape(getattr(self, name)) != (len(self.parameters),):
+                raise UserError(f"{name} has shape {np.shape(getattr(self, name))}, and there are {len(self.parameters)} parameters")
+        if self.design is not None and self.design.numel_out(0) != len(self.designs):
+            raise UserError(f"design returns {self.design.numel_out(0)} inequalities, and there are {len(self.designs)} names")
         for i in np.flatnonzero(~(self.p_lower <= self.p_upper)):
             raise UserError(f"bounds of {self.parameters[i]} are crossed: {self.p_lower[i]:g} … {self.p_upper[i]:g}")
 

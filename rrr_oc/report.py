@@ -118,7 +118,7 @@ def _certificate(name: str, c: dict) -> str:
         f"### {name}\n",
         f"Residuals: primal {k['primal']:.1e}, dual {k['dual']:.1e}, complementarity {k['complementarity']:.1e} (scaled). "
         f"Second-order condition: {k['second_order']}, smallest curvature {k['curvature']:.1e} along {', '.join(k['flattest'])}. "
-        f"Error between the nodes {k['mesh']['error']:.1e}, limits exceeded between the nodes by at most {k['violation']:.1e} of "
+        f"Error between the nodes {k['mesh']['error']:.1e}{'' if k['mesh']['converged'] else ' (tolerance not met)'}, limits exceeded between the nodes by at most {k['violation']:.1e} of "
         f"their scale. Exact springs on this motion: E1 = {k['exact_cost']:.4f}. An adaptive integrator run with these controls "
         f"ends {k['reintegration']['state']:.1e} away with a cost that differs by {k['reintegration']['cost']:.1e}. "
         f"The tool comes down to {c['lowest_tool_m']:.3f} m above the base. "

@@ -12,6 +12,7 @@ import pinocchio as pin
 from rrr_oc.errors import UserError
 
 BUNDLED = ("rrr", "rrr_prototype")
+_ENDLESS = "1e300"  # the URDF parser refuses "inf"
 
 
 @dataclass(frozen=True)
@@ -124,10 +125,10 @@ def load_robot(
         placements=np.array([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]),
         axes=np.array([_axis(model.joints[i]) for i in range(1, model.njoints)]),
         inertial=parameters,
-        lower=model.lowerPositionLimit.copy(),
-        upper=model.upperPositionLimit.copy(),
-        velocity=model.upperVelocityLimit.copy(),
-        effort=model.upperEffortLimit.copy(),
+        lower=_limits(model.lowerPositionLimit),
+        upper=_limits(model.upperPositionLimit),
+        velocity=_limits(model.upperVelocityLimit),
+        effort=_limits(model.upperEffortLimit),
         tool=ToolPoint(last, frames[tips[-1]][1][:3, 3]),
         frames=frames,
         gravity=np.asarray(gravity, float),
@@ -166,7 +167,7 @@ def _parse(name: str, text: str) -> pin.Model:
             joint.set("type", "revolute")
             limit = joint.find("limit")
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-            limit.attrib = {"effort": "inf", "velocity": "inf", **limit.attrib, "lower": "-inf", "upper": "inf"}
+            limit.attrib = {"effort": _ENDLESS, "velocity": _ENDLESS, **limit.attrib, "lower": f"-{_ENDLESS}", "upper": _ENDLESS}
         elif kind == "revolute" and joint.find("limit") is None:
             raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
     try:
@@ -203,6 +204,10 @@ def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None
                 f"robot {name!r}: link {_moved_link(model, i + 1)!r} has principal moments of inertia "
                 f"{', '.join(f'{m:.3g}' for m in moments)} kg m²; they must be positive and none above the sum of the other two"
             )
+
+
+def _limits(values: np.ndarray) -> np.ndarray:
+    return np.where(np.abs(values) >= float(_ENDLESS), np.copysign(np.inf, values), values)
 
 
 def _moved_link(model: pin.Model, joint: int) -> str:

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.collocation import Scheme, Transcription, scheme, uniform_mesh
+from rrr_oc.errors import UserError
 from rrr_oc.problem import Guess, PhaseGuess, Problem
 
 
@@ -49,6 +50,7 @@ class Options:
             "print_level": 0,
             "sb": "yes",
             "mu_strategy": "adaptive",
+            "bound_relax_factor": 1e-12,  # the default of 1e-8 would be the floor of the accuracy
         }
         if self.barrier is not None:
             named |= {
@@ -130,9 +132,10 @@ class Solution:
         shape = x.shape[1:]
         p, d = self.parameters[:, None], self.problem.data[:, None]
         rates = self.problem.phases[phase].rates
-        outputs = rates(x.reshape(len(x), -1), u.reshape(len(u), -1), p, d)
+        count = int(np.prod(shape))
+        outputs = rates(x.reshape(len(x), count), u.reshape(len(u), count), p, d)
         f, cost, path = (np.array(o) for o in outputs)
-        return f.reshape(-1, *shape), cost.reshape(shape), path.reshape(-1, *shape)
+        return f.reshape(len(f), *shape), cost.reshape(shape), path.reshape(len(path), *shape)
 
     @cached_property
     def error(self) -> "MeshError":
@@ -171,8 +174,9 @@ class MeshError:
         intervals: For each phase, the relative error of each interval: ∫ |x' − f(x, u)| dt over the states' scale, and the
             error of the cost's quadrature over the whole cost (N,).
         largest: The largest of them.
-        quadrature: Relative difference between the cost with the scheme's weights and by fine quadrature.
-        violation: Largest excess of bounds between the nodes, relative to the variables' scales.
+        quadrature: Relative difference between the cost with the scheme's weights and by fine quadrature on the same motion.
+            Not the cost's distance from the optimum: that shows in its change from mesh to mesh.
+        violation: Largest excess of bounds between the nodes, relative to the variables' scales; of paths, in their own unit.
     """
 
     intervals: tuple[np.ndarray, ...]
@@ -186,10 +190,10 @@ def _mesh_error(solution: Solution) -> MeshError:
     nodes, weights = np.polynomial.legendre.leggauss(2 * solution.transcription.scheme.d + 3)
     inside, weights = (nodes + 1) / 2, weights / 2
     intervals, fine_total, violation = [], 0.0, 0.0
-    scale = max(abs(solution.cost), 1e-12 * solution.problem.cost_scale)
+    scale = _magnitude(solution)
     for i, (phase, block) in enumerate(zip(solution.problem.phases, solution.transcription.blocks, strict=True)):
         _, x, dx, u = solution.sample(i, inside)
-        f, cost, _ = solution._rates(i, x, u)
+        f, cost, path = solution._rates(i, x, u)
         h = solution.transcription.mesh[i] * solution.durations[i]
         defect = np.einsum("xnk,k,n->xn", np.abs(dx - f), weights, h)
         magnitude = 1 * phase.x_scale + np.abs(solution.values[block.nodes]).max(axis=1)
@@ -201,6 +205,7 @@ def _mesh_error(solution: Solution) -> MeshError:
         for value, lower, upper, size in (
             (x, phase.x_lower, phase.x_upper, phase.x_scale),
             (u, phase.u_lower, phase.u_upper, phase.u_scale),
+            (path, phase.path_lower, phase.path_upper, np.ones(len(phase.paths))),
         ):
             excess = np.maximum(lower[:, None, None] - value, value - upper[:, None, None]) / size[:, None, None]
             violation = max(violation, float(excess.max(initial=0.0)))
@@ -238,6 +243,11 @@ class Solver:
         problem = transcription.problem if data is None else replace(transcription.problem, data=np.asarray(data, float))
         warm = isinstance(start, Solution)
         w0 = start.w if isinstance(start, Solution) else transcription.pack(start) if isinstance(start, Guess) else start
+        if problem.data.size != transcription.problem.data.size or np.size(w0) != transcription.size:
+            raise UserError(
+                f"the start has {np.size(w0)} variables and {problem.data.size} data; this mesh needs {transcription.size} and "
+                f"{transcription.problem.data.size} (a solution on another mesh starts a solve by its guess())"
+            )
         lower, upper = (b.copy() for b in transcription.bounds)
         if parameters is not None:
             n_p = len(problem.parameters)
@@ -302,7 +312,8 @@ def refine(solution: Solution, refinement: Refinement | None = None, options: Op
     starts small, so that a refined solve stays with its optimum where others that cost nearly the same are close by.
 
     Returns:
-        The last solution, and a row a mesh: intervals, cost, error, violation, seconds.
+        The last solution, and a row a mesh: intervals, cost, error, violation, seconds, and from the second on the cost's
+        relative change and whether the tolerance is met. It is not where `rounds` or `largest` ended the refinement.
     """
     refinement, options = refinement or Refinement(), replace(options or Options(), barrier=1e-8)
     rows = [_row(solution)]
@@ -313,10 +324,15 @@ def refine(solution: Solution, refinement: Refinement | None = None, options: Op
         finer = replace(solution.transcription, mesh=mesh)
         previous, solution = solution, Solver(finer, options).solve(solution.guess())
         rows.append(_row(solution))
-        moved = abs(solution.cost - previous.cost) / abs(solution.cost)
-        if solution.error.largest <= refinement.tolerance and moved <= refinement.tolerance:
+        moved = abs(solution.cost - previous.cost) / _magnitude(solution)
+        rows[-1] |= {"change": moved, "converged": max(solution.error.largest, moved) <= refinement.tolerance}
+        if rows[-1]["converged"]:
             break
     return solution, rows
+
+
+def _magnitude(solution: Solution) -> float:
+    return max(abs(solution.cost), 1e-12 * solution.problem.cost_scale)
 
 
 def _row(solution: Solution) -> dict:

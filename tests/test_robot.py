@@ -1,0 +1,188 @@
+# pyright: reportAttributeAccessIssue=false
+# (pinocchio has no stubs)
+"""What is read from a URDF, and what is turned away at the door and with which words."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from chains import arm, joint, link, random_chain, robot
+
+from rrr_oc.errors import UserError
+from rrr_oc.rigid_body import rigid_body
+from rrr_oc.robot import BUNDLED, load_robot
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture
+def load(tmp_path):
+    def from_text(text: str, **options):
+        path = tmp_path / "arm.urdf"
+        path.write_text(text)
+        return load_robot(path, **options)
+
+    return from_text
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_bundled_robots(name):
+    """The copy inside the package is the one in models/, and stands as drawn: joint 1 upright, 2 and 3 about −y."""
+    found = load_robot(name)
+    assert (ROOT / "models/urdf" / f"{name}.urdf").read_bytes() == (ROOT / "rrr_oc/urdf" / f"{name}.urdf").read_bytes()
+    assert found.joints == ("joint1", "joint2", "joint3")
+    assert found.links == ("link1", "link2", "link3")
+    np.testing.assert_allclose(found.axes, [[0, 0, 1], [0, -1, 0], [0, -1, 0]], atol=1e-15)
+    np.testing.assert_array_equal(found.gravity, [0, 0, -9.81])
+
+
+@pytest.mark.parametrize("joints", [1, 6, 7])
+def test_everything_of_a_chain(load, joints):
+    """Against Pinocchio's reading of the same text."""
+    text = random_chain(joints, joints)
+    found, model = load(text), pin.buildModelFromXML(text)
+    assert found.name == "arm"
+    assert found.n == joints
+    assert found.joints == tuple(f"j{i + 1}" for i in range(joints))
+    assert found.links == tuple(f"l{i + 1}" for i in range(joints))
+    np.testing.assert_allclose(found.placements, [p.homogeneous for p in list(model.jointPlacements)[1:]], atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(found.axes, axis=1), 1, atol=1e-15)
+    for i in range(joints):
+        inertia = model.inertias[i + 1]
+        np.testing.assert_allclose(found.inertial[:, i], inertia.toDynamicParameters(), atol=1e-15)
+        second = inertia.inertia - inertia.mass * pin.skew(inertia.lever) @ pin.skew(inertia.lever)  # Steiner, by hand
+        np.testing.assert_allclose(found.inertial[4:, i], second[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], atol=1e-13)
+    np.testing.assert_array_equal((found.lower, found.upper), (np.full(joints, -2), np.full(joints, 2)))
+    np.testing.assert_array_equal((found.velocity, found.effort), (np.full(joints, 3), np.full(joints, 50)))
+    assert found.tool.joint == joints - 1
+    np.testing.assert_allclose(found.tool.position, model.frames[model.getFrameId("tool")].placement.translation, atol=1e-15)
+
+
+def test_without_a_tool_frame_the_tool_is_the_last_joint(load):
+    np.testing.assert_array_equal(load(arm(2)).tool.position, np.zeros(3))
+
+
+def test_continuous_joints_have_no_range_but_one_coordinate(load):
+    """With limits of speed and effort, and without a <limit> at all; the dynamics are those of a revolute joint."""
+    bounded = '<limit effort="5" velocity="2"/>'
+    parts = [link("base", 0), link("l1"), link("l2"), joint("j1", "base", "l1", "continuous", bounded)]
+    found = load(robot(*parts, joint("j2", "l1", "l2", "continuous", "")))
+    assert found.n == 2
+    np.testing.assert_array_equal(found.lower, [-np.inf, -np.inf])
+    np.testing.assert_array_equal(found.upper, [np.inf, np.inf])
+    np.testing.assert_array_equal(found.velocity, [2, np.inf])
+    np.testing.assert_array_equal(found.effort, [5, np.inf])
+    revolute = load(arm(2))
+    np.testing.assert_array_equal(found.axes, revolute.axes)
+    np.testing.assert_allclose(found.placements, revolute.placements, atol=1e-15)
+    np.testing.assert_allclose(found.inertial, revolute.inertial, atol=1e-15)
+
+
+def test_locked_joints(load):
+    """Dynamics with joints locked at zero are those of the whole chain with them at zero and still."""
+    text = random_chain(5, 5)
+    whole, part = load(text), load(text, joints=["j2", "j3", "j5"])
+    kept = [1, 2, 4]
+    assert part.joints == ("j2", "j3", "j5")
+    assert part.links == ("l2", "l3", "l5")
+    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 3))
+    full = [np.zeros(5) for _ in range(3)]
+    for vector, values in zip(full, (q, dq, ddq), strict=True):
+        vector[kept] = values
+    expected = np.array(rigid_body(whole).inverse_dynamics(*full, whole.inertial, whole.gravity)).ravel()[kept]
+    found = np.array(rigid_body(part).inverse_dynamics(q, dq, ddq, part.inertial, part.gravity)).ravel()
+    np.testing.assert_allclose(found, expected, atol=1e-11)  # rounding
+    tips = [rigid_body(r).tool_position(v, r.tool.position) for r, v in ((whole, full[0]), (part, q))]
+    np.testing.assert_allclose(np.array(tips[1]), np.array(tips[0]), atol=1e-13)
+    np.testing.assert_array_equal(load(text, joints=whole.joints).inertial, whole.inertial)  # all of them: the same robot
+
+
+def test_a_point_on_a_fixed_link_moves_with_the_joint_before_it(load):
+    parts = [link("base", 0), link("l1"), link("hand"), link("l2"), joint("j1", "base", "l1")]
+    parts += [
+        joint("weld", "l1", "hand", "fixed", "", xyz="0.1 0.2 0.3", rpy="0 0 1.5707963267948966"),
+        joint("j2", "hand", "l2"),
+    ]
+    found = load(robot(*parts))
+    assert found.links == ("l1", "l2")
+    point = found.point("hand", [1, 0, 0])
+    assert point.joint == 0
+    np.testing.assert_allclose(point.position, [0.1, 1.2, 0.3], atol=1e-12)  # x of the hand is y of the link
+    np.testing.assert_allclose(found.inertial[0], [2, 1], rtol=1e-15)  # the hand's mass counts with the link it is fixed to
+
+
+def test_masses_are_not_needed_where_they_are_not_used(load):
+    text = robot(link("base", 0), link("l1", 0), joint("j1", "base", "l1"))
+    assert load(text, inertial=False).n == 1
+    with pytest.raises(UserError, match="link 'l1', moved by joint 'j1', has mass 0 kg"):
+        load(text)
+
+
+def test_names_and_points_that_are_not_there(load):
+    found = load(arm(2))
+    assert found.index("j2") == 1
+    with pytest.raises(UserError, match="no joint 'elbow'; it has j1, j2"):
+        found.index("elbow")
+    with pytest.raises(UserError, match="no link 'hand'; it has base, l1, l2"):
+        found.point("hand", [0, 0, 0])
+    with pytest.raises(UserError, match=r"link 'base' .* does not move; a tool needs one of l1, l2"):
+        found.point("base", [0, 0, 0])
+    for position in ([0, 0], [0, 0, np.nan], [0, np.inf, 0]):
+        with pytest.raises(UserError, match="three finite numbers"):
+            found.point("l1", position)
+
+
+def test_missing_and_unreadable_files(tmp_path):
+    with pytest.raises(UserError, match=r"no robot at .*nothing\.urdf.*give the path of a URDF or one of rrr, rrr_prototype"):
+        load_robot(tmp_path / "nothing.urdf")
+    with pytest.raises(UserError, match="no robot at"):
+        load_robot(tmp_path)  # a folder
+    binary = tmp_path / "mesh.stl"
+    binary.write_bytes(b"\x80\x81\xff\xfe\x00")
+    with pytest.raises(UserError, match="not a text file"):
+        load_robot(binary)
+
+
+BRANCH = [link("base", 0), link("l1"), link("l2"), link("l3"), joint("j1", "base", "l1"), joint("j2", "l1", "l2")]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not well-formed XML"),
+        ("<robot><link name='a'></robot>", "not well-formed XML: mismatched tag"),
+        ("<mujoco/>", "the outer element is <mujoco>; a URDF has <robot>"),
+        ("<robot name='a'/>", "not a usable URDF"),
+        (robot(link("base")), "has no revolute joint"),
+        (robot(link("base"), link("l1"), joint("j1", "base", "l1", "fixed", "")), "has no revolute joint"),
+        (arm(3, {2: "prismatic"}), "joint 'j2' is prismatic; allowed are revolute, continuous and fixed"),
+        (arm(3, {1: "floating"}), "joint 'j1' is floating"),
+        (arm(3, {1: "planar"}), "joint 'j1' is planar"),
+        (arm(3, {1: "revolut"}), "joint 'j1' is revolut;"),
+        (robot(*BRANCH, joint("j3", "l1", "l3")), "no serial chain: joint 'j3' hangs on 'j1'; branches are not supported"),
+        (robot(*BRANCH[:2], BRANCH[4], joint("j2", "l1", "l2")), "not a usable URDF"),
+        (robot(link("base", 0), link("l1"), joint("j1", "base", "l1", inside="")), "joint 'j1' has no <limit>"),
+        (arm(2).replace('velocity="3"/>', 'velocity="3"/><mimic joint="j2"/>', 1), "joint 'j1' mimics another"),
+        (robot(link("base", 0), link("l1", -1.0), joint("j1", "base", "l1")), "has mass -1 kg"),
+        (robot(link("base", 0), link("l1", 1.0, (1, 1, 3)), joint("j1", "base", "l1")), "none above the sum of the other two"),
+        (robot(link("base", 0), link("l1", 1.0, (-1, 2, 2)), joint("j1", "base", "l1")), "must be positive"),
+    ],
+)
+def test_robots_that_are_turned_away(load, text, message):
+    with pytest.raises(UserError, match=message):
+        load(text)
+
+
+@pytest.mark.parametrize(
+    ("joints", "message"),
+    [
+        (["j1", "hip"], "no joint 'hip'; it has j1, j2, j3"),
+        (["j2", "j1"], "j2, j1 are not in the order of the chain: j1, j2, j3"),
+        (["j1", "j1"], "not in the order"),
+        ([], "no revolute joint"),
+    ],
+)
+def test_joints_that_cannot_be_kept(load, joints, message):
+    with pytest.raises(UserError, match=message):
+        load(arm(3), joints=joints)

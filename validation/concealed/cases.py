@@ -1,0 +1,191 @@
+"""Which cases exist: every declaration is a few words and a seed; `build.py` turns it into recordings."""
+
+import hashlib
+import zlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from validation.concealed.catalogue import CATALOGUE, OUTSIDE, TWO_JOINTS
+
+RATIOS = (3.0, 1.0, 0.5)  # residual after plain calibration / noise
+ROBOTS = ("rrr", "rrr_prototype", "arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "arm7")
+
+
+@dataclass(frozen=True)
+class Concealed:
+    """An effect to conceal, how strongly, and in which of the recording groups (None: everywhere)."""
+
+    effect: str
+    ratio: float
+    groups: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Case:
+    """One data set to make. `key` is unique among the cases of a seed."""
+
+    key: str
+    kind: str
+    seed: int
+    robot: str
+    concealed: tuple[Concealed, ...] = ()
+    short: bool = False  # 4 × 15 s, 2.5 × the noise, jitter, lost samples; else 8 × 30 s
+    torque: str = "motor"
+    inertial: str = "nominal"
+    motor: bool = False  # the prototype's motors, Eq. 7–9
+    locked: int = 0  # further joints of the URDF that are not recorded
+    options: dict = field(default_factory=dict)  # of Sensing
+
+    @property
+    def id(self) -> str:
+        return hashlib.sha256(f"concealed/{self.seed}/{self.key}".encode()).hexdigest()[:12]
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        return np.random.default_rng([self.seed, zlib.crc32(f"{self.key}/{purpose}".encode())])
+
+
+def fitting_robot(names: tuple[str, ...], rng: np.random.Generator, choices: tuple[str, ...] = ROBOTS) -> str:
+    """A robot on which all these effects can exist."""
+    two = any(name in TWO_JOINTS for name in names)
+    return str(rng.choice([r for r in choices if not (two and r == "arm1")]))
+
+
+def declare(seed: int = 0) -> list[Case]:
+    """All cases of a seed, in a fixed order."""
+    cases: list[Case] = []
+    for make in (clean, single, short_single, some_recordings, several, outside, other_data):
+        cases += make(seed)
+    keys = [c.key for c in cases]
+    if len(set(keys)) != len(keys):
+        raise ValueError("two cases have the same key")
+    return cases
+
+
+def draw(seed: int, key: str) -> np.random.Generator:
+    return np.random.default_rng([seed, zlib.crc32(f"{key}/declare".encode())])
+
+
+def options(rng: np.random.Generator) -> dict:
+    """Half of the standard data sets are tidy; the rest have coloured noise, speeds or mild jitter."""
+    return [{}, {}, {}, {"coloured": 0.3}, {"speeds": True}, {"jitter": 0.1}][rng.integers(6)]
+
+
+def clean(seed: int) -> list[Case]:
+    """Nothing is missing: 160 short sets and 20 standard ones."""
+    out = []
+    for i in range(180):
+        key = f"clean/{i}"
+        rng = draw(seed, key)
+        short = i < 160
+        out.append(Case(key, "clean", seed, fitting_robot((), rng), short=short, options={} if short else options(rng)))
+    return out
+
+
+def single(seed: int) -> list[Case]:
+    """Every effect of the catalogue at three strengths, once on an arm of the paper and once on a generated one."""
+    out = []
+    for name in CATALOGUE:
+        for ratio in RATIOS:
+            for family, choices in (("rrr", ROBOTS[:2]), ("arm", ROBOTS[2:])):
+                key = f"single/{name}/{ratio}/{family}"
+                rng = draw(seed, key)
+                robot = fitting_robot((name,), rng, choices)
+                out.append(Case(key, "single", seed, robot, (Concealed(name, ratio),), options=options(rng)))
+    return out
+
+
+def short_single(seed: int) -> list[Case]:
+    """Every effect of the catalogue in a small and untidy data set."""
+    out = []
+    for name in CATALOGUE:
+        for ratio in RATIOS[:2]:
+            key = f"short/{name}/{ratio}"
+            robot = fitting_robot((name,), draw(seed, key))
+            out.append(Case(key, "short", seed, robot, (Concealed(name, ratio),), short=True))
+    return out
+
+
+def some_recordings(seed: int) -> list[Case]:
+    """Effects that only one group of two recordings has."""
+    names = (
+        "payload_mass",
+        "payload_com",
+        "torque_gain",
+        "torque_offset",
+        "encoder_offset",
+        "cable_harness",
+        "parallel_spring",
+        "spring_stiffness",
+        "spring_preload",
+        "gravity_tilt",
+        "time_delay",
+        "load_dependent_friction",
+    )
+    out = []
+    for name in names:
+        for ratio in RATIOS[:2]:
+            key = f"some/{name}/{ratio}"
+            rng = draw(seed, key)
+            group = str(rng.choice(["a", "b", "c", "d"]))
+            out.append(Case(key, "some", seed, fitting_robot((name,), rng), (Concealed(name, ratio, (group,)),)))
+    return out
+
+
+def several(seed: int) -> list[Case]:
+    """Pairs and triples of the catalogue."""
+    out = []
+    for kind, count, size in (("pair", 36, 2), ("triple", 18, 3)):
+        for i in range(count):
+            key = f"{kind}/{i}"
+            rng = draw(seed, key)
+            names = tuple(str(x) for x in rng.choice(list(CATALOGUE), size, replace=False))
+            while {"joint_elasticity", "backlash"} <= set(names):  # one transmission is one or the other
+                names = tuple(str(x) for x in rng.choice(list(CATALOGUE), size, replace=False))
+            robot = fitting_robot(names, rng, tuple(r for r in ROBOTS if r != "arm1"))
+            concealed = tuple(Concealed(n, float(rng.choice([3.0, 2.0, 1.0]))) for n in names)
+            out.append(Case(key, kind, seed, robot, concealed, options=options(rng)))
+    return out
+
+
+def outside(seed: int) -> list[Case]:
+    """Effects that the catalogue does not have, alone and beside one that it has."""
+    out = []
+    robots = tuple(r for r in ROBOTS if r != "arm1")
+    for name in OUTSIDE:
+        for ratio in RATIOS:
+            key = f"outside/{name}/{ratio}"
+            out.append(Case(key, "outside", seed, fitting_robot((name,), draw(seed, key), robots), (Concealed(name, ratio),)))
+        key = f"outside_pair/{name}"
+        rng = draw(seed, key)
+        other = str(rng.choice(list(CATALOGUE)))
+        concealed = (Concealed(name, 2.0), Concealed(other, 2.0))
+        out.append(Case(key, "outside_pair", seed, fitting_robot((name, other), rng, robots), concealed))
+    return out
+
+
+def other_data(seed: int) -> list[Case]:
+    """Other kinds of data: currents, load torques, unknown inertials, locked joints, the prototype's motors."""
+    out = []
+    of_motor = ("load_dependent_friction", "stribeck", "torque_ripple")  # a load torque does not hold them
+    effects: tuple[str | None, ...] = (None, *of_motor, "cable_harness", "payload_mass", "encoder_offset")
+    kinds: dict[str, dict] = {
+        "current": {"torque": "current"},
+        "load": {"torque": "load"},
+        "identify": {"inertial": "identify"},
+        "locked": {"locked": 2},
+        "motor": {"motor": True},
+    }
+    for kind, extra in kinds.items():
+        for name in effects:
+            if (kind == "load" and name in of_motor) or (kind == "identify" and name == "payload_mass"):
+                continue
+            key = f"{kind}/{name}"
+            rng = draw(seed, key)
+            choices = {"motor": ROBOTS[1:2], "identify": ROBOTS[3:7], "locked": ROBOTS[3:7]}.get(kind, ROBOTS)
+            concealed = (Concealed(name, 2.0),) if name else ()
+            robot = fitting_robot((name,) if name else (), rng, choices)
+            if kind == "motor" and name == "load_dependent_friction":
+                continue  # the motors have it already
+            out.append(Case(key, kind, seed, robot, concealed, **extra))
+    return out

@@ -1,0 +1,19 @@
+"""The effects by name."""
+
+from validation.concealed import effects_body, effects_friction, effects_outside, effects_sensor
+from validation.concealed.effect import Effect
+
+
+def effect_types(module) -> dict[str, type[Effect]]:
+    found = (x for x in vars(module).values() if isinstance(x, type) and issubclass(x, Effect))
+    return {x.name: x for x in found if x.__module__ == module.__name__ and "name" in vars(x)}
+
+
+CATALOGUE = effect_types(effects_friction) | effect_types(effects_body) | effect_types(effects_sensor)
+OUTSIDE = effect_types(effects_outside)
+TWO_JOINTS = {"coupled_friction", "biarticular_spring", "cross_fan", "posture_torque", "cross_talk"}
+SENSED = {name for name, x in (CATALOGUE | OUTSIDE).items() if x.sense is not Effect.sense}
+
+
+def effect_type(name: str) -> type[Effect]:
+    return (CATALOGUE | OUTSIDE)[name]
