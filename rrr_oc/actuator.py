@@ -4,6 +4,7 @@ import importlib.resources
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -54,10 +55,15 @@ class Actuators:
 
     def current(self, dq, ddq, tau_load) -> ca.SX:
         """Currents I (m,) [A] that drive the load torque (Eq. 7 with Eq. 9)."""
-        load = [t * s if self.form == "printed" else _magnitude(t) * s for t, s in zip(_rows(tau_load), _signs(dq), strict=True)]
+        load = [
+            t * s if self.form == "printed" else _magnitude(t) * s for t, s in zip(_rows(tau_load), _signs(dq), strict=True)
+        ]
         rows = zip(_rows(dq), _rows(ddq), _rows(tau_load), load, strict=True)
         return ca.vertcat(
-            *[self.inertia[i] * a + self._friction(i, v) + self.c_1[i] * t + self.c_12[i] * l for i, (v, a, t, l) in enumerate(rows)]
+            *[
+                self.inertia[i] * a + self._friction(i, v) + self.c_1[i] * t + self.c_12[i] * friction
+                for i, (v, a, t, friction) in enumerate(rows)
+            ]
         )
 
     def load_torque(self, dq, ddq, current) -> ca.SX:
@@ -79,7 +85,9 @@ class Actuators:
     def power(self, dq, ddq, tau_load) -> ca.SX:
         """Electrical power U I of each drive (m,) [W] (Eq. 8, whose integral is Eq. 11)."""
         if not np.all(np.isfinite(self.resistance)):
-            raise UserError(f"electrical energy needs the winding resistances of {', '.join(self.joints)} [Ohm]; some are unknown")
+            raise UserError(
+                f"electrical energy needs the winding resistances of {', '.join(self.joints)} [Ohm]; some are unknown"
+            )
         amperes = self.current(dq, ddq, tau_load)
         return ca.SX(self.resistance) * amperes**2 + ca.SX(self.torque_constant) * ca.vertcat(*_rows(dq)) * amperes
 
@@ -110,7 +118,7 @@ def load_actuators(joints: Sequence[str], source: str = "prototype", form: str =
     """The drives of these joints from a bundled file, or from the path of a JSON file of the same form."""
     try:
         bundled = importlib.resources.files("rrr_oc.data").joinpath("actuators.json").read_text()
-        content = json.loads(bundled if source == "prototype" else open(source).read())
+        content = json.loads(bundled if source == "prototype" else Path(source).read_text())
     except (OSError, json.JSONDecodeError) as error:
         raise UserError(f"no usable actuators at {source!r}: {error}; give a JSON file or 'prototype'") from None
     if form not in ("dissipative", "printed"):

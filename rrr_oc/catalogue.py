@@ -7,17 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import joblib
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from rrr_oc.codesign import CoDesign
 from rrr_oc.effects.biarticular_spring import reduced
 from rrr_oc.errors import UserError
+from rrr_oc.parallel import unordered
 from rrr_oc.parameters import check_names
 from rrr_oc.search import Optimum, SearchOptions, continued, transcribed
 from rrr_oc.solve import Options, Solution, Solver, SolverFailure
-
 
 METHODS = ("exhaustive", "screened")
 
@@ -152,7 +151,13 @@ def search_catalogue(
 
 
 def _screened(
-    design: CoDesign, run: "_Runner", springs: list[list["_Choice"]], bar: int, finalists: int, grid: int = 12, margin: float = 0.02
+    design: CoDesign,
+    run: "_Runner",
+    springs: list[list["_Choice"]],
+    bar: int,
+    finalists: int,
+    grid: int = 12,
+    margin: float = 0.02,
 ) -> tuple[list[tuple[float, "_Choice"]], dict]:
     """The catalogue's best by screening, for a biarticular spring with or without parallel ones.
 
@@ -166,10 +171,15 @@ def _screened(
     axes = np.geomspace(*_range(reach[:, 0]), grid), np.linspace(*_range(reach[:, 1]), grid)
     low, high = np.min([c.lower for c in kinds], axis=0)[2], np.max([c.upper for c in kinds], axis=0)[2]
     nodes = [_Choice({}, np.array([k, r, low]), np.array([k, r, high])) for k in axes[0] for r in axes[1]]
-    solved = {(c.lower[_at(design, bar)], c.lower[_at(design, bar) + 1]): cost for cost, c, _ in run.all([_alone(design, c, bar) for c in nodes])}
+    solved = {
+        (c.lower[_at(design, bar)], c.lower[_at(design, bar) + 1]): cost
+        for cost, c, _ in run.all([_alone(design, c, bar) for c in nodes])
+    }
     table = np.array([[solved[k, r] for r in axes[1]] for k in axes[0]])
     table = np.where(np.isfinite(table), table, np.nanmax(np.where(np.isfinite(table), table, np.nan)))
-    values = RegularGridInterpolator((np.log(axes[0]), axes[1]), np.log(table), method="cubic")(np.c_[np.log(reach[:, 0]), reach[:, 1]])
+    values = RegularGridInterpolator((np.log(axes[0]), axes[1]), np.log(table), method="cubic")(
+        np.c_[np.log(reach[:, 0]), reach[:, 1]]
+    )
     order, relaxed = np.argsort(values), len(nodes)
     ranked: list[tuple[float, _Choice]] = []
     for position in range(0, len(order), 64):
@@ -245,10 +255,7 @@ def _choices(design: CoDesign, catalogue: Catalogue) -> tuple[list[list[_Choice]
         if not available:
             raise UserError(f"catalogue {catalogue.name!r} has no parallel spring for {joint} within the task's bounds")
         lists.append(
-            [
-                _Choice({f"k_p{number}": k}, np.array([k, spring.lower[1]]), np.array([k, spring.upper[1]]))
-                for k in available
-            ]
+            [_Choice({f"k_p{number}": k}, np.array([k, spring.lower[1]]), np.array([k, spring.upper[1]])) for k in available]
         )
         combinations *= len(available)
     return lists, combinations
@@ -275,9 +282,9 @@ class _Runner:
         """(cost, choice, parameters), best first. Neighbours are solved in turn, each started from the one before."""
         ordered = sorted(choices, key=lambda c: c.lower.tolist())
         chunks = [ordered[i : i + 40] for i in range(0, len(ordered), 40)]
-        jobs = (joblib.delayed(_solve_chunk)(self._design, self._options, self._w, c) for c in chunks)
+        arguments = [(self._design, self._options, self._w, c) for c in chunks]
         results: list[tuple[float, _Choice, np.ndarray]] = []
-        for part in joblib.Parallel(n_jobs=self._options.jobs, return_as="generator_unordered", batch_size=1)(jobs):
+        for part in unordered(_solve_chunk, arguments, self._options.jobs):
             results += part
             self.solved += len(part)
             if self._progress:

@@ -115,7 +115,9 @@ def _bound(design: CoDesign, solution: Solution, name: str, value: float, unit: 
     factor, readable = _DESIGNER.get(unit, (1.0, unit))
     saving = gain / factor / solution.cost
     e1 = "E1" if design.cost == "load" else f"the cost [{COST_UNITS[design.cost]}]"
-    sentence = f"moving {name} ({value * factor:.4g} {readable}) outward by one {readable} would save {100 * saving:.2g} % of {e1}"
+    sentence = (
+        f"moving {name} ({value * factor:.4g} {readable}) outward by one {readable} would save {100 * saving:.2g} % of {e1}"
+    )
     return ActiveBound(name, value * factor, readable, saving, sentence)
 
 
@@ -203,8 +205,8 @@ def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float
         for k in range(len(edges) - 1):
             controls = u_stages[:, :, k]
 
-            def rates(t, y, k=k, controls=controls, phase=phase, nx=nx):
-                weights = solution.transcription.scheme.at(np.array([(t - edges[k]) / (edges[k + 1] - edges[k])]))[0][0]
+            def rates(t, y, start=edges[k], end=edges[k + 1], controls=controls, phase=phase, nx=nx):
+                weights = solution.transcription.scheme.at(np.array([(t - start) / (end - start)]))[0][0]
                 f, cost_rate, _ = phase.rates(y[:nx], controls @ weights, p, d)
                 return np.r_[np.array(f).ravel(), float(cost_rate)]
 

@@ -79,9 +79,7 @@ def _spring(task: Task, entry: Mapping) -> SpringBounds:
         raise UserError(f"{where}: q_0_deg must have a negative lower and a positive upper bound, got {entry['q_0_deg']}")
     if min(bounds[r][0] for r in ("r_1", "r_2", "r_3")) <= 0:
         raise UserError(f"{where}: radii must be above 0 mm")
-    effect = BiarticularSpring(
-        tuple(task.robot.index(j) for j in entry["joints"]), tuple(entry.get("winding", (1, 1)))
-    )
+    effect = BiarticularSpring(tuple(task.robot.index(j) for j in entry["joints"]), tuple(entry.get("winding", (1, 1))))
     ratio = bounds["r_1"][1] / bounds["r_2"][0]
     kappa = bounds["k_b"][1] * (bounds["r_2"][1] / bounds["r_1"][0]) ** 2
     wider = 1.05  # the hardware's inequalities bind, not this box around them
@@ -189,7 +187,12 @@ class CoDesign:
 
     def _rates(self, index: int, limited: np.ndarray) -> ca.Function:
         task, m, n_data = self.task, len(self.task.moving), len(self.data_names)
-        x, u, p, d = ca.SX.sym("x", 2 * m), ca.SX.sym("u", m), ca.SX.sym("p", len(self.model.parameters)), ca.SX.sym("d", n_data)
+        x, u, p, d = (
+            ca.SX.sym("x", 2 * m),
+            ca.SX.sym("u", m),
+            ca.SX.sym("p", len(self.model.parameters)),
+            ca.SX.sym("d", n_data),
+        )
         payload = d[0] if index == 0 else 0.0
         tau = self._load_torque(x[:m], x[m:], u, payload, p, d[1 : 1 + self.model.widths.size])[0]
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for i in limited])
@@ -223,7 +226,7 @@ class CoDesign:
             size = len(spring.effect.parameters)
             if spring.hardware:
                 bounds = {h: (d[offset + 2 * i], d[offset + 2 * i + 1]) for i, h in enumerate(HARDWARE)}
-                rows.append(hardware_exists(*[p[at + k] for k in range(3)], bounds))
+                rows.append(hardware_exists(p[at], p[at + 1], p[at + 2], bounds))
                 names += HARDWARE_LIMITS
                 offset += 2 * len(HARDWARE)
             at += size
@@ -244,7 +247,11 @@ class CoDesign:
         """(q, dq, ddq, payload, theta, widths) of the moving joints -> (load torque, spring torque), (m,) each [Nm]."""
         m = len(self.task.moving)
         inputs = [ca.SX.sym(n, m) for n in ("q", "dq", "ddq")]
-        inputs += [ca.SX.sym("payload"), ca.SX.sym("theta", len(self.model.parameters)), ca.SX.sym("widths", self.model.widths.size)]
+        inputs += [
+            ca.SX.sym("payload"),
+            ca.SX.sym("theta", len(self.model.parameters)),
+            ca.SX.sym("widths", self.model.widths.size),
+        ]
         return ca.Function("torques", inputs, list(self._load_torque(*inputs)))
 
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
@@ -285,7 +292,9 @@ class CoDesign:
         return CoDesign(self.task, tuple(springs), self.cost, self.actuators, self.at_rest)
 
 
-def motion_guess(design: CoDesign, parameters: np.ndarray, durations: Sequence[float], via: np.ndarray | None = None) -> Guess:
+def motion_guess(
+    design: CoDesign, parameters: np.ndarray, durations: Sequence[float] | np.ndarray, via: np.ndarray | None = None
+) -> Guess:
     """A rest-to-rest motion through points, minimum-jerk in time along a cubic spline.
 
     Args:

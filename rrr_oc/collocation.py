@@ -1,9 +1,10 @@
 """Direct collocation: an optimal-control problem on a mesh as a sparse nonlinear program with exact derivatives.
 
-Every scheme is an implicit Runge–Kutta method with d stages (A, b, c) an interval of length h: with f the rates at the stages,
-x_i = x_0 + h Σ_j A_ij f_j and x_1 = x_0 + h Σ_j b_j f_j; the cost is quadrature with b. Hermite–Simpson is Lobatto IIIA with
-three stages (the first and last stages of Lobatto's methods are the nodes, so neighbours share them, controls included);
-Lobatto IIIA, Gauss–Legendre and Radau IIA have a chosen number of stages. See Betts, "Practical Methods for Optimal Control", ch. 4; Hairer & Wanner II, IV.5.
+Every scheme is an implicit Runge–Kutta method with d stages (A, b, c) an interval of length h: with f the rates at the
+stages, x_i = x_0 + h Σ_j A_ij f_j and x_1 = x_0 + h Σ_j b_j f_j; the cost is quadrature with b. Hermite–Simpson is
+Lobatto IIIA with three stages (the first and last stages of Lobatto's methods are the nodes, so neighbours share them,
+controls included); Lobatto IIIA, Gauss–Legendre and Radau IIA have a chosen number of stages. See Betts, "Practical
+Methods for Optimal Control", ch. 4; Hairer & Wanner II, IV.5.
 """
 
 from dataclasses import dataclass
@@ -75,10 +76,10 @@ def scheme(name: str = "gauss", stages: int = 3) -> Scheme:
     if name == "hermite-simpson":
         c, order = np.array([0.0, 0.5, 1.0]), 4
     elif name == "lobatto":  # the ends and the extrema of the Legendre polynomial
-        inner = np.polynomial.legendre.Legendre.basis(stages - 1).deriv().roots()
+        inner = np.asarray(np.polynomial.legendre.Legendre.basis(stages - 1).deriv().roots(), float)
         c, order = np.r_[0.0, (np.sort(inner) + 1) / 2, 1.0], 2 * stages - 2
     elif name == "gauss":
-        c, order = (np.polynomial.legendre.leggauss(stages)[0] + 1) / 2, 2 * stages
+        c, order = (np.asarray(np.polynomial.legendre.leggauss(stages)[0], float) + 1) / 2, 2 * stages
     else:
         c, order = np.array(ca.collocation_points(stages, "radau")), 2 * stages - 1
     d = len(c)
@@ -172,7 +173,11 @@ class Transcription:
         scale = np.ones(self.size)
         scale[: len(self.problem.parameters)] = self.problem.p_scale
         for phase, block in zip(self.problem.phases, self.blocks, strict=True):
-            for indices, magnitude in ((block.nodes, phase.x_scale), (block.stage_x, phase.x_scale), (block.stage_u, phase.u_scale)):
+            for indices, magnitude in (
+                (block.nodes, phase.x_scale),
+                (block.stage_x, phase.x_scale),
+                (block.stage_u, phase.u_scale),
+            ):
                 scale[indices] = np.reshape(magnitude, (-1,) + (1,) * (indices.ndim - 1))
         return scale
 
@@ -282,7 +287,9 @@ class Transcription:
             "nlp": ca.Function("nlp", [w, d], [cost, g], ["x", "p"], ["f", "g"]),
             "grad_f": ca.Function("nlp_grad_f", [w, d], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]),
             "jac_g": ca.Function("nlp_jac_g", [w, d], [g, jac], ["x", "p"], ["g", "jac_g_x"]),
-            "hess_lag": ca.Function("nlp_hess_l", [w, d, lam_f, lam_g], [triu], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]),
+            "hess_lag": ca.Function(
+                "nlp_hess_l", [w, d, lam_f, lam_g], [triu], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+            ),
         }
 
     def _add_design(self, value, d, lam_g, rows, jacobian, hessian) -> None:

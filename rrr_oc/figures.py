@@ -28,7 +28,9 @@ def draw_all(folder: Path, task: Task) -> list[Path]:
     ]
     for name in names:
         drawn.append(_save(draw_trajectory(name, motions[name], task), folder / f"trajectory_{name}.png"))
-        drawn.append(_save(draw_arm(name, motions[name], task, summary["configurations"][name]["springs"]), folder / f"arm_{name}.png"))
+        drawn.append(
+            _save(draw_arm(name, motions[name], task, summary["configurations"][name]["springs"]), folder / f"arm_{name}.png")
+        )
     return drawn
 
 
@@ -53,7 +55,9 @@ def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
             axis.plot(m["t"][k], load[k], color=_COLOURS[0], lw=1.8, label="load torque" if i == 0 else None)
         change = m["t"][m["phase"] == 0][-1]
         axis.axvline(change, color="0.7", lw=0.8, ls=":")
-        axis.annotate("payload released", (change, 0.97), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right", **_FOOTER)
+        axis.annotate(
+            "payload released", (change, 0.97), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right", **_FOOTER
+        )
         axis.axhline(0, color="0.8", lw=0.8)
         axis.set_title(f"{name}: E1 = {summary['configurations'][name]['E1']:.4g} N²m²s", fontsize=10)
         axis.set_xlabel("time [s]")
@@ -74,7 +78,9 @@ def draw_trajectory(name: str, m: dict, task: Task) -> Any:
         ("ddq", "acceleration [°/s²]", 180 / np.pi, -task.acceleration, task.acceleration),
         ("tau_load", "load torque [Nm]", 1.0, -task.torque, task.torque),
     )
-    figure, axes = plt.subplots(len(quantities), len(task.joints), figsize=(5.5 * len(task.joints), 9), sharex=True, squeeze=False)
+    figure, axes = plt.subplots(
+        len(quantities), len(task.joints), figsize=(5.5 * len(task.joints), 9), sharex=True, squeeze=False
+    )
     change = m["t"][m["phase"] == 0][-1]
     for row, (key, label, unit, lower, upper) in zip(axes, quantities, strict=True):
         for j, axis in enumerate(row):
@@ -104,7 +110,9 @@ def draw_arm(name: str, m: dict, task: Task, springs: dict[str, float]) -> Any:
     for i, axis in enumerate(axes):
         k = np.flatnonzero(m["phase"] == i)
         q = task.full(m["q"][:, k])
-        tool = np.array([np.array(body.tool_position(column, task.tool.position)).ravel() for column in q.T[:: max(1, len(k) // 200)]])
+        tool = np.array(
+            [np.array(body.tool_position(column, task.tool.position)).ravel() for column in q.T[:: max(1, len(k) // 200)]]
+        )
         axis.plot(tool[:, 0], tool[:, 2], color=_COLOURS[1], lw=1.2, label="path of the tool")
         times = np.linspace(m["t"][k[0]], m["t"][k[-1]], 9)
         for n, column in enumerate(np.clip(np.searchsorted(m["t"][k], times), 0, len(k) - 1)):
@@ -113,14 +121,22 @@ def draw_arm(name: str, m: dict, task: Task, springs: dict[str, float]) -> Any:
             if "k_b" in springs and n in (0, 8):
                 a, b = (int(j) for j in task.moving[:2])
                 base, elbow, shoulder = np.zeros(3), points[b + 1], points[a + 1]
-                axis.plot([base[0], shoulder[0], elbow[0]], [base[2], shoulder[2] + 0.02, elbow[2] + 0.02], color="crimson", lw=1, ls="-.")
+                axis.plot(
+                    [base[0], shoulder[0], elbow[0]],
+                    [base[2], shoulder[2] + 0.02, elbow[2] + 0.02],
+                    color="crimson",
+                    lw=1,
+                    ls="-.",
+                )
         for joint in task.moving:
             if f"k_p{joint + 1}" in springs:
                 for column in (0, -1):
                     x, _, z = _joints(body, q[:, column], task)[joint + 1]
                     axis.plot(x, z, "o", mfc="none", mec="crimson", ms=13, mew=1.2)
         payload = task.payloads[i]
-        axis.set_title(f"{name}: {PHASES[i]}, {payload:g} kg, {m['t'][k[-1]] - m['t'][k[0]]:.2f} s (dark to light)", fontsize=10)
+        axis.set_title(
+            f"{name}: {PHASES[i]}, {payload:g} kg, {m['t'][k[-1]] - m['t'][k[0]]:.2f} s (dark to light)", fontsize=10
+        )
         axis.set_aspect("equal")
         axis.set_xlabel("x [m]")
     axes[0].set_ylabel("z [m]")
@@ -155,7 +171,9 @@ def draw_landscape(summary: dict) -> Any:
                     mec=_COLOURS[0],
                     alpha=0.8,
                 )
-                axis.annotate(str(o["reached"]), (o["durations"][phase], o["E1"]), textcoords="offset points", xytext=(7, 3), **_FOOTER)
+                axis.annotate(
+                    str(o["reached"]), (o["durations"][phase], o["E1"]), textcoords="offset points", xytext=(7, 3), **_FOOTER
+                )
             axis.set_xlabel(f"duration of {phase} [s]")
             if row == 0:
                 axis.set_title(name, fontsize=10)

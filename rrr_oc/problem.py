@@ -46,7 +46,9 @@ class Phase:
         for name, size in (("x", nx), ("u", nu), ("path", ng)):
             lower, upper = getattr(self, f"{name}_lower"), getattr(self, f"{name}_upper")
             if np.shape(lower) != (size,) or np.shape(upper) != (size,):
-                raise UserError(f"phase {self.name!r}: {name} bounds have shapes {np.shape(lower)}, {np.shape(upper)}, not ({size},)")
+                raise UserError(
+                    f"phase {self.name!r}: {name} bounds have shapes {np.shape(lower)}, {np.shape(upper)}, not ({size},)"
+                )
             names = {"x": self.states, "u": self.controls, "path": self.paths}[name]
             for i in np.flatnonzero(~(lower <= upper)):
                 raise UserError(f"phase {self.name!r}: bounds of {names[i]} are crossed: {lower[i]:g} … {upper[i]:g}")
@@ -55,7 +57,8 @@ class Phase:
                 raise UserError(f"phase {self.name!r}: {name} has shape {np.shape(values)}, not ({nx},)")
             for i in np.flatnonzero((values < self.x_lower) | (values > self.x_upper)):
                 raise UserError(
-                    f"phase {self.name!r}: {name} of {self.states[i]} is {values[i]:g}, outside {self.x_lower[i]:g} … {self.x_upper[i]:g}"
+                    f"phase {self.name!r}: {name} of {self.states[i]} is {values[i]:g}, "
+                    f"outside {self.x_lower[i]:g} … {self.x_upper[i]:g}"
                 )
         for name, scale, size in (("x_scale", self.x_scale, nx), ("u_scale", self.u_scale, nu)):
             if np.shape(scale) != (size,) or not np.all(np.asarray(scale) > 0):
@@ -94,7 +97,9 @@ class Problem:
     def __post_init__(self) -> None:
         for name in ("p_lower", "p_upper", "p_scale"):
             if np.shape(getattr(self, name)) != (len(self.parameters),):
-                raise UserError(f"{name} has shape {np.shape(getattr(self, name))}, and there are {len(self.parameters)} parameters")
+                raise UserError(
+                    f"{name} has shape {np.shape(getattr(self, name))}, and there are {len(self.parameters)} parameters"
+                )
         if self.design is not None and self.design.numel_out(0) != len(self.designs):
             raise UserError(f"design returns {self.design.numel_out(0)} inequalities, and there are {len(self.designs)} names")
         for i in np.flatnonzero(~(self.p_lower <= self.p_upper)):

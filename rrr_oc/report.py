@@ -37,7 +37,8 @@ def report(summary: dict[str, Any]) -> str:
     found = summary["configurations"]
     parts = [
         f"# Co-design of springs and motion, preset `{summary['preset']}`\n",
-        f"Cost: {summary['cost']}. Seed {summary['seed']}, {summary['starts']} starts a configuration, {summary['wall_s']:.0f} s.\n",
+        f"Cost: {summary['cost']}. Seed {summary['seed']}, {summary['starts']} starts a configuration, "
+        f"{summary['wall_s']:.0f} s.\n",
         "## Optima\n",
         _optima_table(found),
         "`published springs`: Table 4's hardware, its motion re-optimised on this model. `engine`: re-simulated in MuJoCo with "
@@ -52,7 +53,18 @@ def report(summary: dict[str, Any]) -> str:
 
 
 def _optima_table(found: dict) -> str:
-    header = ["", "E1 [N²m²s]", "decrease", "published springs", "engine", "energy balance", "mesh error", "smoothing", "2nd order", "wall [s]"]
+    header = [
+        "",
+        "E1 [N²m²s]",
+        "decrease",
+        "published springs",
+        "engine",
+        "energy balance",
+        "mesh error",
+        "smoothing",
+        "2nd order",
+        "wall [s]",
+    ]
     stiff = found.get("SA", {}).get("E1")
     rows = []
     for name, c in found.items():
@@ -94,7 +106,11 @@ def _table_3(found: dict) -> str:
 
 
 def _table_4(found: dict) -> str:
-    names = [n for n in ("k_p2", "q_eq2", "k_p3", "q_eq3", "k_b", "q_0", "r_1", "r_2", "r_3") if any(n in c["springs"] for c in found.values())]
+    names = [
+        n
+        for n in ("k_p2", "q_eq2", "k_p3", "q_eq3", "k_b", "q_0", "r_1", "r_2", "r_3")
+        if any(n in c["springs"] for c in found.values())
+    ]
     names += sorted({n for c in found.values() for n in c["springs"]} - set(names))
     theirs, rows = published()["springs"], []
     for name, c in found.items():
@@ -117,9 +133,11 @@ def _certificate(name: str, c: dict) -> str:
     lines = [
         f"### {name}\n",
         f"Residuals: primal {k['primal']:.1e}, dual {k['dual']:.1e}, complementarity {k['complementarity']:.1e} (scaled). "
-        f"Second-order condition: {k['second_order']}, smallest curvature {k['curvature']:.1e} along {', '.join(k['flattest'])}. "
-        f"Error between the nodes {k['mesh']['error']:.1e}{'' if k['mesh']['converged'] else ' (tolerance not met)'}, limits exceeded between the nodes by at most {k['violation']:.1e} of "
-        f"their scale. Exact springs on this motion: E1 = {k['exact_cost']:.4f}. An adaptive integrator run with these controls "
+        f"Second-order condition: {k['second_order']}, smallest curvature {k['curvature']:.1e} along "
+        f"{', '.join(k['flattest'])}. Error between the nodes {k['mesh']['error']:.1e}"
+        f"{'' if k['mesh']['converged'] else ' (tolerance not met)'}, limits exceeded between the nodes by at most "
+        f"{k['violation']:.1e} of their scale. Exact springs on this motion: E1 = {k['exact_cost']:.4f}. "
+        "An adaptive integrator run with these controls "
         f"ends {k['reintegration']['state']:.1e} away with a cost that differs by {k['reintegration']['cost']:.1e}. "
         f"The tool comes down to {c['lowest_tool_m']:.3f} m above the base. "
         f"{100 * k['share']:.0f} % of the starts reached it. One more kg of payload: {100 * k['sensitivity']:+.1f} % of E1.\n",
@@ -129,8 +147,9 @@ def _certificate(name: str, c: dict) -> str:
         cover = c["catalogue"]
         left = "" if cover["margin"] is None else f" The best one left out screens {100 * cover['margin']:.1f} % above it."
         lines.append(
-            f"\nCatalogue: {cover['combinations']} combinations, {cover['distinct']} distinct; {cover['solved']} solved with the "
-            f"hardware held, {cover['relaxed']} to screen, {cover['failed']} failed.{left} Cost of buying instead of making: "
+            f"\nCatalogue: {cover['combinations']} combinations, {cover['distinct']} distinct; {cover['solved']} solved "
+            f"with the hardware held, {cover['relaxed']} to screen, {cover['failed']} failed.{left} "
+            "Cost of buying instead of making: "
             f"{100 * cover['gap']:+.1f} % against the continuous optimum."
         )
     if c.get("optima"):

@@ -11,6 +11,9 @@ import pinocchio as pin
 
 from rrr_oc.errors import UserError
 
+# pyright: reportAttributeAccessIssue=false
+# (pin's wheel has no stubs)
+
 BUNDLED = ("rrr", "rrr_prototype")
 _ENDLESS = "1e300"  # the URDF parser refuses "inf"
 
@@ -160,14 +163,22 @@ def _parse(name: str, text: str) -> pin.Model:
         if kind is None:
             continue  # <joint> of a <transmission>
         if kind not in ("fixed", "revolute", "continuous"):
-            raise UserError(f"robot {name!r}: joint {joint.get('name')!r} is {kind}; allowed are revolute, continuous and fixed")
+            raise UserError(
+                f"robot {name!r}: joint {joint.get('name')!r} is {kind}; allowed are revolute, continuous and fixed"
+            )
         if joint.find("mimic") is not None:
             raise UserError(f"robot {name!r}: joint {joint.get('name')!r} mimics another; every joint must move on its own")
         if kind == "continuous":  # an angle without end is still one coordinate here
             joint.set("type", "revolute")
             limit = joint.find("limit")
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-            limit.attrib = {"effort": _ENDLESS, "velocity": _ENDLESS, **limit.attrib, "lower": f"-{_ENDLESS}", "upper": _ENDLESS}
+            limit.attrib = {
+                "effort": _ENDLESS,
+                "velocity": _ENDLESS,
+                **limit.attrib,
+                "lower": f"-{_ENDLESS}",
+                "upper": _ENDLESS,
+            }
         elif kind == "revolute" and joint.find("limit") is None:
             raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
     try:
@@ -194,8 +205,8 @@ def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None
         mass = parameters[0, i]
         if not mass > 0:
             raise UserError(
-                f"robot {name!r}: link {_moved_link(model, i + 1)!r}, moved by joint {model.names[i + 1]!r}, has mass {mass:g} kg; "
-                "a moving link needs a mass above 0"
+                f"robot {name!r}: link {_moved_link(model, i + 1)!r}, moved by joint {model.names[i + 1]!r}, has mass "
+                f"{mass:g} kg; a moving link needs a mass above 0"
             )
         inertia = model.inertias[i + 1].inertia
         moments = np.linalg.eigvalsh(inertia)

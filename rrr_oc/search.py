@@ -1,10 +1,9 @@
 """Global search: CMA-ES proposes springs, durations and coarse paths, IPOPT polishes each; Sobol points are its rival."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 import cma
-import joblib
 import numpy as np
 from scipy.stats import qmc
 
@@ -12,6 +11,7 @@ from rrr_oc.codesign import HARDWARE, CoDesign, motion_guess
 from rrr_oc.collocation import Transcription, scheme, uniform_mesh
 from rrr_oc.effects.biarticular_spring import reduced
 from rrr_oc.optimality import Kkt
+from rrr_oc.parallel import ordered, unordered
 from rrr_oc.problem import Guess
 from rrr_oc.solve import Options, Refinement, Solution, Solver, SolverFailure, continue_in, refine
 
@@ -184,7 +184,9 @@ def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, 
 def search(
     design: CoDesign, options: SearchOptions | None = None, progress: Callable[[Start], None] | None = None
 ) -> SearchResult:
-    """Search the best co-design: polish all proposals on a coarse mesh, solve the distinct optima on a fine one, refine the best.
+    """Search the best co-design.
+
+    All proposals are polished on a coarse mesh, the distinct optima solved on a fine one, and the best of them refined.
 
     Ctrl-C ends the search early with what it has found so far.
 
@@ -194,27 +196,26 @@ def search(
     options = options or SearchOptions()
     starts: list[Start] = []
     interrupted = False
-    with joblib.Parallel(n_jobs=options.jobs, return_as="generator_unordered", batch_size=1) as parallel:
-        try:
-            for start in _proposals(design, options, parallel):
-                starts.append(start)
-                if progress:
-                    progress(start)
-        except KeyboardInterrupt:
-            interrupted = True
+    try:
+        for start in _proposals(design, options):
+            starts.append(start)
+            if progress:
+                progress(start)
+    except KeyboardInterrupt:
+        interrupted = True
     if not any(s.w.size for s in starts):
         _explain(design, options, starts)
     optima = _keep(design, options, starts, interrupted)
     return SearchResult(design, optima, tuple(starts), interrupted)
 
 
-def _proposals(design: CoDesign, options: SearchOptions, parallel: joblib.Parallel) -> Iterator[Start]:
+def _proposals(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
     key, size, half = (id(design), options.seed), dimensions(design, options.via), (options.starts + 1) // 2
 
-    def polish(layer: str, vectors: Sequence[np.ndarray]) -> Iterator[tuple[int, Start]]:
-        yield from parallel(joblib.delayed(_polish)(key, design, options, layer, i, v) for i, v in enumerate(vectors))
+    def polish(layer: str, vectors: Iterable[np.ndarray]) -> Iterator[tuple[int, Start]]:
+        return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)], options.jobs)
 
-    sobol = qmc.Sobol(size, seed=options.seed).random(2 ** int(np.ceil(np.log2(max(half, 1)))))[:half]
+    sobol = qmc.Sobol(size, rng=options.seed).random(2 ** int(np.ceil(np.log2(max(half, 1)))))[:half]
     for _, start in polish("sobol", sobol):
         yield start
     left = options.starts - half
@@ -278,7 +279,7 @@ def _keep(design: CoDesign, options: SearchOptions, starts: list[Start], interru
         solution = Solution(coarse, start.w, np.empty(0), np.empty(0), start.polished, start.message, 0, 0.0)
         _join(groups, Optimum(solution, [], 1))
     kept = groups[: 1 if interrupted else options.kept]
-    followed = _parallel(options, _follow, [(design, options, g.solution.guess()) for g in kept])
+    followed = ordered(_follow, [(design, options, g.solution.guess()) for g in kept], options.jobs)
     optima: list[Optimum] = []
     for group, packed in zip(kept, followed, strict=True):
         if packed is not None:
@@ -289,7 +290,9 @@ def _keep(design: CoDesign, options: SearchOptions, starts: list[Start], interru
     limit = optima[0].solution.cost * (1 + options.within)
     chosen = [o for o in optima if o.solution.cost <= limit]
     refined: list[Optimum] = []
-    for optimum, packed in zip(chosen, _parallel(options, _refine, [(design, options, _pack(o)) for o in chosen]), strict=True):
+    for optimum, packed in zip(
+        chosen, ordered(_refine, [(design, options, _pack(o)) for o in chosen], options.jobs), strict=True
+    ):
         _join(refined, Optimum(_unpack(design, options, packed), packed.rows, optimum.reached))
     refined.sort(key=lambda o: o.solution.cost)
     return (*refined, *optima[len(chosen) :])
@@ -301,10 +304,8 @@ def continued(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) -> l
     Returns:
         (index of the start, optimum), best first; starts that led nowhere are missing.
     """
-    packed = _parallel(options, _follow, [(design, options, guess) for design, guess in starts])
-    found = [
-        (i, Optimum(_unpack(starts[i][0], options, p), p.rows, 1)) for i, p in enumerate(packed) if p is not None
-    ]
+    packed = ordered(_follow, [(design, options, guess) for design, guess in starts], options.jobs)
+    found = [(i, Optimum(_unpack(starts[i][0], options, p), p.rows, 1)) for i, p in enumerate(packed) if p is not None]
     found.sort(key=lambda pair: pair[1].solution.cost)
     if found:
         index, optimum = found[0]
@@ -337,11 +338,9 @@ def _pack(optimum: Optimum) -> _Packed:
 
 def _unpack(design: CoDesign, options: SearchOptions, packed: _Packed) -> Solution:
     problem = replace(design.problem, data=packed.data)
-    return Solution(Transcription(problem, scheme(options.scheme, options.stages), packed.mesh), *packed.arrays, *packed.numbers)
-
-
-def _parallel(options: SearchOptions, function: Callable, arguments: list[tuple]) -> list:
-    return list(joblib.Parallel(n_jobs=options.jobs, batch_size=1)(joblib.delayed(function)(*a) for a in arguments))
+    return Solution(
+        Transcription(problem, scheme(options.scheme, options.stages), packed.mesh), *packed.arrays, *packed.numbers
+    )
 
 
 def _follow(design: CoDesign, options: SearchOptions, guess: Guess) -> _Packed | None:

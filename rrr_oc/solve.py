@@ -305,7 +305,9 @@ class Refinement:
     largest: int = 640
 
 
-def refine(solution: Solution, refinement: Refinement | None = None, options: Options | None = None) -> tuple[Solution, list[dict]]:
+def refine(
+    solution: Solution, refinement: Refinement | None = None, options: Options | None = None
+) -> tuple[Solution, list[dict]]:
     """Solve on finer meshes until the error between the nodes and the change of the cost are below the tolerance.
 
     Intervals whose error is too large are split in two, or in up to four by the scheme's order; the rest stay. The barrier

@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -119,7 +119,7 @@ def load_task(source: str | Path) -> Task:
         tool = robot.point(content["tool"]["link"], content["tool"]["position_m"])
     limits = _limits(where, robot, moving, content["limits"])
     low, high = _pair(where, "duration_s", content["duration_s"])
-    if not 0 < low:
+    if not low > 0:
         raise UserError(f"{where}: duration_s must be above 0, got {low:g} … {high:g}")
     payload = float(content["payload_kg"])
     if not 0 <= payload < np.inf:
@@ -146,13 +146,16 @@ def load_task(source: str | Path) -> Task:
 
 def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
     """Raise `UserError` where the limits leave no motion: too little time for the way, or an end below the floor."""
-    for joint, way, speed, acceleration in zip(task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True):
+    for joint, way, speed, acceleration in zip(
+        task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
+    ):
         ramp = speed / acceleration  # time to full speed; 0 without an acceleration limit
         needed = way / speed + ramp if way > speed * ramp else 2 * np.sqrt(way / acceleration)
         if needed > task.duration[1]:
             raise UserError(
                 f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}° at "
-                f"{np.degrees(speed):.1f} °/s and {np.degrees(acceleration):.4g} °/s², and duration_s allows {task.duration[1]:g} s"
+                f"{np.degrees(speed):.1f} °/s and {np.degrees(acceleration):.4g} °/s², and duration_s allows "
+                f"{task.duration[1]:g} s"
             )
     for end, q in (("start", task.start), ("release", task.release)):
         height = float(tool_height(task, body, task.full(q)))
@@ -260,7 +263,10 @@ def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where:
 
     low, high = np.maximum(task.lower, -np.pi), np.minimum(task.upper, np.pi)
     starts = low + (high - low) * np.random.default_rng(0).random((32, len(columns)))
-    fits = [least_squares(error, s, slope, bounds=(low - 1e-9, high + 1e-9), xtol=1e-15, ftol=1e-15, gtol=1e-15) for s in starts]
+    fits = [
+        least_squares(error, s, cast(Any, slope), bounds=(low - 1e-9, high + 1e-9), xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        for s in starts
+    ]
     reached = [fit.x for fit in fits if np.abs(fit.fun).max() < 1e-8]
     if not reached:
         nearest = min(float(np.linalg.norm(fit.fun)) for fit in fits)

@@ -43,13 +43,17 @@ console = Console()
 
 def main(
     preset: Annotated[str, typer.Option(help=f"{', '.join(PRESETS)}, or the path of a task file")] = "paper",
-    configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(CONFIGURATIONS),
+    configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
+        CONFIGURATIONS
+    ),
     starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 40,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/pea_bpea"),
     cost: Annotated[str, typer.Option(help="load (Eq. 13), motor (motor torque squared, Eq. 7) or energy (Eq. 11)")] = "load",
     actuators: Annotated[str, typer.Option(help="'prototype' or a JSON file, for the costs motor and energy")] = "prototype",
-    catalogue: Annotated[str, typer.Option(help="'prototype', a JSON file, or 'none' to leave the starred designs out")] = "prototype",
+    catalogue: Annotated[
+        str, typer.Option(help="'prototype', a JSON file, or 'none' to leave the starred designs out")
+    ] = "prototype",
     catalogue_search: Annotated[str, typer.Option(help="for BPEA*: " + " or ".join(METHODS))] = "exhaustive",
     tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
     jobs: Annotated[int, typer.Option(help="processes; -1 for all cores")] = -1,
@@ -63,11 +67,19 @@ def main(
     if catalogue_search not in METHODS:
         raise UserError(f"--catalogue-search is {catalogue_search!r}; allowed are {', '.join(METHODS)}")
     options = SearchOptions(starts=starts, seed=seed, jobs=jobs, refinement=Refinement(tolerance))
-    asked = {"preset": preset, "cost": cost, "catalogue": catalogue, "catalogue_search": catalogue_search, "options": asdict(options)}
+    asked = {
+        "preset": preset,
+        "cost": cost,
+        "catalogue": catalogue,
+        "catalogue_search": catalogue_search,
+        "options": asdict(options),
+    }
     asked["task"] = (Path(preset).read_text() if Path(preset).is_file() else preset, actuators if drives else None)
     found: dict[str, Any] = {}
     for name, design in designs.items():
-        found |= _once(out, name, asked, lambda name=name, design=design: _solve(name, design, options, shop, catalogue_search, out))
+        found |= _once(
+            out, name, asked, lambda name=name, design=design: _solve(name, design, options, shop, catalogue_search, out)
+        )
     summary = {
         "preset": task.name,
         "cost": {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}[cost],
@@ -76,7 +88,9 @@ def main(
         "wall_s": time.perf_counter() - began,
         "versions": {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},
         "options": plain(asdict(options)),
-        "configurations": dict(sorted(found.items(), key=lambda item: (item[0].endswith("*"), list(CONFIGURATIONS).index(item[0].rstrip("*"))))),
+        "configurations": dict(
+            sorted(found.items(), key=lambda item: (item[0].endswith("*"), list(CONFIGURATIONS).index(item[0].rstrip("*"))))
+        ),
     }
     write_json(out / "summary.json", summary)
     text = report(summary)
@@ -131,10 +145,16 @@ def _search(name: str, design: CoDesign, options: SearchOptions) -> SearchResult
             return search(design, options, show)
         except SolverFailure as failure:
             limits = "; ".join(
-                f"{j}: {np.degrees(lo):.0f} … {np.degrees(hi):.0f}°, {np.degrees(v):.0f} °/s, {np.degrees(a):.0f} °/s², {tau:g} Nm"
+                f"{j}: {np.degrees(lo):.0f} … {np.degrees(hi):.0f}°, {np.degrees(v):.0f} °/s, {np.degrees(a):.0f} °/s², "
+                f"{tau:g} Nm"
                 for j, lo, hi, v, a, tau in zip(
-                    design.task.joints, design.task.lower, design.task.upper, design.task.speed, design.task.acceleration,
-                    design.task.torque, strict=True,
+                    design.task.joints,
+                    design.task.lower,
+                    design.task.upper,
+                    design.task.speed,
+                    design.task.acceleration,
+                    design.task.torque,
+                    strict=True,
                 )
             )
             raise UserError(
@@ -147,12 +167,23 @@ def _buy(name: str, design: CoDesign, result: SearchResult, shop, options: Searc
     with _progress() as progress:
         row = progress.add_task(name, total=None, best="")
         return search_catalogue(
-            design, result.best.solution, shop, options, method, lambda done: progress.update(row, completed=done, best="choices solved")
+            design,
+            result.best.solution,
+            shop,
+            options,
+            method,
+            lambda done: progress.update(row, completed=done, best="choices solved"),
         )
 
 
 def _progress() -> Progress:
-    columns = (TextColumn("{task.description:12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[best]}"))
+    columns = (
+        TextColumn("{task.description:12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[best]}"),
+    )
     return Progress(*columns, console=console)
 
 

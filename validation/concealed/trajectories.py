@@ -32,18 +32,6 @@ def from_rest(t: np.ndarray, ramp: float = 1.5) -> np.ndarray:
     return np.where(t < ramp, ramp * (u**3 - u**4 / 2), t - ramp / 2)
 
 
-def squeezed(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The path shrunk about the middle of each joint's range until it fits; cut off, it would jerk."""
-    centre, half = 0.5 * (low + high)[:, None], 0.5 * (high - low)[:, None]
-    reach = np.max(np.abs(q - centre) / half, axis=1, keepdims=True)
-    return centre + (q - centre) / np.maximum(reach, 1.0)
-
-
-def from_rest(t: np.ndarray, ramp: float = 1.0) -> np.ndarray:
-    """Time whose rate rises from 0 to 1 over the first `ramp` seconds, so that every reference starts at rest."""
-    return np.where(t < ramp, t**2 / (2 * ramp), t - ramp / 2)
-
-
 def sweep(low, high, t, rng, first: float, last: float) -> np.ndarray:
     """Eq. 14 about a random centre: q = c + a t/T sin 2π (f0 t + (f1 − f0) t² / 2T)."""
     total, n = t[-1], len(low)
@@ -89,7 +77,7 @@ def pick_and_place(arm, t, low, high, rng) -> np.ndarray:
 
 
 def slowed(q: np.ndarray, t: np.ndarray, speed: np.ndarray, acceleration: float = 6.0) -> np.ndarray:
-    """The same path at a lower pace, where it would be faster than `speed` [rad/s] or `acceleration` [rad/s²]; the end is cut."""
+    """The same path at a lower pace, where it would exceed `speed` [rad/s] or `acceleration` [rad/s²]; the end is cut."""
     dq = np.gradient(q, t, axis=1)
     pace = np.max(np.abs(dq).max(axis=1) / speed)
     pace = max(pace, np.sqrt(np.abs(np.gradient(dq, t, axis=1)[:, 2:-2]).max() / acceleration))
