@@ -127,7 +127,7 @@ def search_catalogue(
     """The best purchasable hardware, near the continuous optimum `start`, everything else re-optimised for each choice.
 
     Parallel springs alone: every choice is solved. A biarticular spring alone: every distinct (kappa, rho) is solved
-    (`method="exhaustive"`: on a mesh of 10 intervals, the best hundred again on the usual coarse mesh), or all are screened
+    (`method="exhaustive"`: by Hermite–Simpson on 10 intervals, the best 200 again on the usual coarse mesh), or all are screened
     and the best solved (`method="screened"`, see `_screened`), as they always are for both kinds together.
     """
     if method not in METHODS:
@@ -142,8 +142,8 @@ def search_catalogue(
     else:
         choices = [_merge(design, c) for c in itertools.product(*springs)]
         if bar is not None:
-            rough = _Runner(design, start, replace(options, coarse=10), progress)
-            choices = [choice for _, choice, _ in rough.all(choices)[:100]]
+            rough = _Runner(design, start, replace(options, scheme="hermite-simpson", coarse=10), progress)
+            choices = [choice for _, choice, _ in rough.all(choices)[:200]]
             run.solved, run.failed = rough.solved - len(choices), rough.failed
         ranked = [(cost, choice) for cost, choice, _ in run.all(choices)]
     coverage = Coverage(combinations, distinct, run.solved - counts["relaxed"], **counts, failed=run.failed)

@@ -1,7 +1,7 @@
 """A model: a robot with effects. One symbolic definition for optimal control, simulation and identification."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -12,6 +12,8 @@ from rrr_oc.errors import UserError
 from rrr_oc.parameters import Parameter
 from rrr_oc.rigid_body import RigidBody, rigid_body, with_payload
 from rrr_oc.robot import Robot, ToolPoint
+
+CHAIN = ("q", "dq", "ddq", "time", "payload", "theta", "widths", "inertial")  # arguments of `Model.motor_inverse`
 
 
 @dataclass(frozen=True)
@@ -66,14 +68,13 @@ class Model:
         return {self.label(e): {p.name: next(numbers) for p in e.parameters} for e in self.effects}
 
     def effect_torques(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> list[ca.SX]:
-        """For each effect its torque on all joints [Nm], each (n,)."""
-        torques = []
-        for effect, named, width in self._unpacked(theta, widths):
-            torque = ca.SX.zeros(self.robot.n)
-            for joint, value in zip(effect.joints, effect.torque(signals, named, width), strict=True):
-                torque[joint] += value
-            torques.append(torque)
-        return torques
+        """For each effect its torque on all joints [Nm], each (n,); `signals` must hold what the effects depend on."""
+        return [self._on_joints(e, signals, named, width) for e, named, width in self._unpacked(theta, widths)]
+
+    def side_torque(self, side: str, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
+        """Torque of all effects that act on one side, of `effects.effect.SIDES`, on all joints (n,) [Nm]."""
+        torques = [self._on_joints(e, signals, named, width) for e, named, width in self._unpacked(theta, widths) if e.side == side]
+        return sum(torques, ca.SX.zeros(self.robot.n))
 
     def stored_energy(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
         """Energy stored by all effects [J]."""
@@ -85,18 +86,42 @@ class Model:
 
         Eq. 6: tau_load = M ddq + C dq + G − tau_spring, where tau_spring sums the effects that act on the links.
         """
-        n, (q, dq, ddq, payload, theta, widths) = self.robot.n, self._symbols("q", "dq", "ddq")
+        q, dq, ddq, payload, theta, widths = self._symbols("q", "dq", "ddq")
         inertial = with_payload(self.robot.inertial, self.tool.joint, payload, self.tool.position)
         total = self.body.inverse_dynamics(q, dq, ddq, inertial, self.robot.gravity)
-        spring = self._link_torque(Signals(q, dq, ddq, payload=payload), theta, widths, n)
+        spring = self.side_torque("link", Signals(q, dq, ddq, payload=payload), theta, widths)
         return ca.Function("inverse", [q, dq, ddq, payload, theta, widths], [total - spring, spring])
+
+    @cached_property
+    def motor_inverse(self) -> ca.Function:
+        """(q, dq, ddq, time, payload, theta, widths, inertial) -> (tau_motor, tau_load), each (n,) [Nm].
+
+        On the way from the motion to the motor: Eq. 6, tau_load = M ddq + C dq + G − (torque of the effects on the links); then
+        tau_motor = tau_load − (torque of the effects in the drives), which may depend on tau_load. `inertial` is (10, n), without
+        payload; `time` [s] is since the start of the motion. Call it on whole (n, K) arrays.
+        """
+        arguments, motor, load = self._motor_chain()
+        return ca.Function("motor_inverse", arguments, [motor, load], list(CHAIN), ["tau_motor", "tau_load"])
+
+    @cached_property
+    def motor_jacobian(self) -> ca.Function:
+        """Arguments of `motor_inverse` -> d tau_motor / d theta (n, number of parameters), exact; (n, K) arrays side by side."""
+        arguments, motor, _ = self._motor_chain()
+        return ca.Function("motor_jacobian", arguments, [ca.densify(ca.jacobian(motor, arguments[5]))], list(CHAIN), ["jacobian"])
+
+    @cached_property
+    def motor_inertial_jacobian(self) -> ca.Function:
+        """Arguments of `motor_inverse` -> d tau_motor / d inertial (n, 10 n), link by link in `Robot.inertial`'s order."""
+        arguments, motor, _ = self._motor_chain()
+        jacobian = ca.densify(ca.jacobian(motor, arguments[7]))
+        return ca.Function("motor_inertial_jacobian", arguments, [jacobian], list(CHAIN), ["jacobian"])
 
     @cached_property
     def forward(self) -> ca.Function:
         """(q, dq, tau_load, payload, theta, widths) -> ddq (n,) [rad/s²], the inverse of `inverse` in its third argument."""
-        n, (q, dq, tau, payload, theta, widths) = self.robot.n, self._symbols("q", "dq", "tau")
+        q, dq, tau, payload, theta, widths = self._symbols("q", "dq", "tau")
         inertial = with_payload(self.robot.inertial, self.tool.joint, payload, self.tool.position)
-        spring = self._link_torque(Signals(q, dq, payload=payload), theta, widths, n)
+        spring = self.side_torque("link", Signals(q, dq, payload=payload), theta, widths)
         ddq = self.body.forward_dynamics(q, dq, tau + spring, inertial, self.robot.gravity)
         return ca.Function("forward", [q, dq, tau, payload, theta, widths], [ddq])
 
@@ -115,9 +140,22 @@ class Model:
         stored = self.stored_energy(Signals(q, dq, payload=payload), theta, widths)
         return ca.Function("energy", [q, dq, payload, theta, widths], [kinetic, potential, stored])
 
-    def _link_torque(self, signals: Signals, theta: ca.SX, widths: ca.SX, n: int) -> ca.SX:
-        torques = self.effect_torques(signals, theta, widths)
-        return sum((t for e, t in zip(self.effects, torques, strict=True) if e.side == "link"), ca.SX.zeros(n))
+    def _motor_chain(self) -> tuple[list[ca.SX], ca.SX, ca.SX]:
+        """Arguments in the order of `CHAIN`, motor torque and load torque."""
+        q, dq, ddq, payload, theta, widths = self._symbols("q", "dq", "ddq")
+        time, inertial = ca.SX.sym("time"), ca.SX.sym("inertial", 10, self.robot.n)
+        carried = with_payload(inertial, self.tool.joint, payload, self.tool.position)
+        signals = Signals(q, dq, ddq, time=time, payload=payload)
+        load = self.body.inverse_dynamics(q, dq, ddq, carried, self.robot.gravity)
+        load -= self.side_torque("link", signals, theta, widths)
+        motor = load - self.side_torque("drive", replace(signals, load=load), theta, widths)
+        return [q, dq, ddq, time, payload, theta, widths, inertial], motor, load
+
+    def _on_joints(self, effect: Effect, signals: Signals, named, width) -> ca.SX:
+        torque = ca.SX.zeros(self.robot.n)
+        for joint, value in zip(effect.joints, effect.torque(signals, named, width), strict=True):
+            torque[joint] += value
+        return torque
 
     def _unpacked(self, theta, widths):
         i = w = 0

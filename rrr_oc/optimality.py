@@ -73,20 +73,37 @@ class Kkt:
             necessary condition); or "violated". The smallest curvature (eigenvalue for variables weighted by their share of
             time), and its direction (size of w), unit length in those weights.
         """
-        hessian, jacobian = _sparse(ca.triu2symm(self.hessian)), _sparse(self.jacobian)
+        verdict = self.verdict()
+        value, direction = self._curvature(self.at_bound, self.active_rows)
+        return verdict, value, direction
 
-        def curvature(at_bound: np.ndarray, active_rows: np.ndarray) -> tuple[float, np.ndarray]:
-            free, rows = np.flatnonzero(~at_bound), np.flatnonzero(active_rows)
-            value, vector = _smallest(hessian[free][:, free], jacobian[rows][:, free], self.weights[free])
-            direction = np.zeros(at_bound.size)
-            direction[free] = vector
-            return value, direction
+    def verdict(self) -> str:
+        """The verdict of `second_order` alone, from the inertia of one or two factorisations."""
+        if self._below(self.at_bound, self.active_rows, 0.0) == 0:
+            return "strict"
+        return "weak" if self._below(self.near_bound, self.near_rows, -FLAT) == 0 else "violated"
 
-        value, direction = curvature(self.at_bound, self.active_rows)
-        if value > 0:
-            return "strict", value, direction
-        near, _ = curvature(self.near_bound, self.near_rows)
-        return "weak" if near > -FLAT else "violated", value, direction
+    def _reduced(self, at_bound: np.ndarray, active_rows: np.ndarray):
+        free, rows = np.flatnonzero(~at_bound), np.flatnonzero(active_rows)
+        return self._H[free][:, free], self._A[rows][:, free], self.weights[free], free
+
+    def _below(self, at_bound: np.ndarray, active_rows: np.ndarray, shift: float) -> int:
+        return _below(*self._reduced(at_bound, active_rows)[:3], shift)
+
+    def _curvature(self, at_bound: np.ndarray, active_rows: np.ndarray) -> tuple[float, np.ndarray]:
+        H, A, weights, free = self._reduced(at_bound, active_rows)
+        value, vector = _smallest(H, A, weights)
+        direction = np.zeros(at_bound.size)
+        direction[free] = vector
+        return value, direction
+
+    @cached_property
+    def _H(self):
+        return _sparse(ca.triu2symm(self.hessian))
+
+    @cached_property
+    def _A(self):
+        return _sparse(self.jacobian)
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -126,14 +143,16 @@ def _factor(H, A, diagonal: np.ndarray, delta: float = 1e-9):
     return factors, int((factors.U.diagonal() < 0).sum())
 
 
-def _smallest(H, A, weights: np.ndarray) -> tuple[float, np.ndarray]:
-    """The smallest eigenvalue of H x = λ diag(weights) x on the null space of A, by bisection on inertia, and its vector.
+def _below(H, A, weights: np.ndarray, shift: float) -> int:
+    """Number of eigenvalues of the reduced Hessian below a shift: what the inertia exceeds the number of rows by."""
+    return _factor(H, A, -shift * weights)[1] - A.shape[0]
 
-    The number of eigenvalues below a shift is what the inertia at that shift exceeds the number of rows by.
-    """
+
+def _smallest(H, A, weights: np.ndarray) -> tuple[float, np.ndarray]:
+    """The smallest eigenvalue of H x = λ diag(weights) x on the null space of A, by bisection on inertia, and its vector."""
 
     def below(shift: float) -> int:
-        return _factor(H, A, -shift * weights)[1] - A.shape[0]
+        return _below(H, A, weights, shift)
 
     low, high = (-1e-6, 1e-6) if below(0.0) == 0 else (-1e-5, 0.0)
     while below(low) > 0:

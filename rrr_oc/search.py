@@ -359,9 +359,10 @@ def _follow(design: CoDesign, options: SearchOptions, guess: Guess) -> _Packed |
 def _descend(solver: Solver, solution: Solution, rounds: int = 3) -> Solution:
     """Leave a saddle: where the curvature is negative along some direction, go both ways along it and solve again."""
     for _ in range(rounds):
-        verdict, _, direction = Kkt(solution).second_order()
-        if verdict != "violated":
+        conditions = Kkt(solution)
+        if conditions.verdict() != "violated":
             break
+        direction = conditions.second_order()[2]
         step = 0.1 * direction / np.abs(direction).max()
         found = []
         for sign in (1, -1):

@@ -7,6 +7,11 @@ from typing import Any, ClassVar
 
 from rrr_oc.parameters import Parameter
 
+SIDES = {
+    "link": "the torque acts on the links beside the drive, as springs do, and enters Eq. 1",
+    "drive": "the torque acts between motor and link, as friction in a gear does, and the motor sees it",
+}  # in the order in which `Model` goes from the motion to the motor torque
+
 
 @dataclass(frozen=True)
 class Signals:
@@ -43,8 +48,7 @@ class Effect(ABC):
             used unless a solver drives it down.
         states: Internal states, nominal = initial value (class attribute).
         load_dependent: Whether its torque depends on `Signals.load`, so that forward dynamics must solve for the load.
-        side: "link": the torque acts on the links beside the drive, as springs do, and enters Eq. 1;
-            "drive": it acts between motor and link, as friction in a gear does, and the motor sees it.
+        side: Where on the way from links to motor it acts (class attribute), see `SIDES`.
         joints: Indices of the joints it acts on.
     """
 

@@ -1,0 +1,29 @@
+"""Dry friction of one joint's drive: bearings, seals and gears that rub without regard to load and speed."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from rrr_oc.effects.effect import Effect
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class DryFriction(Effect):
+    """tau = −level tanh(dq / width): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
+
+    A joint at rest may carry any torque between −level and level; the law gives 0 there. So calibration leaves rests out.
+    """
+
+    name = "dry_friction"
+    parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+
+    def torque(self, signals, theta, width):
+        return (-theta["level"] * ca.tanh(signals.dq[self.joints[0]] / ca.fmax(width, 1e-300)),)
+
+    def native(self, spec, joints, theta):
+        """The joint's `frictionloss`: the exact law, which holds a joint at rest."""
+        spec.joint(joints[self.joints[0]]).frictionloss += theta["level"]
+        return True
