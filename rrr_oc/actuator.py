@@ -91,6 +91,12 @@ class Actuators:
         amperes = self.current(dq, ddq, tau_load)
         return ca.SX(self.resistance) * amperes**2 + ca.SX(self.torque_constant) * ca.vertcat(*_rows(dq)) * amperes
 
+    def check_resistance(self) -> None:
+        """Raise `UserError` where a winding resistance, which electrical power needs, is unknown."""
+        unknown = [j for j, r in zip(self.joints, self.resistance, strict=True) if not np.isfinite(r)]
+        if unknown:
+            raise UserError(f"electrical energy needs resistance_Ohm of {', '.join(unknown)} in the actuator file")
+
     def _friction(self, i: int, v) -> ca.SX:
         """Part that depends on speed alone [A]."""
         s = ca.tanh(20 * v)

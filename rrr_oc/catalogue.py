@@ -127,7 +127,7 @@ def search_catalogue(
     """The best purchasable hardware, near the continuous optimum `start`, everything else re-optimised for each choice.
 
     Parallel springs alone: every choice is solved. A biarticular spring alone: every distinct (kappa, rho) is solved
-    (`method="exhaustive"`: by Hermite–Simpson on 10 intervals, the best 200 again on the usual coarse mesh), or all are screened
+    (`method="exhaustive"`: by Hermite–Simpson on 10 intervals, the best 200 again on the coarse mesh), or all are screened
     and the best solved (`method="screened"`, see `_screened`), as they always are for both kinds together.
     """
     if method not in METHODS:

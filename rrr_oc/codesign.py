@@ -121,6 +121,8 @@ class CoDesign:
             raise UserError(f"unknown cost {self.cost!r}; there are {', '.join(COSTS)}")
         if self.cost != "load" and self.actuators is None:
             raise UserError(f"cost {self.cost!r} needs the actuators of {', '.join(self.task.joints)}")
+        if self.cost == "energy" and self.actuators is not None:
+            self.actuators.check_resistance()
 
     @cached_property
     def model(self) -> Model:

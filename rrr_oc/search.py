@@ -33,6 +33,7 @@ class SearchOptions:
         widths: The widths that follow, down to the reported one [rad].
         kept: Number of distinct optima that are solved on the fine mesh.
         within: Of those, all are refined to the mesh tolerance that lie within this relative distance of the best.
+        hops: Rounds of basin hopping over the durations, from the best of the fine mesh.
         via: Points of a proposed path, per phase and joint.
         population: Of CMA-ES.
         sigma: Initial step size of CMA-ES, on variables in [0, 1].
@@ -50,6 +51,7 @@ class SearchOptions:
     widths: tuple[float, ...] = (0.03, 0.01, 0.003)
     kept: int = 6
     within: float = 0.005
+    hops: int = 2
     via: int = 2
     population: int = 8
     sigma: float = 0.3
@@ -284,9 +286,12 @@ def _keep(design: CoDesign, options: SearchOptions, starts: list[Start], interru
     for group, packed in zip(kept, followed, strict=True):
         if packed is not None:
             _join(optima, Optimum(_unpack(design, options, packed), packed.rows, group.reached))
-    optima.sort(key=lambda o: o.solution.cost)
     if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
+    optima.sort(key=lambda o: o.solution.cost)
+    if not interrupted:
+        _join(optima, _hopped(design, options, optima[0]))
+        optima.sort(key=lambda o: o.solution.cost)
     limit = optima[0].solution.cost * (1 + options.within)
     chosen = [o for o in optima if o.solution.cost <= limit]
     refined: list[Optimum] = []
@@ -296,6 +301,32 @@ def _keep(design: CoDesign, options: SearchOptions, starts: list[Start], interru
         _join(refined, Optimum(_unpack(design, options, packed), packed.rows, optimum.reached))
     refined.sort(key=lambda o: o.solution.cost)
     return (*refined, *optima[len(chosen) :])
+
+
+def _hopped(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
+    """Basin hopping over the durations: near-equal optima differ in the number of swings, so the best one is stretched or
+    shortened, phase by phase, and solved again, as long as that lowers the cost."""
+    for _ in range(options.hops):
+        packed, best = _pack(optimum), optimum
+        tries = [(design, options, packed, i, f, mu) for i in range(2) for f in (0.85, 0.92, 1.08, 1.15) for mu in (1e-2, 1e-6)]
+        for found in ordered(_hop, tries, options.jobs):
+            if found is not None and found.numbers[0] < best.solution.cost * (1 - 1e-5):
+                best = Optimum(_unpack(design, options, found), found.rows, 0)
+        if best is optimum:
+            break
+        optimum = best
+    return replace(optimum, reached=0)
+
+
+def _hop(design: CoDesign, options: SearchOptions, packed: "_Packed", phase: int, factor: float, barrier: float):
+    guess = _unpack(design, options, packed).guess()
+    motions = list(guess.phases)
+    motions[phase] = replace(motions[phase], duration=float(np.clip(factor * motions[phase].duration, *design.task.duration)))
+    solver = Solver(transcribed(design, options, options.fine), Options(barrier=barrier, iterations=200))
+    found = solver.solve(Guess(tuple(motions), guess.parameters), packed.data, check=False)
+    if found.status != "Solve_Succeeded":
+        return None
+    return _pack(Optimum(found, refine(found, Refinement(rounds=0))[1], 0))
 
 
 def continued(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:
