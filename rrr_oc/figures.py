@@ -51,7 +51,7 @@ def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
         for i in range(len(PHASES)):
             k = m["phase"] == i
             axis.plot(m["t"][k], (load + spring)[k], color="0.6", lw=1, label="needed to move" if i == 0 else None)
-            axis.plot(m["t"][k], spring[k], color=_COLOURS[1], lw=1.5, label="springs" if i == 0 and np.any(spring) else None)
+            axis.plot(m["t"][k], spring[k], color=_COLOURS[1], lw=1.5, label="springs" if i == 0 else None)
             axis.plot(m["t"][k], load[k], color=_COLOURS[0], lw=1.8, label="load torque" if i == 0 else None)
         change = m["t"][m["phase"] == 0][-1]
         axis.axvline(change, color="0.7", lw=0.8, ls=":")
@@ -65,7 +65,7 @@ def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
         axis.set_ylabel("sum over joints [Nm]")
     for axis in axes.ravel()[len(motions) :]:
         axis.axis("off")
-    axes[0, 0].legend(fontsize=8, loc="upper right")
+    axes.ravel()[len(motions) - 1].legend(fontsize=8, loc="upper right")
     figure.tight_layout()
     return figure
 
@@ -177,7 +177,9 @@ def draw_landscape(summary: dict) -> Any:
             axis.set_xlabel(f"duration of {phase} [s]")
             if row == 0:
                 axis.set_title(name, fontsize=10)
-            axis.margins(0.25)
+            middle, half = np.mean(axis.get_xlim()), max(0.25, 0.65 * np.ptp(axis.get_xlim()))
+            axis.set_xlim(middle - half, middle + half)
+            axis.margins(y=0.25)
             axis.ticklabel_format(useOffset=False)
     axes[0, 0].set_ylabel("E1 [N²m²s]")
     axes[1, 0].set_ylabel("E1 [N²m²s]")

@@ -311,13 +311,15 @@ def refine(
     """Solve on finer meshes until the error between the nodes and the change of the cost are below the tolerance.
 
     Intervals whose error is too large are split in two, or in up to four by the scheme's order; the rest stay. The barrier
-    starts small, so that a refined solve stays with its optimum where others that cost nearly the same are close by.
+    starts small, so that a refined solve stays with its optimum where others that cost nearly the same are close by. IPOPT's
+    tolerance is a thousandth of the mesh's: what its barrier adds to the cost grows with the number of bounds.
 
     Returns:
         The last solution, and a row a mesh: intervals, cost, error, violation, seconds, and from the second on the cost's
         relative change and whether the tolerance is met. It is not where `rounds` or `largest` ended the refinement.
     """
-    refinement, options = refinement or Refinement(), replace(options or Options(), barrier=1e-8)
+    refinement, options = refinement or Refinement(), options or Options()
+    options = replace(options, barrier=1e-8, tolerance=min(options.tolerance, 1e-3 * refinement.tolerance))
     rows = [_row(solution)]
     for _ in range(refinement.rounds):
         mesh = _split(solution, refinement)
