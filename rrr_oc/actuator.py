@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.parameters import check_names
+from rrr_oc.parameters import read_number, read_object
 from rrr_oc.smooth import ramp
 
 COEFFICIENTS = (
@@ -129,10 +129,15 @@ def load_actuators(joints: Sequence[str], source: str = "prototype", form: str =
         raise UserError(f"no usable actuators at {source!r}: {error}; give a JSON file or 'prototype'") from None
     if form not in ("dissipative", "printed"):
         raise UserError(f"the form of Eq. 9 is 'dissipative' or 'printed', got {form!r}")
+    content = read_object(
+        f"actuators {source!r}", "the file", content, tuple(content) if isinstance(content, dict) else ("joints",)
+    )
     rows = []
     for joint in joints:
         if joint not in content:
             raise UserError(f"actuators {source!r} have no joint {joint!r}; they have {', '.join(content)}")
-        check_names(content[joint], (*COEFFICIENTS, "resistance_Ohm"), f"actuators {source!r}: {joint}")
-        rows.append([float(content[joint][k]) for k in COEFFICIENTS] + [float(content[joint].get("resistance_Ohm", np.nan))])
+        where, keys = f"actuators {source!r}", (*COEFFICIENTS, "resistance_Ohm")
+        given = read_object(where, joint, content[joint], keys, COEFFICIENTS)
+        numbers = {k: read_number(where, f"{joint}'s {k}", v) for k, v in given.items()}
+        rows.append([numbers.get(k, np.nan) for k in keys])
     return Actuators(tuple(joints), *np.array(rows).T, form=form)

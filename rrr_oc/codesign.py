@@ -51,7 +51,10 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     """The springs of a configuration (`CONFIGURATIONS`) with the task's bounds; raises `UserError` for crossed ones."""
     if configuration not in CONFIGURATIONS:
         raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(CONFIGURATIONS)}")
-    kinds = CONFIGURATIONS[configuration]
+    kinds, known = CONFIGURATIONS[configuration], ("parallel_spring", "biarticular_spring")
+    for entry in task.springs:
+        if entry.get("effect") not in known:
+            raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
     springs = tuple(_spring(task, entry) for entry in task.springs if entry.get("effect") in kinds)
     missing = [k for k in kinds if k not in {s.effect.name for s in springs}]
     if missing:
@@ -61,6 +64,9 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
 
 def _spring(task: Task, entry: Mapping) -> SpringBounds:
     where = f"task {task.name!r}: {entry['effect']}"
+    needed = "joint" if entry["effect"] == "parallel_spring" else "joints"
+    if needed not in entry:
+        raise UserError(f"{where} lacks the key {needed!r}")
     if entry["effect"] == "parallel_spring":
         check_names(entry, ("effect", "joint", "active", "stiffness_Nm_per_rad", "equilibrium_deg"), where)
         effect = ParallelSpring((task.robot.index(entry["joint"]),), entry.get("active", "below"))
@@ -166,7 +172,8 @@ class CoDesign:
         task, m = self.task, len(self.task.moving)
         start, end = task.ends(index)
         rest = np.zeros(m) if self.at_rest else np.full(m, np.nan)
-        peak = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * task.speed)
+        speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
+        peak = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed)
         limited, floor = np.flatnonzero(np.isfinite(task.torque)), int(np.isfinite(task.floor))
         return Phase(
             name=PHASES[index],

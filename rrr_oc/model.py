@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -31,7 +32,9 @@ class Model:
     def __post_init__(self) -> None:
         for effect in self.effects:
             if any(not 0 <= j < self.robot.n for j in effect.joints):
-                raise UserError(f"{effect.name} acts on joint {effect.joints}, but {self.robot.name!r} has {self.robot.n} joints")
+                raise UserError(
+                    f"{effect.name} acts on joint {effect.joints}, but {self.robot.name!r} has {self.robot.n} joints"
+                )
 
     @cached_property
     def body(self) -> RigidBody:
@@ -59,7 +62,11 @@ class Model:
         if unknown:
             raise UserError(f"the model has no effect {min(unknown)!r}; it has {', '.join(labels) or 'none'}")
         return np.array(
-            [values.get(label, {}).get(p.name, p.nominal) for label, e in zip(labels, self.effects, strict=True) for p in e.parameters]
+            [
+                values.get(label, {}).get(p.name, p.nominal)
+                for label, e in zip(labels, self.effects, strict=True)
+                for p in e.parameters
+            ]
         )
 
     def values(self, theta: Sequence[float] | np.ndarray) -> dict[str, dict[str, float]]:
@@ -73,7 +80,9 @@ class Model:
 
     def side_torque(self, side: str, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
         """Torque of all effects that act on one side, of `effects.effect.SIDES`, on all joints (n,) [Nm]."""
-        torques = [self._on_joints(e, signals, named, width) for e, named, width in self._unpacked(theta, widths) if e.side == side]
+        torques = [
+            self._on_joints(e, signals, named, width) for e, named, width in self._unpacked(theta, widths) if e.side == side
+        ]
         return sum(torques, ca.SX.zeros(self.robot.n))
 
     def stored_energy(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
@@ -103,18 +112,22 @@ class Model:
         arguments, motor, load = self._motor_chain()
         return ca.Function("motor_inverse", arguments, [motor, load], list(CHAIN), ["tau_motor", "tau_load"])
 
-    @cached_property
-    def motor_jacobian(self) -> ca.Function:
-        """Arguments of `motor_inverse` -> d tau_motor / d theta (n, number of parameters), exact; (n, K) arrays side by side."""
-        arguments, motor, _ = self._motor_chain()
-        return ca.Function("motor_jacobian", arguments, [ca.densify(ca.jacobian(motor, arguments[5]))], list(CHAIN), ["jacobian"])
+    def sensitivity(self, signal: Literal["motor", "load"], by: Literal["theta", "inertial"]) -> ca.Function:
+        """Arguments of `motor_inverse` -> d tau_signal / d by, exact: (n, number of parameters) or (n, 10 n), link by link.
+
+        Called on (n, K) arrays it returns the K Jacobians side by side.
+        """
+        if (signal, by) not in self._sensitivities:
+            arguments, motor, load = self._motor_chain()
+            jacobian = ca.jacobian({"motor": motor, "load": load}[signal], arguments[CHAIN.index(by)])
+            self._sensitivities[signal, by] = ca.Function(
+                f"{signal}_by_{by}", arguments, [ca.densify(jacobian)], list(CHAIN), ["jacobian"]
+            )
+        return self._sensitivities[signal, by]
 
     @cached_property
-    def motor_inertial_jacobian(self) -> ca.Function:
-        """Arguments of `motor_inverse` -> d tau_motor / d inertial (n, 10 n), link by link in `Robot.inertial`'s order."""
-        arguments, motor, _ = self._motor_chain()
-        jacobian = ca.densify(ca.jacobian(motor, arguments[7]))
-        return ca.Function("motor_inertial_jacobian", arguments, [jacobian], list(CHAIN), ["jacobian"])
+    def _sensitivities(self) -> dict[tuple[str, str], ca.Function]:
+        return {}
 
     @cached_property
     def forward(self) -> ca.Function:

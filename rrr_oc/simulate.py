@@ -133,7 +133,7 @@ class Twin:
     Attributes:
         mj: The mjModel. Joint i of the robot is coordinate i, and actuator i is its controller: the activation is
             u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within limits.
-        library: The compiled effects; None where MuJoCo's own do the work, or there are none.
+        library: The compiled effects on the links; None where MuJoCo's own do the work, or there are none.
     """
 
     model: Model
@@ -154,13 +154,16 @@ class Twin:
     def with_theta(self, theta: Sequence[float] | np.ndarray, widths: np.ndarray | None = None) -> "Twin":
         """A copy with other parameters (and widths) of its generated effects; the compiled library is shared.
 
-        Raises `UserError` where there is none.
+        Raises `UserError` where there is none, or an effect in a drive, which is the engine's own, is to change.
         """
         if self.library is None:
             raise UserError("only generated effects take new parameters in a compiled model; build another twin")
         theta, widths = _checked(self.model, theta, self.widths if widths is None else widths)
+        old, new = (_side(self.model, "drive", values, widths)[1] for values in (self.theta, theta))
+        if not np.array_equal(old, new):
+            raise UserError("effects in the drives take new parameters only in another twin")
         mj = copy(self.mj)
-        mj.numeric(self.library.marker).data[:] = native.values(theta, widths)
+        mj.numeric(self.library.marker).data[:] = native.values(*_side(self.model, "link", theta, widths)[1:])
         return replace(self, theta=theta, widths=widths, mj=mj)
 
 
@@ -176,23 +179,25 @@ def twin(
     Args:
         theta: Parameters of the effects, as in `Model.theta`.
         control: Joint controllers. Default: `controller(model)`.
-        settings: Which form the effects take, the step, and the joints' friction and armature.
+        settings: Which form the effects on the links take, the step, and friction and armature of the joints beside those
+            among the effects. Effects in the drives always take MuJoCo's own form.
         widths: Smoothing widths of generated effects; 0 is the exact law. Default: `Model.widths`.
 
     Raises:
-        UserError: An effect has internal states, depends on the load or acts on the drive's side; has no native form where
-            that is asked for; there is no C compiler where one is needed; the engine refuses the robot.
+        UserError: An effect has internal states or depends on the load; has no native form where that is asked for or it
+            acts on the drive's side; there is no C compiler where one is needed; the engine refuses the robot.
     """
     theta, widths = _checked(model, theta, widths)
     spec = build_spec(model.robot, model.tool, controller(model) if control is None else control, settings)
     for effect in model.effects:
         _check_supported(effect, model)
-    library = None
+    library, (links, link_theta, link_widths) = None, _side(model, "link", theta, widths)
+    _add_native(spec, *_side(model, "drive", theta, widths)[:2])
     if settings.effects == "native":
-        _add_native(spec, model, theta)
-    elif model.effects:
-        library = native.compile_effects(model)
-        data = native.values(theta, widths)
+        _add_native(spec, links, link_theta)
+    elif links.effects:
+        library = native.compile_effects(links)
+        data = native.values(link_theta, link_widths)
         spec.add_numeric(name=library.marker, data=data, size=data.size)
     try:
         return Twin(model, theta, widths, spec.compile(), library)
@@ -207,6 +212,15 @@ def _checked(model: Model, theta, widths) -> tuple[np.ndarray, np.ndarray]:
         sizes = f"{len(model.parameters)} parameters and {len(model.widths)} widths"
         raise UserError(f"the effects have {sizes}, got {theta.size} and {widths.size}")
     return theta, widths
+
+
+def _side(model: Model, side: str, theta: np.ndarray, widths: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:
+    """The model with the effects of one side only, their parameters and their widths."""
+    kept = [effect.side == side for effect in model.effects]
+    theta_kept = np.repeat(kept, [len(effect.parameters) for effect in model.effects]).astype(bool)
+    widths_kept = np.array([k for k, effect in zip(kept, model.effects, strict=True) if effect.width is not None], bool)
+    effects = tuple(effect for k, effect in zip(kept, model.effects, strict=True) if k)
+    return replace(model, effects=effects), theta[theta_kept], widths[widths_kept]
 
 
 def build_spec(robot: Robot, tool: ToolPoint, control: Controller, settings: Settings) -> mujoco.MjSpec:
@@ -267,11 +281,14 @@ def _check_supported(effect: Effect, model: Model) -> None:
     reasons = {
         "has internal states": bool(effect.states),
         "depends on the load torque": effect.load_dependent,
-        f"acts on the {effect.side}'s side": effect.side != "link",
+        f"acts on the {effect.side}'s side": effect.side not in ("link", "drive"),
     }
     for reason, found in reasons.items():
         if found:
-            raise UserError(f"{model.label(effect)} {reason}; the simulation supports effects on the links without states")
+            raise UserError(
+                f"{model.label(effect)} {reason}; the simulation supports effects on the links without states, and in the drives "
+                "those that MuJoCo has"
+            )
 
 
 def _add_native(spec: mujoco.MjSpec, model: Model, theta: np.ndarray) -> None:
@@ -279,6 +296,8 @@ def _add_native(spec: mujoco.MjSpec, model: Model, theta: np.ndarray) -> None:
     for i, effect in enumerate(model.effects):
         known = len(spec.tendons)
         if not effect.native(spec, model.robot.joints, {p.name: next(numbers) for p in effect.parameters}):
+            if effect.side == "drive":
+                raise UserError(f"{model.label(effect)} acts on the drive's side and has no form of its own in MuJoCo")
             raise UserError(f"{model.label(effect)} has no form of its own in MuJoCo; use effects='generated'")
         for tendon in spec.tendons[known:]:
             tendon.name = f"{i}_{tendon.name}"  # two springs on one joint would get the same name

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from rrr_oc.errors import UserError
 from rrr_oc.model import Model
-from rrr_oc.parameters import check_names
+from rrr_oc.parameters import check_names, read_number, read_object, read_vector
 from rrr_oc.rigid_body import RigidBody, rigid_body
 from rrr_oc.robot import Robot, ToolPoint, load_robot
 
@@ -111,19 +111,23 @@ def load_task(source: str | Path) -> Task:
     if missing:
         raise UserError(f"{where}: key {missing[0]!r} is missing")
     robot = _robot(source, content)
-    moving = tuple(robot.index(j) for j in content["moving"])
-    if not moving or list(moving) != sorted(set(moving)):
-        raise UserError(f"{where}: moving must list different joints, base first, got {content['moving']}")
+    names = content["moving"]
+    if not isinstance(names, list) or not names or not all(isinstance(j, str) for j in names):
+        raise UserError(f"{where}: moving must be a list of joint names, got {names!r}")
+    moving = tuple(robot.index(j) for j in names)
+    if list(moving) != sorted(set(moving)):
+        raise UserError(f"{where}: moving must list different joints, base first, got {names}")
     tool = robot.tool
     if "tool" in content:
-        tool = robot.point(content["tool"]["link"], content["tool"]["position_m"])
+        given = read_object(where, "tool", content["tool"], ("link", "position_m"), ("link", "position_m"))
+        tool = robot.point(str(given["link"]), read_vector(where, "tool's position_m", given["position_m"], 3).tolist())
     limits = _limits(where, robot, moving, content["limits"])
     low, high = _pair(where, "duration_s", content["duration_s"])
     if not low > 0:
         raise UserError(f"{where}: duration_s must be above 0, got {low:g} … {high:g}")
-    payload = float(content["payload_kg"])
-    if not 0 <= payload < np.inf:
-        raise UserError(f"{where}: payload_kg must be 0 or more, got {payload:g}")
+    springs = content.get("springs", [])
+    if not isinstance(springs, list) or not all(isinstance(entry, dict) for entry in springs):
+        raise UserError(f"{where}: springs must be a list of objects, got {springs!r}")
     task = Task(
         name=str(content.get("name", Path(str(source)).stem)),
         robot=robot,
@@ -131,15 +135,16 @@ def load_task(source: str | Path) -> Task:
         moving=moving,
         start=np.zeros(len(moving)),
         release=np.zeros(len(moving)),
-        payload=payload,
+        payload=read_number(where, "payload_kg", content["payload_kg"], 0.0),
         duration=(low, high),
-        floor=float(content.get("floor_m", -np.inf)),
-        springs=tuple(content.get("springs", ())),
+        floor=read_number(where, "floor_m", content["floor_m"]) if "floor_m" in content else -np.inf,
+        springs=tuple(springs),
         **limits,
     )
     body = rigid_body(robot)
     start, release = (_angles(f"{where}: {end}", task, body, content[end]) for end in ("start", "release"))
-    task = _within_margin(replace(task, start=start, release=release), content.get("path_margin"))
+    margin = read_number(where, "path_margin", content["path_margin"], 0.0) if "path_margin" in content else None
+    task = _within_margin(replace(task, start=start, release=release), margin)
     _check_feasible(where, task, body)
     return task
 
@@ -149,7 +154,7 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
     for joint, way, speed, acceleration in zip(
         task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
     ):
-        ramp = speed / acceleration  # time to full speed; 0 without an acceleration limit
+        ramp = speed / acceleration if np.isfinite(acceleration) else 0.0  # time to full speed
         needed = way / speed + ramp if way > speed * ramp else 2 * np.sqrt(way / acceleration)
         if needed > task.duration[1]:
             raise UserError(
@@ -187,18 +192,19 @@ def _read(source: str | Path) -> tuple[str, dict]:
 
 
 def _robot(source: str | Path, content: dict) -> Robot:
-    name, gravity = str(content["robot"]), content.get("gravity", (0.0, 0.0, -9.81))
+    name = str(content["robot"])
+    gravity = read_vector(f"task {name!r}", "gravity", content.get("gravity", (0.0, 0.0, -9.81)), 3).tolist()
     beside = Path(source).parent / name
     return load_robot(beside if str(source) not in PRESETS and beside.is_file() else name, gravity=gravity)
 
 
 def _limits(where: str, robot: Robot, moving: tuple[int, ...], content: dict) -> dict[str, np.ndarray]:
     columns: dict[str, list[float]] = {k: [] for k in ("lower", "upper", "speed", "acceleration", "torque")}
-    check_names(content, tuple(robot.joints[j] for j in moving), f"{where}: limits")
+    content = read_object(where, "limits", content, tuple(robot.joints[j] for j in moving))
     for j in moving:
         joint = robot.joints[j]
-        given, here = content.get(joint, {}), f"{where}: limits of {joint}"
-        check_names(given, ("range_deg", "speed_deg_per_s", "acceleration_deg_per_s2", "torque_Nm"), here)
+        here, keys = f"{where}: limits of {joint}", ("range_deg", "speed_deg_per_s", "acceleration_deg_per_s2", "torque_Nm")
+        given = read_object(where, f"limits of {joint}", content.get(joint, {}), keys)
         low, high = _pair(here, "range_deg", given.get("range_deg", np.degrees([robot.lower[j], robot.upper[j]])))
         columns["lower"].append(np.radians(low))
         columns["upper"].append(np.radians(high))
@@ -232,10 +238,8 @@ def _angles(where: str, task: Task, body: RigidBody, content: Any) -> np.ndarray
     if not isinstance(content, dict) or set(content) not in ({"angles_deg"}, {"position_m"}):
         raise UserError(f'{where}: give either "angles_deg" or "position_m", got {content!r}')
     if "position_m" in content:
-        return inverse_kinematics(task, body, np.asarray(content["position_m"], float), where)
-    angles = np.radians(np.asarray(content["angles_deg"], float))
-    if angles.shape != (len(task.moving),):
-        raise UserError(f"{where}: angles_deg needs {len(task.moving)} numbers, got {content['angles_deg']}")
+        return inverse_kinematics(task, body, read_vector(where, "position_m", content["position_m"], 3), where)
+    angles = np.radians(read_vector(where, "angles_deg", content["angles_deg"], len(task.moving)))
     for joint, angle, low, high in zip(task.joints, angles, task.lower, task.upper, strict=True):
         if not low <= angle <= high:
             raise UserError(

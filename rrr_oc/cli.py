@@ -1,0 +1,178 @@
+"""The command line `rrr-oc`: import recordings, calibrate a model on them, evaluate it on others."""
+
+import json
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from rrr_oc.calibrate import calibrate as calibrate_inverse
+from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
+from rrr_oc.calibrated import CalibratedModel, load_model, save_model
+from rrr_oc.errors import UserError
+from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
+from rrr_oc.files import write_json
+from rrr_oc.importers import import_mcap, import_prototype
+from rrr_oc.recordings import RecordingSet, load_recordings
+from rrr_oc.savitzky_golay import WINDOW
+
+app = typer.Typer(
+    help="System identification of robot arms on recordings of their motion and torques.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+importers = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True)
+app.add_typer(importers, name="import")
+console = Console()
+
+
+class Way(StrEnum):
+    """How parameters are found."""
+
+    inverse = "inverse"
+    response = "response"
+    evolution = "evolution"
+
+
+WAYS: dict[Way, Callable[[RecordingSet], CalibratedModel]] = {
+    Way.inverse: calibrate_inverse,
+    Way.response: calibrate_response,
+    Way.evolution: calibrate_evolution,
+}
+Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
+
+
+@app.command()
+def calibrate(
+    dataset: Dataset,
+    out: Annotated[Path, typer.Option(help="folder for model.json")],
+    way: Annotated[
+        Way,
+        typer.Option(
+            help="inverse: least squares on inverse dynamics; response: from there by Gauss-Newton on the simulated response; "
+            "evolution: CMA-ES on MuJoCo rollouts, as the paper (slow)"
+        ),
+    ] = Way.inverse,
+) -> None:
+    """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
+    model = WAYS[way](load_recordings(dataset))
+    save_model(model, out / "model.json")
+    _show_model(model)
+    console.print(f"{out / 'model.json'} holds the model.", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def evaluate(
+    model: Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")],
+    dataset: Dataset,
+    out: Annotated[Path | None, typer.Option(help="file for the JSON; without it, it goes to stdout")] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="also let the MuJoCo model track the recorded motion")] = False,
+    predictions: Annotated[Path | None, typer.Option(help="folder for one CSV of predictions per recording")] = None,
+    window: Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared [s]")] = WINDOW,
+) -> None:
+    """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
+    if not 0 <= window < float("inf"):
+        raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
+    calibrated, recordings = load_model(model), load_recordings(dataset)
+    inverse = evaluate_inverse(calibrated, recordings, window)
+    simulated = evaluate_simulated(calibrated, recordings, window) if simulate else None
+    result = summary(inverse, simulated)
+    if predictions is not None:
+        write_predictions(calibrated, recordings, predictions)
+    if out is None:
+        typer.echo(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False))
+    else:
+        write_json(out, result)
+        _show_errors(result)
+
+
+@importers.command()
+def prototype(
+    folder: Annotated[
+        Path, typer.Argument(help="folder with data_file_M_ExpN.txt, of github.com/Co-Evolve/elastic-actuation-arm")
+    ],
+    out: Annotated[Path, typer.Argument(help="folder to make")],
+) -> None:
+    """The public recordings of the paper's own arm."""
+    _show_set(import_prototype(folder, out))
+
+
+@importers.command()
+def mcap(
+    files: Annotated[list[Path], typer.Argument(help="MCAP files with sensor_msgs/JointState, each one recording")],
+    robot: Annotated[str, typer.Option(help="path of the robot's URDF, or a bundled model")],
+    out: Annotated[Path, typer.Option(help="folder to make")],
+    joints: Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")] = None,
+    topic: Annotated[str | None, typer.Option(help="of the joint states; default: the only one there is")] = None,
+    torque: Annotated[str, typer.Option(help="what the efforts are: motor or load torque [Nm], or current [A]")] = "motor",
+    torque_constant: Annotated[str | None, typer.Option(help="JOINT=Nm/A, comma-separated, for currents")] = None,
+    inertial: Annotated[str, typer.Option(help="nominal: trust the URDF's masses; identify: only its kinematics")] = "nominal",
+) -> None:
+    """ROS 2 bags in MCAP files."""
+    names = None if joints is None else [name.strip() for name in joints.split(",")]
+    constants = _constants(torque_constant)
+    _show_set(import_mcap(files, robot, out, names, topic, torque, inertial=inertial, torque_constant=constants))
+
+
+def main() -> None:
+    """Entry point; an error that the user can mend is one sentence on stderr and exit status 2."""
+    try:
+        app()
+    except UserError as error:
+        typer.secho(f"Error: {error}", fg="red", err=True)
+        raise SystemExit(2) from None
+
+
+def _constants(text: str | None) -> dict[str, float] | None:
+    if text is None:
+        return None
+    try:
+        return {name.strip(): float(value) for name, value in (pair.split("=") for pair in text.split(","))}
+    except ValueError:
+        raise UserError(f"--torque-constant is {text!r}; JOINT=NUMBER, comma-separated, is required") from None
+
+
+def _show_set(recordings: RecordingSet) -> None:
+    table = Table("recording", "rows", "seconds", "payload [kg]", "springs", "rows dropped")
+    for r in recordings.recordings:
+        springs = ", ".join(spring.name for spring, _ in r.springs)
+        dropped = str(r.dropped + r.short)
+        table.add_row(r.file, str(len(r.t)), f"{r.t[-1] - r.t[0]:.1f}", f"{r.payload.max():g}", springs, dropped)
+    console.print(table)
+    console.print(f"{recordings.path} holds the set.", highlight=False, soft_wrap=True)
+
+
+def _show_model(model: CalibratedModel) -> None:
+    table = Table("effect", "joint", "parameter", "value", "95 % interval", "unit", "")
+    for term in model.terms:
+        for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):
+            interval = "not determined" if e.interval is None else f"{e.interval[0]:.4g} … {e.interval[1]:.4g}"
+            joints = ", ".join(model.joints[j] for j in term.effect.joints)
+            held = "at its bound" if e.at_bound else ""
+            table.add_row(term.effect.name, joints, parameter.name, f"{e.value:.4g}", interval, parameter.unit, held)
+    console.print(table)
+    joints = Table("joint", "NRMSE of the torque", "noise [Nm]")
+    for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
+        joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
+    console.print(joints)
+    base = model.report.get("base_parameters", [])
+    if base:
+        console.print(f"{len(base)} base inertial parameters were identified; model.json lists them with their intervals.")
+
+
+def _show_errors(result: dict[str, Any]) -> None:
+    table = Table("way", "joint", "signal", "mean NRMSE", "mean RMSE")
+    for way, joints in result["mean"].items():
+        for joint, found in joints.items():
+            for signal, errors in found.items() if way == "simulated" else [("recorded", found)]:
+                table.add_row(way, joint, signal, *(_shown(errors[key]) for key in ("nrmse", "rmse")))
+    console.print(table)
+
+
+def _shown(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"

@@ -1,0 +1,228 @@
+"""Recordings as rows of a least-squares problem: filtered residuals of the inverse dynamics and their exact derivatives.
+
+Torque and regressors pass the same filter (twice Savitzky–Golay), so that it biases nothing and only noise is lost. Speeds and
+accelerations, which the filter meets again, come from windows as short as the sampling allows: what they attenuate of the
+motion would bias the estimates, whereas the noise that they let through is taken away by the filter. Measured on the plant of
+`validation/concealed`: armatures are biased by less than 1 % with encoder noise up to 1e-4 rad, by 10 % without the filter.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from rrr_oc.calibrated import CalibratedModel, Physics
+from rrr_oc.model import Model
+from rrr_oc.recordings import Recording, RecordingSet
+from rrr_oc.savitzky_golay import local_polynomial, smooth, window_samples
+
+FILTER = 0.2  # window of the common filter [s], applied twice
+CORRELATION = 0.2  # time over which filtered noise is correlated [s]
+SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # of the motion that enters the regressors [s]
+STRIDE = 0.04  # [s] between the rows kept; the filter has removed what is faster
+ENDS = 0.1  # [s] left out at both ends of a stretch, where the filter is one-sided
+REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
+SPIKE = 6.0  # robust standard deviations off the running median
+SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A recording made ready.
+
+    Attributes:
+        recording: The recording with speeds and accelerations from short windows.
+        measured: Recorded torque at the joints' output (n, K) [Nm].
+        moving: Where each joint moves, (n, K): at rest its dry friction may be anything below its level.
+        window: Of the common filter [s].
+        spikes: Samples of `measured` that were replaced, one count per joint (n,).
+    """
+
+    recording: Recording
+    measured: np.ndarray
+    moving: np.ndarray
+    window: float
+    spikes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Residuals r = filtered (measured − predicted) and J = filtered d predicted / d parameters, over all recordings.
+
+    Attributes:
+        residual: (n, M) [Nm]; 0 where a joint rests.
+        jacobian: (n, M, p); 0 where a joint rests.
+        moving: (n, M).
+        stretches: Slices of the rows without a gap; the filter crosses none of their ends.
+        durations: Of the stretches [s].
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    moving: np.ndarray
+    stretches: tuple[slice, ...]
+    durations: tuple[float, ...]
+
+    def deviation(self) -> np.ndarray:
+        """Root mean square residual of each joint over the rows in which it moves, (n,) [Nm]; never 0."""
+        count = np.maximum(self.moving.sum(axis=1), 1)
+        size = np.sqrt(np.sum(self.residual**2, axis=1) / count)
+        return np.maximum(size, 1e-9)  # data without noise
+
+
+def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared, ...]:
+    """All recordings of a set made ready for `rows`."""
+    return tuple(_prepare(recordings, r, window) for r in recordings.recordings)
+
+
+def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False) -> Rows:
+    """The rows of a model: derivatives by the parameters of its terms in their order and, if wanted, by (10, n) inertial ones.
+
+    Derivatives by the inertial parameters follow, link by link in the order of `Robot.inertial`.
+    """
+    parts = [_rows(p, model, inertial) for p in prepared]
+    stretches, start = [], 0
+    for part in parts:
+        stretches += [slice(start + s.start, start + s.stop) for s in part.stretches]
+        start += part.residual.shape[1]
+    return Rows(
+        residual=np.concatenate([p.residual for p in parts], axis=1),
+        jacobian=np.concatenate([p.jacobian for p in parts], axis=1),
+        moving=np.concatenate([p.moving for p in parts], axis=1),
+        stretches=tuple(stretches),
+        durations=tuple(d for p in parts for d in p.durations),
+    )
+
+
+def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[Prepared, ...]:
+    """The recordings with lone samples, `SPIKE` robust deviations off the residual's running median, put onto it.
+
+    The residual of a model, not the torque itself, so that steps of the torque at a reversal are left alone.
+    """
+    return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
+
+
+def residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
+    """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]."""
+    return prepared.measured - model.output_torque(prepared.recording)
+
+
+def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
+    """Standard deviation of what no motion explains: of the residual's part that a 0.15 s window takes away, (n,) [Nm].
+
+    From the median of its size, so that spikes do not count.
+    """
+    sizes = []
+    for p in prepared:
+        t, r = p.recording.t, residuals(p, model)
+        centre = 2.25 / max(window_samples(t, 0.15), 5)  # weight of the middle sample: what of white noise is left in
+        sizes.append(np.abs(r - smooth(t, r, p.recording.segments)) / np.sqrt(1 - min(centre, 0.5)))
+    return 1.4826 * np.median(np.concatenate(sizes, axis=1), axis=1)
+
+
+def _prepare(recordings: RecordingSet, recording: Recording, window: float) -> Prepared:
+    sharp = _with_sharp_motion(recording, recordings.joints)
+    return Prepared(sharp, recordings.output_torque(recording), _moving(sharp), window, np.zeros(recordings.robot.n, int))
+
+
+def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording:
+    r, dq, ddq = recording, recording.dq.copy(), recording.ddq.copy()
+    given = np.array([f"dq_{joint}" not in r.computed for joint in joints])
+    derived = np.array([f"ddq_{joint}" in r.computed for joint in joints])
+    speed, acceleration = window_samples(r.t, SPEED_WINDOW, 7), window_samples(r.t, ACCELERATION_WINDOW, 9)
+    for s in r.segments:
+        if s.stop - s.start < acceleration:
+            continue  # what the reader computed stays
+        t, from_q, from_dq = r.t[s], derived & ~given, derived & given
+        ddq[from_q, s] = local_polynomial(t, r.q[from_q, s], 2, 4, acceleration)
+        ddq[from_dq, s] = local_polynomial(t, r.dq[from_dq, s], 1, 3, acceleration)
+        dq[~given, s] = local_polynomial(t, r.q[~given, s], 1, 3, speed)
+        dq[given, s] = local_polynomial(t, r.dq[given, s], 0, 3, speed)
+    return replace(r, dq=dq, ddq=ddq)
+
+
+def _moving(recording: Recording) -> np.ndarray:
+    """False where the speed stays below `REST_SPEED` over `REST_TIME` about a sample, (n, K)."""
+    fastest = np.empty_like(recording.dq)
+    for s in recording.segments:
+        fastest[:, s] = maximum_filter1d(np.abs(recording.dq[:, s]), window_samples(recording.t[s], REST_TIME), axis=1)
+    return fastest >= REST_SPEED
+
+
+def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
+    r = prepared.recording
+    residual = residuals(prepared, model)
+    jacobian = _jacobian(model, r, inertial)
+    kept, stretches, durations = _kept(r)
+    n, p = len(residual), jacobian.shape[2]
+    moving = prepared.moving[:, kept]
+    columns = np.moveaxis(jacobian, 2, 1).reshape(n * p, -1)
+    used = np.flatnonzero(np.any(columns != 0, axis=1))
+    filtered = np.zeros((n * p, len(kept)))
+    filtered[used] = _filtered(columns[used], prepared)[:, kept]
+    return Rows(
+        residual=_filtered(residual, prepared)[:, kept] * moving,
+        jacobian=np.moveaxis(filtered.reshape(n, p, -1), 1, 2) * moving[:, :, None],
+        moving=moving,
+        stretches=stretches,
+        durations=durations,
+    )
+
+
+def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
+    r, middle = prepared.recording, np.empty_like(residual)
+    for s in r.segments:
+        middle[:, s] = median_filter(residual[:, s], (1, SPIKE_SAMPLES), mode="nearest")
+    off = residual - middle
+    spread = 1.4826 * np.median(np.abs(off), axis=1, keepdims=True)
+    spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
+    return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))
+
+
+def _filtered(x: np.ndarray, prepared: Prepared) -> np.ndarray:
+    r, window = prepared.recording, prepared.window
+    return smooth(r.t, smooth(r.t, x, r.segments, window), r.segments, window)
+
+
+def _kept(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:
+    """Samples kept, the stretches of the rows that they become, and their durations [s]."""
+    kept, stretches, durations, count = [], [], [], 0
+    for s in recording.segments:
+        t = recording.t[s]
+        stride = max(1, round(STRIDE / np.median(np.diff(t)))) if len(t) > 1 else 1
+        inside = np.flatnonzero((t >= t[0] + ENDS) & (t <= t[-1] - ENDS))[::stride]
+        if len(inside) > 1:
+            kept.append(inside + s.start)
+            stretches.append(slice(count, count + len(inside)))
+            durations.append(float(t[inside[-1]] - t[inside[0]]) * len(inside) / (len(inside) - 1))
+            count += len(inside)
+    return np.concatenate([*kept, np.zeros(0, int)]).astype(int), tuple(stretches), tuple(durations)
+
+
+def _jacobian(model: CalibratedModel, recording: Recording, inertial: bool) -> np.ndarray:
+    """d predicted / d (parameters of the terms, inertial parameters), (n, K, p)."""
+    physics, n, count = model.physics(recording), model.robot.n, len(recording.t)
+    by_theta = _sensitivity(physics, recording, model.torque, "theta")
+    listed = sum(len(effect.parameters) for effect, _ in recording.springs)
+    result = np.zeros((n, count, sum(len(t.estimates) for t in model.terms)))
+    column = 0
+    for term in model.terms:
+        size = len(term.estimates)
+        if term.holds_for(recording):
+            result[:, :, column : column + size] = by_theta[:, :, listed : listed + size]
+            listed += size
+        column += size
+    if not inertial:
+        return result
+    return np.concatenate([result, _sensitivity(physics, recording, model.torque, "inertial")], axis=2)
+
+
+def _sensitivity(physics: Physics, recording: Recording, torque: str, by) -> np.ndarray:
+    model: Model = physics.model
+    function = model.sensitivity("load" if torque == "load" else "motor", by)
+    columns = function.size2_out(0)
+    if columns == 0:
+        return np.zeros((model.robot.n, len(recording.t), 0))
+    found = function(*physics.inputs(recording), physics.theta, physics.widths, model.robot.inertial)
+    return np.array(found).reshape(model.robot.n, len(recording.t), columns)

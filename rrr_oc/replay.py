@@ -1,0 +1,135 @@
+"""Recorded motions followed by the calibrated model in the engine, many candidates at once on all cores."""
+
+# pyright: reportAttributeAccessIssue=false
+# (mujoco's wheel has no stubs)
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from scipy.interpolate import CubicHermiteSpline
+
+from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.model import Model
+from rrr_oc.recordings import Recording
+from rrr_oc.robot import BUNDLED
+from rrr_oc.savitzky_golay import differentiate
+from rrr_oc.simulate import K_P, Controller, Settings, Twin, controller, twin
+
+SETTINGS = Settings(effects="native", timestep=1e-3, integrator="implicitfast")
+BANDWIDTH = 40.0  # [rad/s], of controllers whose gains are not known
+NO_LIMIT = 1e6  # [Nm]; a URDF's effort of 0 or beyond this means that none is known
+CHUNK = 4_000_000  # states of all candidates held at once
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What the engine did along a recording, at the recording's own times; joints (n,), time last.
+
+    Attributes:
+        q, dq, ddq: Motion [rad, rad/s, rad/s²], shape (n, K); ddq is the derivative of dq as in the recording's reader.
+        tau_motor: Torque of the controllers [Nm], shape (n, K).
+        tau_load: M ddq + C dq + G less the springs' torque along that motion [Nm], shape (n, K).
+    """
+
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    tau_motor: np.ndarray
+    tau_load: np.ndarray
+
+
+def tracking_controller(model: CalibratedModel) -> Controller:
+    """Joint controllers for a calibrated robot: `simulate.controller`, with the paper's gain for its own arms.
+
+    Of another robot's controllers nothing is known; they get a bandwidth of `BANDWIDTH` on the least inertia of each joint.
+    """
+    plain = Model(model.robot, model.tool)
+    mass = np.asarray(plain.body.mass_matrix(np.zeros(model.robot.n), model.robot.inertial))
+    gain = K_P if model.source in BUNDLED else BANDWIDTH**2 / np.diag(np.linalg.inv(mass))
+    control, effort = controller(plain, gain), model.robot.effort
+    return replace(control, limit=np.where((effort > 0) & (effort < NO_LIMIT), effort, np.inf))
+
+
+def replay(model: CalibratedModel, recording: Recording, control: Controller) -> Replayed:
+    """The engine follows a recording; the controllers are helped by the model's own motor torque, fed forward.
+
+    Pieces between gaps, and between changes of the payload, are followed one by one, each from the recorded state.
+    """
+    physics = model.physics(recording)
+    forward = physics.torques(recording)[0]
+    engine = twin(physics.model, physics.theta, control, SETTINGS, physics.widths)
+    q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None]))
+    ddq = differentiate(recording.t, dq, recording.segments)
+    moved = replace(recording, q=q, dq=dq, ddq=ddq)
+    return Replayed(q, dq, ddq, tau, physics.torques(moved)[1])
+
+
+def follow(
+    engines: Sequence[Twin], recording: Recording, control: Controller, forward: np.ndarray, expected: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Several engines along one recording.
+
+    Args:
+        forward: Torque fed forward [Nm], (engines, n, K).
+        expected: Motor torque at the recorded motion [Nm], (engines, n, K): each piece starts where the controllers would hold
+            it, q_ref − (expected − forward)/k_p.
+
+    Returns:
+        q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged.
+    """
+    found = np.full((3, len(engines), *recording.q.shape), np.nan)
+    for piece in pieces(recording):
+        steps = max(2, int(np.ceil((recording.t[piece.stop - 1] - recording.t[piece.start]) / SETTINGS.timestep)))
+        size = max(1, CHUNK // (steps * 3 * recording.q.shape[0]))
+        for first in range(0, len(engines), size):
+            some = slice(first, first + size)
+            found[:, some, :, piece] = _follow(engines[some], recording, piece, control, forward[some], expected[some], steps)
+    return found[0], found[1], found[2]
+
+
+def pieces(recording: Recording) -> list[slice]:
+    """Slices of at least two samples within which there is neither a gap nor a change of payload."""
+    result = []
+    for s in recording.segments:
+        edges = np.flatnonzero(np.diff(recording.payload[s])) + 1 + s.start
+        ends = [s.start, *edges.tolist(), s.stop]
+        result += [slice(a, b) for a, b in pairwise(ends) if b - a > 1]
+    return result
+
+
+def _follow(engines, recording: Recording, piece: slice, control: Controller, forward, expected, steps: int) -> np.ndarray:
+    """q, dq, torque (3, engines, n, samples of the piece)."""
+    t = recording.t[piece]
+    fine = np.linspace(t[0], t[-1], steps + 1)
+    q, dq = recording.q[:, piece], recording.dq[:, piece]
+    k_p, k_d = control.k_p[:, None], control.k_d[:, None]
+    aim = k_p * CubicHermiteSpline(t, q, dq, axis=1)(fine) + k_d * _linear(fine, t, dq)
+    u = aim + np.stack([_linear(fine, t, f) for f in forward[:, :, piece]])  # (engines, n, steps + 1)
+    start = q[:, 0] - (expected[:, :, piece.start] - forward[:, :, piece.start]) / control.k_p
+    initial = np.concatenate(
+        [np.full((len(engines), 1), t[0]), start, np.broadcast_to(dq[:, 0], start.shape), u[:, :, 0]], axis=1
+    )
+    models = []
+    for engine in engines:
+        engine.grip(float(recording.payload[piece.start]))
+        engine.mj.opt.timestep = fine[1] - fine[0]
+        models.append(engine.mj)
+    threads = min(len(models), os.cpu_count() or 1)
+    data = [mujoco.MjData(models[0]) for _ in range(threads)]
+    rates = np.moveaxis(np.diff(u) / (fine[1] - fine[0]), 1, 2)
+    with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
+        states = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 3 n)
+    states = np.moveaxis(np.concatenate([initial[:, None], states], axis=1), 1, 2)
+    n = len(q)
+    at, speed, activation = states[:, 1 : n + 1], states[:, n + 1 : 2 * n + 1], states[:, 2 * n + 1 :]
+    torque = np.clip(activation - k_p * at - k_d * speed, -control.limit[:, None], control.limit[:, None])
+    return np.stack([np.stack([_linear(t, fine, one) for one in x]) for x in (at, speed, torque)])
+
+
+def _linear(t: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(t, known, row) for row in values])

@@ -1,0 +1,85 @@
+"""How long co-design takes, step by step.
+
+    python -m pytest tests/benchmarks/bench_*.py --benchmark-columns=median,iqr,rounds
+
+Builds: the model of an arm, and problem with transcription, at 40 intervals a phase. Solves: one from a fixed start of each
+configuration, after the build. Searches: 20 starts on two processes, of one configuration and of all four. Cost, iterations
+and number of variables stand in the saved json (`--benchmark-json`) beside each time.
+"""
+
+import numpy as np
+import pytest
+
+from rrr_oc.codesign import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
+from rrr_oc.collocation import Transcription, scheme, uniform_mesh
+from rrr_oc.problem import Guess
+from rrr_oc.search import SearchOptions, decode, dimensions, search
+from rrr_oc.solve import Options, Solver
+from rrr_oc.task import load_task
+
+INTERVALS = 40
+SCHEMES = {"hermite-simpson": scheme("hermite-simpson"), "lobatto-4": scheme("lobatto", 4)}
+TASK = load_task("paper")
+each_configuration = pytest.mark.parametrize("configuration", CONFIGURATIONS)
+each_scheme = pytest.mark.parametrize("method", SCHEMES)
+
+
+def design_of(configuration: str) -> CoDesign:
+    return CoDesign(TASK, spring_bounds(TASK, configuration))
+
+
+def start_of(design: CoDesign) -> Guess:
+    """Springs and durations near the middle of their ranges, straight paths."""
+    vector = np.random.default_rng(0).uniform(0.4, 0.6, dimensions(design, 0))
+    return motion_guess(design, *decode(design, vector, 0)[:2])
+
+
+def transcription(configuration: str, method: str) -> Transcription:
+    problem = design_of(configuration).problem
+    return Transcription(problem, SCHEMES[method], uniform_mesh(problem, INTERVALS))
+
+
+def test_build_model(benchmark):
+    """Task file to inverse dynamics with three springs."""
+
+    def build():
+        task = load_task("paper")
+        return CoDesign(task, spring_bounds(task, "PEA+BPEA")).model.inverse
+
+    assert benchmark.pedantic(build, rounds=5, warmup_rounds=1).n_out() == 2
+
+
+@each_scheme
+@each_configuration
+def test_build_transcription(benchmark, configuration, method):
+    """Problem, nonlinear program and all its derivatives, without task and IPOPT."""
+    functions = benchmark.pedantic(lambda: transcription(configuration, method).functions, rounds=3, warmup_rounds=1)
+    benchmark.extra_info["variables"] = functions["nlp"].size1_in(0)
+
+
+@each_scheme
+@each_configuration
+def test_solve(benchmark, configuration, method):
+    """IPOPT to 1e-8 from the fixed start, smoothing width 0.01 rad; the program is built before."""
+    design = design_of(configuration)
+    solver, data = Solver(transcription(configuration, method), Options()), design.data(0.01)
+    guess = start_of(design)
+    solver.solve(guess, data)
+    solution = benchmark.pedantic(lambda: solver.solve(guess, data), rounds=3)
+    benchmark.extra_info |= {"cost": solution.cost, "iterations": solution.iterations, "variables": solution.w.size}
+    assert solution.status == "Solve_Succeeded"
+
+
+def test_search_of_one_configuration(benchmark):
+    """20 starts of PEA with refinement to 1e-6, on two processes, these included."""
+    result = benchmark.pedantic(lambda: search(design_of("PEA"), SearchOptions(starts=20, jobs=2)), rounds=1)
+    benchmark.extra_info["cost"] = result.best.solution.cost
+
+
+def test_search_of_all_configurations(benchmark):
+    """Four configurations with 20 starts each, end to end, without catalogue and re-simulation."""
+
+    def all_four():
+        return {c: search(design_of(c), SearchOptions(starts=20, jobs=2)).best.solution.cost for c in CONFIGURATIONS}
+
+    benchmark.extra_info["costs"] = benchmark.pedantic(all_four, rounds=1)

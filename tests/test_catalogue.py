@@ -1,0 +1,222 @@
+"""The catalogue search against brute force by separate searches, its own two methods against each other, and bad input."""
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rrr_oc.catalogue import Catalogue, CatalogueResult, load_catalogue, search_catalogue
+from rrr_oc.codesign import CoDesign, spring_bounds
+from rrr_oc.errors import UserError
+from rrr_oc.search import SearchOptions, SearchResult, search
+from rrr_oc.solve import Refinement
+from rrr_oc.task import load_task
+
+TASK = load_task("paper")
+OPTIONS = SearchOptions(
+    starts=2, jobs=1, coarse=10, fine=12, widths=(0.01,), refinement=Refinement(1e-2, rounds=0), kept=2, within=0.0, hops=0
+)
+PARALLEL = {"joint2": (5.0, 13.0), "joint3": (0.3, 1.1)}
+# k_b and r_1² both times four is the same to the arm: four combinations, three distinct ones
+BIARTICULAR = {"k_b": (3.0, 12.0), "r_1": (0.014, 0.028), "r_2": (0.036,), "r_3": (0.014,)}
+
+
+def continuous(configuration: str) -> SearchResult:
+    return search(CoDesign(TASK, spring_bounds(TASK, configuration)), OPTIONS)
+
+
+def shop(result: SearchResult, parallel=None, biarticular=None, **options) -> CatalogueResult:
+    catalogue, settings = Catalogue("tiny", parallel or {}, biarticular or {}), options.pop("settings", OPTIONS)
+    return search_catalogue(result.design, result.best.solution, catalogue, settings, **options)
+
+
+@pytest.fixture(scope="module")
+def pea() -> SearchResult:
+    return continuous("PEA")
+
+
+@pytest.fixture(scope="module")
+def bpea() -> SearchResult:
+    return continuous("BPEA")
+
+
+@pytest.fixture(scope="module")
+def counted() -> list[int]:
+    """What `progress` was told."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def bought_pea(pea, counted) -> CatalogueResult:
+    return shop(pea, PARALLEL, progress=counted.append)
+
+
+@pytest.fixture(scope="module")
+def bought_bpea(bpea) -> CatalogueResult:
+    return shop(bpea, biarticular=BIARTICULAR)
+
+
+def brute_force(result: SearchResult, names: list[str], lists: list[tuple[float, ...]], free: tuple[str, ...]):
+    """(cost, hardware), best first: every combination held in turn and searched for itself, from starts of its own."""
+    found = []
+    for values in itertools.product(*lists):
+        hardware = dict(zip(names, values, strict=True))
+        held = result.design.with_fixed(hardware, free)
+        found.append((search(held, OPTIONS).best.solution.cost, hardware))
+    return sorted(found, key=lambda row: row[0])
+
+
+def test_parallel_springs_against_brute_force(pea, bought_pea):
+    """On 12 intervals two optima 0.9 % apart compete for the motion; from other starts either may come out."""
+    table = brute_force(pea, ["k_p2", "k_p3"], list(PARALLEL.values()), ("q_eq2", "q_eq3"))
+    for (cost, hardware), found in zip(table[:2], bought_pea.runners_up, strict=False):
+        assert {k: found[k] for k in hardware} == pytest.approx(hardware)
+        assert found["cost"] == pytest.approx(cost, rel=1e-2)  # neighbouring optima in the duration of go
+    assert bought_pea.optimum.solution.cost == bought_pea.runners_up[0]["cost"]
+    assert {k: bought_pea.hardware[k] for k in table[0][1]} == pytest.approx(table[0][1])
+    held = dict(zip(bought_pea.design.problem.parameters, bought_pea.design.problem.p_lower, strict=True))
+    assert [v for k, v in held.items() if k.endswith("stiffness")] == pytest.approx(list(table[0][1].values()))
+
+
+def test_biarticular_spring_against_brute_force(bpea, bought_bpea):
+    cost, hardware = brute_force(bpea, list(BIARTICULAR), list(BIARTICULAR.values()), ("q_0",))[0]
+    assert {k: bought_bpea.hardware[k] for k in hardware} == pytest.approx(hardware)
+    assert bought_bpea.optimum.solution.cost == pytest.approx(cost, rel=1e-2)  # the flat valley's optima, on 12 intervals
+    assert -np.pi <= bought_bpea.hardware["q_0"] <= np.pi
+
+
+def test_buying_costs_more_than_making(pea, bought_pea):
+    assert bought_pea.optimum.solution.cost > pea.best.solution.cost
+
+
+def test_coverage_adds_up(bought_pea, bought_bpea, counted):
+    cover = bought_pea.coverage
+    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.failed) == (4, 4, 4, 0, 0)
+    assert cover.margin == float("inf")  # all were solved
+    assert counted == sorted(counted)
+    assert counted[-1] == cover.solved
+    cover = bought_bpea.coverage
+    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.failed) == (4, 3, 3, 0, 0)
+
+
+def test_equal_kappa_and_rho_are_one_choice(bought_bpea):
+    """Of two that the arm cannot tell apart, the larger r_1 leaves phi = r_1 q_0 / r_2 more room."""
+    kappas = sorted(r["k_b"] * (r["r_2"] / r["r_1"]) ** 2 for r in bought_bpea.runners_up)
+    assert kappas == pytest.approx([3 * (36 / 28) ** 2, 3 * (36 / 14) ** 2, 12 * (36 / 14) ** 2], rel=1e-6)
+    twin = next(r for r in bought_bpea.runners_up if r["k_b"] * (r["r_2"] / r["r_1"]) ** 2 == pytest.approx(kappas[1]))
+    assert (twin["k_b"], twin["r_1"]) == (12.0, 0.028)
+    (held,) = bought_bpea.design.springs
+    assert held.fixed["k_b"] == bought_bpea.hardware["k_b"]
+
+
+def test_values_outside_the_tasks_bounds_are_left_out(pea):
+    bought = shop(pea, {"joint2": (9.0, 40.0), "joint3": (0.3,)})
+    assert bought.coverage.combinations == 1
+    assert bought.hardware["k_p2"] == pytest.approx(9.0)
+
+
+def test_screened_equals_exhaustive(bpea):
+    """Four (kappa, rho) on a grid of 144: the same best, and the numbers say what was done."""
+    every = {"k_b": (9.0, 13.0), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.014, 0.02)}
+    exhaustive, screened = (
+        shop(bpea, biarticular=every, method=m, settings=replace(OPTIONS, coarse=6, fine=8)) for m in ("exhaustive", "screened")
+    )
+    assert screened.hardware == pytest.approx(exhaustive.hardware, rel=1e-3)  # q_0 is free and its valley flat
+    assert screened.optimum.solution.cost == pytest.approx(exhaustive.optimum.solution.cost, rel=1e-4)
+    cover = screened.coverage
+    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed) == (4, 4, 4, 144)
+    assert cover.margin == float("inf")
+
+
+@pytest.mark.parametrize(
+    "lists",
+    [
+        {"k_b": (9.0, 13.0), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.014,)},
+        {"k_b": (13.0,), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.014,)},
+    ],
+    ids=["one rho", "one of each"],
+)
+def test_screening_a_short_list(bpea, lists):
+    """A shop with one pulley is still a shop."""
+    best = shop(bpea, biarticular=lists, method="screened", settings=replace(OPTIONS, coarse=6))
+    assert best.hardware["k_b"] == 13.0  # the stiffest: facts.md's optimum is at k_b's upper bound
+    assert best.hardware["r_3"] == 0.014
+
+
+def test_a_catalogue_without_anything_that_fits_is_explained(pea, bpea):
+    with pytest.raises(UserError, match=r"'tiny' has no parallel spring for joint3 within the task's bounds"):
+        shop(pea, {"joint2": (9.0,)})
+    with pytest.raises(UserError, match=r"no parallel spring for joint3"):
+        shop(pea, {"joint2": (9.0,), "joint3": (70.0,)})
+    with pytest.raises(UserError, match="'tiny' has no biarticular_spring"):
+        shop(bpea, PARALLEL)
+    with pytest.raises(UserError, match="unknown catalogue search 'guess'; there are exhaustive, screened"):
+        shop(bpea, biarticular=BIARTICULAR, method="guess")
+
+
+@pytest.mark.parametrize("name", ["k_b", "r_1", "r_2", "r_3"])
+def test_pulleys_outside_the_bounds_are_explained(bpea, name):
+    with pytest.raises(UserError, match=name):
+        shop(bpea, biarticular=BIARTICULAR | {name: (99.0,)})
+
+
+def test_the_prototypes_catalogue():
+    """facts.md: springs i·2.057 + j·3.4263 with i ≤ 5, j ≤ 4 up to 13.7052, and each pulley with 1 mm of cable."""
+    catalogue = load_catalogue()
+    values = {round(i * 2.057 + j * 3.4263, 4) for i in range(6) for j in range(5)} - {0.0}
+    assert set(catalogue.parallel["joint2"]) == {v for v in values if v <= 13.7052 + 1e-9}
+    assert catalogue.parallel["joint3"] == (0.6589, 0.8755, 1.318)
+    pulleys = [d + 1 for d in (13, 13.5, 14, 18, 18.5, 19, 20.5, 21, 22, 28, 28.5, 38)]
+    assert catalogue.biarticular["r_1"] == catalogue.biarticular["r_3"] == pytest.approx(tuple(d / 1000 for d in pulleys))
+    assert catalogue.biarticular["r_2"] == pytest.approx(tuple((d + 1) / 1000 for d in (18, 21, 22, 22.5, 25, 26, 27, 35)))
+
+
+GOOD = {
+    "format": "rrr_oc-catalogue/1",
+    "parallel_springs_Nm_per_rad": {"joint2": [2, 1]},
+    "biarticular_spring": {"k_b_Nm_per_rad": [1], "r_1_mm": [14], "r_2_mm": [20], "r_3_mm": [20]},
+}
+
+
+def written(folder: Path, **changes) -> Path:
+    file = folder / "shop.json"
+    file.write_text(json.dumps(GOOD | changes))
+    return file
+
+
+def test_a_catalogue_file(tmp_path):
+    catalogue = load_catalogue(written(tmp_path, name="corner shop"))
+    assert catalogue == Catalogue(
+        "corner shop", {"joint2": (1.0, 2.0)}, {"k_b": (1.0,), "r_1": (0.014,), "r_2": (0.02,), "r_3": (0.02,)}
+    )
+
+
+WRONG = {
+    "unknown key": ({"colour": 1}, "unknown key 'colour'"),
+    "other format": ({"format": "x"}, "rrr_oc-catalogue/1"),
+    "no list": ({"parallel_springs_Nm_per_rad": {"joint2": 3}}, "joint2 must be a list of numbers above 0, got 3"),
+    "empty list": ({"parallel_springs_Nm_per_rad": {"joint2": []}}, "must be a list of numbers above 0"),
+    "negative": ({"parallel_springs_Nm_per_rad": {"joint2": [-3]}}, "must be a list of numbers above 0"),
+    "unknown pulley": ({"biarticular_spring": {"r_9_mm": [1]}}, "unknown key 'r_9_mm'"),
+    "list of springs": ({"parallel_springs_Nm_per_rad": [1, 2]}, "parallel_springs_Nm_per_rad"),
+    "pulleys missing": ({"biarticular_spring": {"k_b_Nm_per_rad": [1]}}, "r_1_mm"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG.keys())
+def test_a_wrong_catalogue_is_explained(tmp_path, changes, message):
+    with pytest.raises(UserError, match=message):
+        load_catalogue(written(tmp_path, **changes))
+
+
+def test_a_wrong_catalogue_file_is_explained(tmp_path):
+    with pytest.raises(UserError, match="no catalogue at 'nowhere'; give a JSON file or 'prototype'"):
+        load_catalogue("nowhere")
+    file = tmp_path / "shop.json"
+    for content in (b"{", b"[]", b"\xff\xfe"):
+        file.write_bytes(content)
+        with pytest.raises(UserError):
+            load_catalogue(file)

@@ -1,0 +1,226 @@
+"""The main study as its users run it: what it leaves in its folder, and what it says to those who ask wrongly."""
+
+import copy
+import importlib.resources
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from chains import arm, joint, link, robot
+
+ROOT = Path(__file__).resolve().parents[1]
+STUDY = ROOT / "studies" / "pea_bpea.py"
+TINY = ["--configurations", "SA,PEA", "--starts", "2", "--tolerance", "1e-3", "--catalogue", "none", "--jobs", "1"]
+PAPER = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
+CONTRACT = {"E1", "E1_joint", "rms", "peak", "springs", "durations", "certificate", "mujoco", "published_springs_E1", "wall_s"}
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory) -> Path:
+    """The folder of a tiny run, made by the command itself."""
+    folder = tmp_path_factory.mktemp("study") / "results"
+    done = subprocess.run(
+        [sys.executable, str(STUDY), *TINY, "--out", str(folder)], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Everything is in" in done.stdout
+    return folder
+
+
+@pytest.fixture(scope="module")
+def summary(out) -> dict:
+    return json.loads((out / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def study() -> ModuleType:
+    """The study as a module, so that its process starts once."""
+    spec = importlib.util.spec_from_file_location("pea_bpea", STUDY)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def run(study: ModuleType, monkeypatch, *arguments: str) -> int:
+    """The command line in this process; its exit status."""
+    monkeypatch.setattr(sys, "argv", [str(STUDY), *arguments])
+    with pytest.raises(SystemExit) as stop:
+        study.run()
+    return int(stop.value.code or 0)
+
+
+def test_summary_holds_what_the_contract_says(summary):
+    assert set(summary["configurations"]) == {"SA", "PEA"}
+    assert {"preset", "seed", "starts", "versions", "options"} <= set(summary)
+    assert (summary["preset"], summary["seed"], summary["starts"]) == ("paper", 0, 2)
+    assert {"casadi", "pin", "mujoco", "numpy", "python"} <= set(summary["versions"])
+    for found in summary["configurations"].values():
+        assert set(found) >= CONTRACT
+        assert set(found["durations"]) == {"go", "return"}
+        assert all(1 - 1e-6 <= t <= 5 + 1e-6 for t in found["durations"].values())
+        for by_joint in (found["E1_joint"], found["rms"], found["peak"]):
+            assert set(by_joint) == {"joint2", "joint3"}
+        assert found["wall_s"] > 0
+        assert found["certificate"]["second_order"] in ("strict", "weak")
+        assert {"primal", "dual", "complementarity", "active", "sensitivity", "mesh", "reintegration"} <= set(
+            found["certificate"]
+        )
+
+
+def test_springs_are_in_si_and_radians_and_within_bounds(summary):
+    found = summary["configurations"]
+    assert found["SA"]["springs"] == {}
+    springs = found["PEA"]["springs"]
+    assert set(springs) == {"k_p2", "q_eq2", "k_p3", "q_eq3"}
+    bounds = {"k_p2": (0, 13.7052), "k_p3": (0, 1.32), "q_eq2": np.radians([-10, 140]), "q_eq3": np.radians([-140, 140])}
+    for name, (low, high) in bounds.items():
+        assert low - 1e-6 <= springs[name] <= high + 1e-6  # IPOPT's relaxation
+
+
+def test_numbers_agree_with_known_ones(summary):
+    """facts.md, section 4; a mesh tolerance of 1e-3 and two starts: SA's usual local optimum is 564.11."""
+    found = summary["configurations"]
+    assert found["SA"]["E1"] == pytest.approx(563.6, rel=2e-3)
+    assert found["PEA"]["E1"] == pytest.approx(66.75, rel=5e-3)
+    assert found["PEA"]["published_springs_E1"] == pytest.approx(84.9, rel=5e-3)
+    assert found["SA"]["published_springs_E1"] is None
+
+
+@pytest.mark.parametrize("name", ["SA", "PEA"])
+def test_motion_files_integrate_to_e1(out, summary, name):
+    """Trapezoid phase by phase; time is the last axis."""
+    found = summary["configurations"][name]
+    with np.load(out / f"{name}.npz") as file:
+        m = {k: file[k] for k in file.files}
+    assert set(m) >= {"t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload"}
+    samples = m["t"].size
+    for key in ("q", "dq", "ddq", "tau_load", "tau_spring"):
+        assert m[key].shape == (2, samples)
+    assert m["phase"].shape == m["payload"].shape == (samples,)
+    by_joint = np.zeros(2)
+    for i, (duration, payload) in enumerate(zip(found["durations"].values(), (5.0, 0.0), strict=True)):
+        k = m["phase"] == i
+        assert np.all(np.diff(m["t"][k]) > 0)
+        assert np.ptp(m["t"][k]) == pytest.approx(duration, rel=1e-9)
+        assert np.all(m["payload"][k] == payload)
+        by_joint += np.trapezoid(m["tau_load"][:, k] ** 2, m["t"][k], axis=-1)
+        for rate, value in (("dq", "q"), ("ddq", "dq")):
+            steps = np.diff(m["t"][k]) * (m[rate][:, k][:, 1:] + m[rate][:, k][:, :-1]) / 2
+            drift = np.cumsum(steps, axis=-1) - (m[value][:, k][:, 1:] - m[value][:, k][:, :1])
+            assert np.abs(drift).max() < 1e-2  # trapezoids over 20 ms while accelerations turn round by up to 6 rad/s²
+    assert by_joint.sum() == pytest.approx(found["E1"], rel=1e-4)
+    np.testing.assert_allclose(by_joint, list(found["E1_joint"].values()), rtol=1e-4)
+    rms = np.sqrt(by_joint / sum(found["durations"].values()))
+    np.testing.assert_allclose(rms, list(found["rms"].values()), rtol=1e-4)
+    np.testing.assert_allclose(np.abs(m["tau_load"]).max(axis=1), list(found["peak"].values()), rtol=1e-9)
+
+
+def test_the_engine_agrees(summary):
+    for found in summary["configurations"].values():
+        assert found["mujoco"]["E1"] == pytest.approx(found["E1"], rel=1e-3)  # MuJoCo's steps of 1 to 2 ms
+        assert set(found["mujoco"]["E1_joint"]) == {"joint2", "joint3"}
+        assert found["mujoco"]["exact_springs"]["E1"] == pytest.approx(found["E1"], rel=2e-3)
+
+
+def test_report_and_figures_are_there(out, summary):
+    text = (out / "report.md").read_text()
+    assert f"{summary['configurations']['PEA']['E1']:.3f}" in text
+    figures = {"torques", "landscape", "trajectory_SA", "trajectory_PEA", "arm_SA", "arm_PEA"}
+    assert {f.stem for f in out.glob("*.png")} == figures
+    assert all(f.read_bytes().startswith(b"\x89PNG") for f in out.glob("*.png"))
+    assert not list(out.glob("*.tmp*"))
+
+
+def test_repeating_the_command_takes_the_saved_results(out, summary, study, monkeypatch, capsys):
+    assert run(study, monkeypatch, *TINY, "--out", str(out)) == 0
+    told = capsys.readouterr().out
+    assert all(f"{name}: taken from" in told.replace("\n", " ") for name in ("SA", "PEA"))
+    again = json.loads((out / "summary.json").read_text())
+    assert again["configurations"] == summary["configurations"]
+    assert again["wall_s"] < summary["wall_s"] / 2
+
+
+def task_file(folder: Path, name: str = "task.json", **changes) -> str:
+    """The paper's task with changes as `outer__inner=value`."""
+    content = copy.deepcopy(PAPER)
+    for path, value in changes.items():
+        *outer, last = path.split("__")
+        place = content
+        for key in outer:
+            place = place[int(key) if isinstance(place, list) else key]
+        place[last] = value
+    (folder / name).write_text(json.dumps(content))
+    return str(folder / name)
+
+
+def with_robot(folder: Path, urdf: str) -> str:
+    """A task of the arm in `urdf`, whose joints are j1, j2, …"""
+    (folder / "arm.urdf").write_text(urdf)
+    limits = {"j2": {"speed_deg_per_s": 90, "acceleration_deg_per_s2": 180}}
+    angles = {"start": {"angles_deg": [10]}, "release": {"angles_deg": [50]}}
+    content = {
+        **PAPER,
+        **angles,
+        "robot": "arm.urdf",
+        "moving": ["j2"],
+        "limits": limits,
+        "tool": {"link": "l2", "position_m": [0, 0, 0]},
+    }
+    (folder / "task.json").write_text(json.dumps(content))
+    return str(folder / "task.json")
+
+
+PRISMATIC, FLOATING = arm(3, {2: "prismatic"}), arm(3, {1: "floating"})
+MASSLESS = robot(link("base", 0), link("l1"), link("l2", 0), joint("j1", "base", "l1"), joint("j2", "l1", "l2"))
+TORQUE = {"torque_Nm": 5.0, **PAPER["limits"]["joint2"]}
+BAD = {
+    "unknown preset": (lambda f: ["--preset", "nowhere"], "no task at 'nowhere'"),
+    "missing URDF": (lambda f: ["--preset", task_file(f, robot="gone.urdf")], "no robot at 'gone.urdf'"),
+    "unknown configuration": (lambda f: ["--configurations", "SA,XPEA"], "unknown configuration 'XPEA'"),
+    "no configuration": (lambda f: ["--configurations", ","], "configuration"),
+    "crossed bounds": (lambda f: ["--preset", task_file(f, limits__joint2__range_deg=[150, -10])], "are crossed: 150 … -10"),
+    "crossed spring bounds": (
+        lambda f: ["--configurations", "PEA", "--preset", task_file(f, springs__0__stiffness_Nm_per_rad=[5, 1])],
+        "crossed: 5 … 1",
+    ),
+    "out of reach": (lambda f: ["--preset", task_file(f, release__position_m=[0.7, 0, 0.07])], "no nearer than 0.1000 m"),
+    "too little time": (lambda f: ["--preset", task_file(f, duration_s=[0.2, 1.0])], "joint3 needs 1.11 s"),
+    "too weak": (lambda f: ["--preset", task_file(f, limits__joint2=TORQUE)], "load torque of joint2"),
+    "prismatic": (lambda f: ["--preset", with_robot(f, PRISMATIC)], "joint 'j2' is prismatic; allowed are revolute"),
+    "floating": (lambda f: ["--preset", with_robot(f, FLOATING)], "joint 'j1' is floating; allowed are revolute"),
+    "massless": (lambda f: ["--preset", with_robot(f, MASSLESS)], "'l2', moved by joint 'j2', has mass 0 kg"),
+    "unknown cost": (lambda f: ["--cost", "beauty"], "unknown cost 'beauty'"),
+    "energy without resistances": (lambda f: ["--cost", "energy"], "joint2, joint3"),
+    "no actuators": (lambda f: ["--cost", "motor", "--actuators", "gone.json"], "no usable actuators"),
+    "no catalogue": (lambda f: ["--catalogue", "gone.json"], "no catalogue at 'gone.json'"),
+    "unknown catalogue search": (lambda f: ["--catalogue-search", "guess"], "exhaustive, screened"),
+    "no processes": (lambda f: ["--jobs", "0"], "jobs"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD.keys())
+def test_bad_input_is_one_sentence_and_status_2(study, monkeypatch, capsys, tmp_path, arguments, message):
+    folder = tmp_path / "results"
+    small = ["--configurations", "SA", "--starts", "2", "--catalogue", "none", "--jobs", "1", "--out", str(folder)]
+    assert run(study, monkeypatch, *small, *arguments(tmp_path)) == 2
+    told = capsys.readouterr().err.strip()
+    assert told.startswith("Error: ")
+    assert message in told
+    assert len(told.splitlines()) == 1
+    assert "Traceback" not in told
+    assert not folder.exists()
+
+
+def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(study, monkeypatch, capsys, tmp_path):
+    (tmp_path / "results").write_text("mine")
+    monkeypatch.setattr(study, "search", lambda *a: pytest.fail("it began to solve"))
+    assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
+    assert "results" in capsys.readouterr().err
+    assert (tmp_path / "results").read_text() == "mine"

@@ -1,0 +1,224 @@
+"""Tasks against geometry and statics done by hand, and every way in which a task file can be wrong."""
+
+import copy
+import importlib.resources
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from rrr_oc.errors import UserError
+from rrr_oc.rigid_body import rigid_body
+from rrr_oc.task import load_task, tool_height
+
+PAPER = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
+LINK = 0.3  # [m], links 2 and 3
+
+
+def task_file(folder: Path, **changes) -> Path:
+    """The preset `paper` with changes as `outer__inner=value`; None takes a key away."""
+    content = copy.deepcopy(PAPER)
+    for path, value in changes.items():
+        *outer, last = path.split("__")
+        place = content
+        for key in outer:
+            place = place[key]
+        if value is None:
+            del place[last]
+        else:
+            place[last] = value
+    file = folder / "task.json"
+    file.write_text(json.dumps(content))
+    return file
+
+
+def elbow(x: float, up: bool = True) -> list[float]:
+    """q2, q3 [°] that put the tool at (x, 0) in the shoulder's plane, links of equal length: law of cosines."""
+    q2 = math.degrees(math.acos(x / (2 * LINK)))
+    return [q2, -2 * q2] if up else [-q2, 2 * q2]
+
+
+def test_the_papers_ends_are_the_inverse_kinematics():
+    task = load_task("paper")
+    np.testing.assert_allclose(np.degrees(task.start), elbow(0.15), atol=1e-6)  # the least squares' 1e-8 m
+    np.testing.assert_allclose(np.degrees(task.release), elbow(0.40), atol=1e-6)
+    np.testing.assert_allclose(np.degrees(task.start), [75.52, -151.04], atol=0.006)  # facts.md, two digits
+    np.testing.assert_allclose(np.degrees(task.release), [48.19, -96.38], atol=0.006)
+
+
+def holding(task, q: np.ndarray, payload: float) -> np.ndarray:
+    """Gravity torque of joints 2 and 3 by numeric pinocchio, the payload a point mass on link 3 [Nm]."""
+    urdf = importlib.resources.files("rrr_oc.urdf").joinpath(f"{task.robot.name}.urdf").read_text()
+    model = pin.buildModelFromXML(urdf)
+    model.inertias[3] += pin.Inertia(payload, task.tool.position, np.zeros((3, 3)))
+    return pin.computeGeneralizedGravity(model, model.createData(), np.r_[0, q])[1:]
+
+
+def test_holding_torques():
+    """Against numeric pinocchio, and against facts.md's digits."""
+    task = load_task("paper")
+    inverse, zero, seen = task.model().inverse, np.zeros(3), []
+    for payload in (5.0, 0.0):
+        for q in (task.start, task.release):
+            tau = np.array(inverse(task.full(q), zero, zero, payload, [], [])[0]).ravel()[1:]
+            np.testing.assert_allclose(tau, holding(task, q, payload), rtol=1e-12)
+            seen += tau.tolist()
+    np.testing.assert_allclose(
+        seen, [10.339, 4.256, 27.572, 11.351, 2.982, 0.578, 7.952, 1.540], atol=1e-3
+    )  # three digits, the last of 11.351 off by one
+
+
+def test_prototype_preset_is_what_facts_say():
+    task = load_task("prototype")
+    np.testing.assert_allclose(np.degrees(task.start), [69.295, -138.590])
+    np.testing.assert_allclose(np.degrees(task.release), [19.471, -38.942])
+    radii = [2 * LINK * np.cos(q[0]) for q in (task.start, task.release)]
+    np.testing.assert_allclose(radii, [0.2121, 0.5657], atol=5e-5)  # four digits; they are the wrist's, at 0.3 m
+    assert task.tool.position[0] == 0.310
+    np.testing.assert_allclose(np.degrees(task.speed), 120)
+    assert np.all(np.isinf(task.acceleration))
+    np.testing.assert_array_equal(task.torque, [157.5, 95.25])
+    widened = np.degrees(
+        [np.r_[task.lower], np.r_[task.upper]]
+    )  # start–release widened by a quarter, within q2 −10…150°, q3 ±140°
+    np.testing.assert_allclose(widened[0], [19.471 - 49.824 / 4 if 19.471 - 49.824 / 4 > -10 else -10, -140], atol=1e-9)
+    np.testing.assert_allclose(widened[1], [69.295 + 49.824 / 4, -38.942 + 99.648 / 4], atol=1e-9)
+    np.testing.assert_allclose(task.robot.inertial[0], [4.524, 4.029, 2.181])
+
+
+def test_paper_preset_is_what_facts_say():
+    task = load_task("paper")
+    np.testing.assert_allclose(np.degrees(task.speed), 90)
+    np.testing.assert_allclose(np.degrees(task.acceleration), 180)
+    np.testing.assert_array_equal(task.tool.position, [0.3, 0, 0])
+    np.testing.assert_allclose(task.robot.inertial[0], [4.480, 4.045, 2.181])
+    assert (task.payloads, task.duration, task.joints) == ((5.0, 0.0), (1.0, 5.0), ("joint2", "joint3"))
+    assert task.floor == -np.inf
+    np.testing.assert_array_equal(task.ends(0), [task.start, task.release])
+    np.testing.assert_array_equal(task.ends(1), [task.release, task.start])
+    np.testing.assert_array_equal(task.full(np.array([[1.0, 2], [3, 4]])), [[0, 0], [1, 2], [3, 4]])
+
+
+def test_elbow_up_is_chosen_where_both_fit(tmp_path):
+    both = {"limits__joint2__range_deg": [-180, 180], "limits__joint3__range_deg": [-180, 180]}
+    task = load_task(task_file(tmp_path, **both))
+    np.testing.assert_allclose(np.degrees(task.release), elbow(0.40), atol=1e-5)
+    up_is_down = load_task(task_file(tmp_path, gravity=[0, 0, 9.81], **both))
+    np.testing.assert_allclose(np.degrees(up_is_down.release), elbow(0.40, up=False), atol=1e-5)
+    ranges = {"limits__joint2__range_deg": [-180, 180], "limits__joint3__range_deg": [0, 180]}
+    down = load_task(task_file(tmp_path, **ranges))
+    np.testing.assert_allclose(np.degrees(down.release), elbow(0.40, up=False), atol=1e-5)
+
+
+def test_tool_height_is_geometry():
+    task, rng = load_task("paper"), np.random.default_rng(3)
+    body = rigid_body(task.robot)
+    for q1, q2, q3 in rng.uniform(-3, 3, (20, 3)):
+        height = 0.07 + LINK * math.sin(q2) + 0.3 * math.sin(q2 + q3)
+        assert float(tool_height(task, body, np.array([q1, q2, q3]))) == pytest.approx(height, abs=1e-12)
+
+
+@pytest.mark.parametrize(("longest", "feasible"), [(1.1072, False), (1.1076, True)])
+def test_least_time_is_that_of_a_trapezoid_of_speed(tmp_path, longest, feasible):
+    """Joint 3 goes 54.6656° at 90 °/s and 180 °/s²: 54.6656/90 + 90/180 = 1.10740 s."""
+    file = task_file(tmp_path, duration_s=[0.1, longest])
+    if feasible:
+        assert load_task(file).duration == (0.1, longest)
+    else:
+        with pytest.raises(UserError, match=r"joint3 needs 1\.11 s for its 54\.7°"):
+            load_task(file)
+
+
+def test_a_short_way_needs_the_time_of_a_triangle_of_speed(tmp_path):
+    """10° at 180 °/s²: full speed is never reached, 2 sqrt(10/180) = 0.4714 s."""
+    ends = {"start": {"angles_deg": [40, -90]}, "release": {"angles_deg": [50, -90]}}
+    assert load_task(task_file(tmp_path, duration_s=[0.1, 0.472], **ends)).duration[1] == 0.472
+    with pytest.raises(UserError, match=r"joint2 needs 0\.47 s"):
+        load_task(task_file(tmp_path, duration_s=[0.1, 0.471], **ends))
+
+
+WRONG = {
+    "unknown key": ({"colour": 1}, r"unknown key 'colour'; allowed are format, name"),
+    "key missing": ({"start": None}, "key 'start' is missing"),
+    "crossed range": (
+        {"limits__joint2__range_deg": [150, -10]},
+        r"limits of joint2: bounds of range_deg are crossed: 150 … -10",
+    ),
+    "crossed duration": ({"duration_s": [5, 1]}, "bounds of duration_s are crossed: 5 … 1"),
+    "three durations": ({"duration_s": [1, 2, 3]}, r"duration_s must be two numbers \[lower, upper\]"),
+    "no duration": ({"duration_s": [0, 5]}, "duration_s must be above 0"),
+    "out of reach": (
+        {"release__position_m": [0.7, 0, 0.07]},
+        r"release at \[0.7, 0.0, 0.07\] m is out of reach .* nearer than 0\.1000 m",
+    ),
+    "sideways": ({"release__position_m": [0.3, 0.2, 0.07]}, r"nearer than 0\.2000 m"),
+    "end outside range": (
+        {"start": {"angles_deg": [10, 10]}},
+        r"joint3 would stand at 10.00°, outside its range -180.00° … 0.00°",
+    ),
+    "three angles": ({"start": {"angles_deg": [1, 1, 1]}}, "angles_deg must be 2 numbers"),
+    "angles and position": ({"start": {"angles_deg": [1, 1], "position_m": [1, 1, 1]}}, 'either "angles_deg" or "position_m"'),
+    "too little time": ({"duration_s": [0.2, 1.0]}, r"the task cannot be done: joint3 needs 1\.11 s .* allows 1 s"),
+    "below the floor": ({"floor_m": 0.1}, r"at the start the tool stands 0\.0700 m high, below floor_m = 0.1 m"),
+    "negative payload": ({"payload_kg": -1}, "payload_kg must be a finite number of 0 or more, got -1"),
+    "payload is no number": ({"payload_kg": float("nan")}, "payload_kg must be a finite number of 0 or more, got nan"),
+    "unknown joint": ({"moving": ["joint2", "joint9"]}, "no joint 'joint9'; it has joint1, joint2, joint3"),
+    "unknown joint in limits": ({"limits__joint9": {}}, "limits: unknown key 'joint9'; allowed are joint2, joint3"),
+    "wrong order": ({"moving": ["joint3", "joint2"]}, "moving must list different joints, base first"),
+    "nothing moves": ({"moving": []}, "moving must be a list of joint names"),
+    "no speed": ({"limits__joint2__speed_deg_per_s": 0}, "speed_deg_per_s must be a number above 0, got 0"),
+    "speed in words": ({"limits__joint2__speed_deg_per_s": "fast"}, "must be a number above 0, got 'fast'"),
+    "negative torque": ({"limits__joint2__torque_Nm": -3}, "torque_Nm must be a number above 0"),
+    "unknown limit": ({"limits__joint2__jerk": 3}, "limits of joint2: unknown key 'jerk'"),
+    "unknown link": ({"tool": {"link": "hand", "position_m": [0, 0, 0]}}, "no link 'hand'; it has base"),
+    "tool on the base": ({"tool": {"link": "base", "position_m": [0, 0, 0]}}, "link 'base' .* does not move"),
+    "position without the last link": ({"tool": {"link": "link2", "position_m": [0.1, 0, 0]}}, "give angles_deg"),
+    "missing robot": ({"robot": "nowhere.urdf"}, "no robot at 'nowhere.urdf'"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG.keys())
+def test_a_wrong_task_is_explained(tmp_path, changes, message):
+    with pytest.raises(UserError, match=message):
+        load_task(task_file(tmp_path, **changes))
+
+
+def test_a_wrong_file_is_explained(tmp_path):
+    with pytest.raises(UserError, match=r"no task at 'nowhere.json'.* presets paper, prototype"):
+        load_task("nowhere.json")
+    file = tmp_path / "task.json"
+    for content, message in ((b"{", "not valid JSON"), (b"\xff\xfe\x00", "not valid JSON"), (b"[]", "rrr_oc-task/1")):
+        file.write_bytes(content)
+        with pytest.raises(UserError, match=message):
+            load_task(file)
+
+
+MALFORMED = {
+    "payload in words": {"payload_kg": "heavy"},
+    "payload a list": {"payload_kg": [5]},
+    "two coordinates": {"start__position_m": [0.15, 0]},
+    "position in words": {"start__position_m": "here"},
+    "position not finite": {"start__position_m": [float("nan"), 0, 0.07]},
+    "angles in words": {"start": {"angles_deg": ["a", "b"]}},
+    "moving a number": {"moving": 3},
+    "limits a list": {"limits": []},
+    "a limit a number": {"limits__joint2": 3},
+    "tool without position": {"tool": {"link": "link3"}},
+    "tool a word": {"tool": "link3"},
+    "floor in words": {"floor_m": "ground"},
+    "springs a number": {"springs": 3},
+    "gravity of two": {"gravity": [0, 0]},
+    "gravity in words": {"gravity": "down"},
+    "margin in words": {"path_margin": "wide"},
+    "margin shuts the ends out": {"path_margin": -0.3},
+}
+
+
+@pytest.mark.parametrize("changes", MALFORMED.values(), ids=MALFORMED.keys())
+def test_a_malformed_value_is_the_users_to_mend(tmp_path, changes):
+    """Style: validate at the door. Every one of these must be a `UserError`, none a traceback from inside."""
+    with pytest.raises(UserError):
+        load_task(task_file(tmp_path, **changes))
