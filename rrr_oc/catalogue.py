@@ -14,7 +14,7 @@ from rrr_oc.codesign import CoDesign
 from rrr_oc.effects.biarticular_spring import reduced
 from rrr_oc.errors import UserError
 from rrr_oc.parallel import unordered
-from rrr_oc.parameters import check_names
+from rrr_oc.parameters import check_names, read_object
 from rrr_oc.search import Optimum, SearchOptions, continued, transcribed
 from rrr_oc.solve import Options, Solution, Solver, SolverFailure
 
@@ -41,19 +41,22 @@ def load_catalogue(source: str | Path = "prototype") -> Catalogue:
     if str(source) == "prototype":
         text, where = importlib.resources.files("rrr_oc.data").joinpath("catalogue.json").read_text(), "catalogue 'prototype'"
     elif Path(source).is_file():
-        text, where = Path(source).read_text(), str(source)
+        text, where = Path(source).read_bytes(), str(source)
     else:
         raise UserError(f"no catalogue at {str(source)!r}; give a JSON file or 'prototype'")
     try:
         content = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{where}: not valid JSON: {error}") from None
     if not isinstance(content, dict) or content.get("format") != "rrr_oc-catalogue/1":
         raise UserError(f'{where}: expected an object with "format": "rrr_oc-catalogue/1"')
     check_names(content, ("format", "name", "parallel_springs_Nm_per_rad", "biarticular_spring"), where)
     pulleys = content.get("biarticular_spring", {})
-    check_names(pulleys, ("k_b_Nm_per_rad", "r_1_mm", "r_2_mm", "r_3_mm"), f"{where}: biarticular_spring")
-    parallel = {j: _list(where, j, v, 1.0) for j, v in content.get("parallel_springs_Nm_per_rad", {}).items()}
+    keys = ("k_b_Nm_per_rad", "r_1_mm", "r_2_mm", "r_3_mm")
+    pulleys = read_object(where, "biarticular_spring", pulleys, keys, keys if pulleys else ())
+    lists = content.get("parallel_springs_Nm_per_rad", {})
+    lists = read_object(where, "parallel_springs_Nm_per_rad", lists, tuple(lists) if isinstance(lists, dict) else ("joints",))
+    parallel = {j: _list(where, j, v, 1.0) for j, v in lists.items()}
     units = {"k_b": ("k_b_Nm_per_rad", 1.0), "r_1": ("r_1_mm", 1e-3), "r_2": ("r_2_mm", 1e-3), "r_3": ("r_3_mm", 1e-3)}
     biarticular = {h: _list(where, key, pulleys[key], unit) for h, (key, unit) in units.items()} if pulleys else {}
     return Catalogue(str(content.get("name", source)), parallel, biarticular)
@@ -168,19 +171,22 @@ def _screened(
     """
     kinds = springs[bar]
     reach = np.array([[c.lower[0], c.lower[1]] for c in kinds])
-    axes = np.geomspace(*_range(reach[:, 0]), grid), np.linspace(*_range(reach[:, 1]), grid)
-    low, high = np.min([c.lower for c in kinds], axis=0)[2], np.max([c.upper for c in kinds], axis=0)[2]
-    nodes = [_Choice({}, np.array([k, r, low]), np.array([k, r, high])) for k in axes[0] for r in axes[1]]
-    solved = {
-        (c.lower[_at(design, bar)], c.lower[_at(design, bar) + 1]): cost
-        for cost, c, _ in run.all([_alone(design, c, bar) for c in nodes])
-    }
-    table = np.array([[solved[k, r] for r in axes[1]] for k in axes[0]])
-    table = np.where(np.isfinite(table), table, np.nanmax(np.where(np.isfinite(table), table, np.nan)))
-    values = RegularGridInterpolator((np.log(axes[0]), axes[1]), np.log(table), method="cubic")(
-        np.c_[np.log(reach[:, 0]), reach[:, 1]]
-    )
-    order, relaxed = np.argsort(values), len(nodes)
+    values, relaxed = np.full(len(kinds), -np.inf), 0  # so few that all are solved
+    if len(kinds) > grid**2:
+        axes = np.geomspace(*_range(reach[:, 0]), grid), np.linspace(*_range(reach[:, 1]), grid)
+        low, high = np.min([c.lower for c in kinds], axis=0)[2], np.max([c.upper for c in kinds], axis=0)[2]
+        nodes = [_Choice({}, np.array([k, r, low]), np.array([k, r, high])) for k in axes[0] for r in axes[1]]
+        solved = {
+            (c.lower[_at(design, bar)], c.lower[_at(design, bar) + 1]): cost
+            for cost, c, _ in run.all([_alone(design, c, bar) for c in nodes])
+        }
+        table = np.array([[solved[k, r] for r in axes[1]] for k in axes[0]])
+        table = np.where(np.isfinite(table), table, np.nanmax(np.where(np.isfinite(table), table, np.nan)))
+        values = RegularGridInterpolator((np.log(axes[0]), axes[1]), np.log(table), method="cubic")(
+            np.c_[np.log(reach[:, 0]), reach[:, 1]]
+        )
+        relaxed = len(nodes)
+    order = np.argsort(values, kind="stable")
     ranked: list[tuple[float, _Choice]] = []
     for position in range(0, len(order), 64):
         value = float(np.exp(values[order[position]]))
@@ -238,6 +244,9 @@ def _choices(design: CoDesign, catalogue: Catalogue) -> tuple[list[list[_Choice]
                 for h, values in catalogue.biarticular.items()
             }
             distinct: dict[tuple[float, float, float], _Choice] = {}
+            for h, values in inside.items():
+                if not values:
+                    raise UserError(f"catalogue {catalogue.name!r} has no {h} within the task's bounds")
             items = list(itertools.product(*[inside[h] for h in ("k_b", "r_1", "r_2", "r_3")]))
             for k_b, r_1, r_2, r_3 in items:
                 kappa, rho, _ = reduced(k_b, 0.0, r_1, r_2, r_3)

@@ -162,7 +162,7 @@ def _motion_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
             ("speed", "rad/s", m + j, (-task.speed[j], task.speed[j])),
         ):
             for side, value in (("lower", limits[0]), ("upper", limits[1])):
-                total = _one_sided(force, [np.r_[b.nodes[row, 1:-1], b.stage_x[row, 1:-1].ravel()] for b in t.blocks], side)
+                total = _one_sided(force, [_inner(b, row) for b in t.blocks], side)
                 found.append(_bound(design, solution, f"the {side} {kind} limit of {joint}", float(value), unit, total))
         total = sum(_one_sided(force, [np.unique(b.stage_u[j]) for b in t.blocks], side) for side in ("lower", "upper"))
         if np.isfinite(task.acceleration[j]):
@@ -170,6 +170,12 @@ def _motion_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
                 _bound(design, solution, f"the acceleration limit of {joint}", float(task.acceleration[j]), "rad/s²", total)
             )
     return found
+
+
+def _inner(block, row: int) -> np.ndarray:
+    """A state's variables at all nodes and stages but the phase's fixed ends."""
+    every = np.r_[block.nodes[row], block.stage_x[row].ravel()]
+    return np.setdiff1d(every, block.nodes[row, [0, -1]])
 
 
 def _one_sided(force: np.ndarray, indices: list[np.ndarray], side: str) -> float:

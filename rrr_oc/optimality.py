@@ -137,7 +137,7 @@ def _sparse(matrix: ca.DM) -> scipy.sparse.csc_array:
 def _factor(H, A, diagonal: np.ndarray, delta: float = 1e-9):
     """LDLᵀ-like factors of the quasi-definite optimality system (no pivoting, so U's signs are its inertia)."""
     K = scipy.sparse.block_array(
-        [[H + scipy.sparse.diags_array(diagonal), A.T], [A, -delta * scipy.sparse.eye_array(A.shape[0])]]
+        [[H + scipy.sparse.diags_array(diagonal + 1e-13), A.T], [A, -delta * scipy.sparse.eye_array(A.shape[0])]]
     )
     factors = splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return factors, int((factors.U.diagonal() < 0).sum())

@@ -1,5 +1,6 @@
 """Global search: CMA-ES proposes springs, durations and coarse paths, IPOPT polishes each; Sobol points are its rival."""
 
+import uuid
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -212,7 +213,7 @@ def search(
 
 
 def _proposals(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
-    key, size, half = (id(design), options.seed), dimensions(design, options.via), (options.starts + 1) // 2
+    key, size, half = uuid.uuid4().hex, dimensions(design, options.via), (options.starts + 1) // 2
 
     def polish(layer: str, vectors: Iterable[np.ndarray]) -> Iterator[tuple[int, Start]]:
         return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)], options.jobs)
@@ -249,10 +250,10 @@ def _strategy(size: int, options: SearchOptions, left: int) -> cma.CMAEvolutionS
     return cma.CMAEvolutionStrategy(mean, options.sigma, settings)
 
 
-_polishers: dict[tuple[int, int], Polisher] = {}
+_polishers: dict[str, Polisher] = {}  # of the search that is running, by its name
 
 
-def _polish(key: tuple[int, int], design: CoDesign, options: SearchOptions, layer: str, index: int, vector: np.ndarray):
+def _polish(key: str, design: CoDesign, options: SearchOptions, layer: str, index: int, vector: np.ndarray):
     if key not in _polishers:
         _polishers.clear()
         _polishers[key] = Polisher(design, options)

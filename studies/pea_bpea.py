@@ -61,6 +61,12 @@ def main(
     """Co-design for each configuration; writes tables, figures, summary.json and one npz a configuration."""
     began, task = time.perf_counter(), load_task(preset)
     names = [n.strip() for n in configurations.split(",") if n.strip()]
+    if not names:
+        raise UserError(f"--configurations names none; there are {', '.join(CONFIGURATIONS)}")
+    if jobs == 0:
+        raise UserError("--jobs is 0; allowed are 1 or more, and -1 for all cores")
+    if out.exists() and not out.is_dir():
+        raise UserError(f"--out {out} is a file; give a folder")
     drives = load_actuators(task.joints, actuators) if cost != "load" else None
     designs = {name: CoDesign(task, spring_bounds(task, name), cost, drives) for name in names}
     shop = None if catalogue == "none" else load_catalogue(catalogue)

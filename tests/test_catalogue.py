@@ -119,7 +119,7 @@ def test_values_outside_the_tasks_bounds_are_left_out(pea):
 
 
 def test_screened_equals_exhaustive(bpea):
-    """Four (kappa, rho) on a grid of 144: the same best, and the numbers say what was done."""
+    """Four (kappa, rho), fewer than the screening grid: all are solved, and the numbers say so."""
     every = {"k_b": (9.0, 13.0), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.014, 0.02)}
     exhaustive, screened = (
         shop(bpea, biarticular=every, method=m, settings=replace(OPTIONS, coarse=6, fine=8)) for m in ("exhaustive", "screened")
@@ -127,7 +127,7 @@ def test_screened_equals_exhaustive(bpea):
     assert screened.hardware == pytest.approx(exhaustive.hardware, rel=1e-3)  # q_0 is free and its valley flat
     assert screened.optimum.solution.cost == pytest.approx(exhaustive.optimum.solution.cost, rel=1e-4)
     cover = screened.coverage
-    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed) == (4, 4, 4, 144)
+    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed) == (4, 4, 4, 0)
     assert cover.margin == float("inf")
 
 

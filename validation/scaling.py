@@ -167,11 +167,11 @@ def figure(results: dict, path: Path) -> None:
             axis.loglog(x, y, marker=marker, color=colour, lw=1.6, ms=6, label=f"{joints} joints")
             if axis is axes[0]:
                 for r, height in zip(rows, y, strict=True):
-                    below = joints == 6  # between the other two lines
+                    below = joints < 7
                     place = {"xytext": (0, -12 if below else 7), "textcoords": "offset points", "ha": "center"}
                     axis.annotate(str(r["iterations"]), (r["intervals"], height), fontsize=7.5, color=colour, **place)
         if axis is not axes[2]:
-            guide = 0.6 * min(value(r) for r in results["rows"]) * np.array(INTERVALS) / INTERVALS[0]
+            guide = 0.35 * min(value(r) for r in results["rows"]) * np.array(INTERVALS) / INTERVALS[0]
             axis.loglog(INTERVALS, guide, color="0.6", lw=1, ls="--", label="∝ intervals")
         axis.set_xticks(INTERVALS, [str(n) for n in INTERVALS])
         axis.xaxis.set_minor_locator(NullLocator())
