@@ -2,6 +2,8 @@
 
 The plain model has dry friction, viscous friction and armature in every joint. Its residuals (`regression`) are linear in the
 parameters, so that one Gauss–Newton step solves them; other effects take more. Standard errors are those of `inference`.
+How abruptly dry friction changes sign is a property of the joint too, and is chosen first (`with_widths`): in the recordings of the
+paper's arm 0.01 rad/s and less, five times below the authors' tanh(20 dq), which lowers the NRMSE from 0.19 to 0.12.
 """
 
 import platform
@@ -15,6 +17,7 @@ import numpy as np
 
 from rrr_oc import __version__
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term, nominal_term, urdf_text
+from rrr_oc.effects import Signals
 from rrr_oc.effects.armature import Armature
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.viscous_friction import ViscousFriction
@@ -31,10 +34,12 @@ from rrr_oc.inference import (
 )
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import RecordingSet
-from rrr_oc.regression import CORRELATION, FILTER, STRIDE, Prepared, Rows, noise, prepare, rows, without_spikes
+from rrr_oc.regression import CORRELATION, FILTER, STRIDE, Prepared, Rows, filtered, noise, prepare, rows, without_spikes
 
 PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
+WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s]
+DOUBT = 12.0  # of a squared residual over its variance: below 0.1 % by chance
 STEPS = 30  # of Gauss–Newton, at most
 TOLERANCE = 1e-9  # of the squared residual: a step that promises less is not taken
 
@@ -87,8 +92,39 @@ def calibrate(recordings: RecordingSet) -> CalibratedModel:
     """
     start = plain_model(recordings)
     prepared = prepare(recordings)
+    start = with_widths(prepared, start)
     fit = identify(recordings, prepared, start) if recordings.inertial == "identify" else fit_terms(recordings, prepared, start)
     return fit.model
+
+
+def with_widths(prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
+    """The model with the width of each joint's dry friction, of `WIDTHS`, that leaves the least residual.
+
+    Another than the model's own only where it is better beyond doubt: where the squared residual, counted in independent
+    samples, falls by more than `DOUBT`. Inertial parameters that are to be identified are free in the comparison.
+    """
+    found = rows(prepared, model, inertial=model.inertial == "identify")
+    terms, column = list(model.terms), 0
+    for i, term in enumerate(model.terms):
+        if isinstance(term.effect, DryFriction) and term.width is not None:
+            terms[i] = replace(term, width=_best_width(prepared, found, term, column))
+        column += len(term.estimates)
+    return replace(model, terms=tuple(terms))
+
+
+def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int) -> float:
+    (j,), own = term.effect.joints, term.width
+    others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
+    count = found.moving[j].sum() * STRIDE / CORRELATION
+
+    def left(width: float) -> float:
+        law = filtered(prepared, lambda r: np.reshape(term.effect.torque(Signals(r.q, r.dq), {"level": 1.0}, width)[0], (1, -1)))
+        columns = np.column_stack([others, law[0] * found.moving[j]])
+        return float(np.sum((found.residual[j] - columns @ np.linalg.lstsq(columns, found.residual[j], rcond=1e-9)[0]) ** 2))
+
+    squares = {width: left(width) for width in {*WIDTHS, own}}
+    best = min(squares, key=lambda width: squares[width])
+    return best if count * (squares[own] / max(squares[best], 1e-300) - 1) > DOUBT else own
 
 
 def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:

@@ -117,7 +117,7 @@ def covariance(rows: Rows, weights: np.ndarray, bread: np.ndarray, fitted: np.nd
         return Covariance(np.full((size, size), np.nan), np.ones(size))
     each, summed = np.array(parts), np.sum(parts, axis=0)  # (stretches, q), (q,)
     freedom = np.where(summed > 0, summed**2 / np.maximum(np.sum(each**2 / np.array(dof)[:, None], axis=0), 1e-300), sum(dof))
-    lost = np.sqrt(np.where(target > 0, target / np.maximum(left, target / MOST_LOST), 1.0))
+    lost = np.sqrt(np.divide(target, np.maximum(left, target / MOST_LOST), out=np.ones(size), where=target > 0))
     return Covariance(total * np.outer(lost, lost), np.maximum(freedom, 1.0))
 
 

@@ -6,7 +6,7 @@ motion would bias the estimates, whereas the noise that they let through is take
 `validation/concealed`: armatures are biased by less than 1 % with encoder noise up to 1e-4 rad, by 10 % without the filter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,6 +101,11 @@ def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tupl
     The residual of a model, not the torque itself, so that steps of the torque at a reversal are left alone.
     """
     return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
+
+
+def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray]) -> np.ndarray:
+    """Signals (m, K) that a function makes of a recording, filtered, at the samples that `rows` keeps, (m, M)."""
+    return np.concatenate([_filtered(law(p.recording), p)[:, _kept(p.recording)[0]] for p in prepared], axis=1)
 
 
 def residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
