@@ -33,7 +33,7 @@ from rrr_oc.inference import (
     undetermined,
 )
 from rrr_oc.nrmse import error
-from rrr_oc.recordings import RecordingSet
+from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.regression import CORRELATION, FILTER, STRIDE, Prepared, Rows, filtered, noise, prepare, rows, without_spikes
 
 PLAIN = (DryFriction, ViscousFriction, Armature)
@@ -118,13 +118,18 @@ def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: i
     count = found.moving[j].sum() * STRIDE / CORRELATION
 
     def left(width: float) -> float:
-        law = filtered(prepared, lambda r: np.reshape(term.effect.torque(Signals(r.q, r.dq), {"level": 1.0}, width)[0], (1, -1)))
+        law = filtered(prepared, lambda r: _unit_law(term, r, width))
         columns = np.column_stack([others, law[0] * found.moving[j]])
         return float(np.sum((found.residual[j] - columns @ np.linalg.lstsq(columns, found.residual[j], rcond=1e-9)[0]) ** 2))
 
     squares = {width: left(width) for width in {*WIDTHS, own}}
     best = min(squares, key=lambda width: squares[width])
     return best if count * (squares[own] / max(squares[best], 1e-300) - 1) > DOUBT else own
+
+
+def _unit_law(term: Term, recording: Recording, width: float) -> np.ndarray:
+    (torque,) = term.effect.torque(Signals(recording.q, recording.dq), {"level": 1.0}, width)
+    return np.array(torque).reshape(1, -1)
 
 
 def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:

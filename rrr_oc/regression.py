@@ -23,7 +23,11 @@ SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # of the motion that enters the 
 STRIDE = 0.04  # [s] between the rows kept; the filter has removed what is faster
 ENDS = 0.1  # [s] left out at both ends of a stretch, where the filter is one-sided
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
-SPIKE = 6.0  # robust standard deviations off the running median
+SPIKE = 6.0  # standard deviations off the running median
+RARE = (
+    0.99,
+    2.576,
+)  # the deviation is at least that of normal noise with this quantile, so that spikes are one in a hundred at most
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
 
 
@@ -96,7 +100,7 @@ def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = 
 
 
 def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[Prepared, ...]:
-    """The recordings with lone samples, `SPIKE` robust deviations off the residual's running median, put onto it.
+    """The recordings with lone samples, `SPIKE` deviations off the residual's running median, put onto it.
 
     The residual of a model, not the torque itself, so that steps of the torque at a reversal are left alone.
     """
@@ -180,7 +184,8 @@ def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
     for s in r.segments:
         middle[:, s] = median_filter(residual[:, s], (1, SPIKE_SAMPLES), mode="nearest")
     off = residual - middle
-    spread = 1.4826 * np.median(np.abs(off), axis=1, keepdims=True)
+    middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
+    spread = np.maximum(1.4826 * middling, rare / RARE[1])
     spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
     return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))
 
