@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,7 +34,20 @@ from rrr_oc.inference import (
 )
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet
-from rrr_oc.regression import CORRELATION, FILTER, STRIDE, Prepared, Rows, filtered, noise, prepare, rows, without_spikes
+from rrr_oc.regression import (
+    CORRELATION,
+    FILTER,
+    STRIDE,
+    Prepared,
+    Rows,
+    filtered,
+    is_linear,
+    noise,
+    prepare,
+    rows,
+    with_residuals,
+    without_spikes,
+)
 
 PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
@@ -104,25 +117,31 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel) -> Calibra
     samples, falls by more than `DOUBT`. Inertial parameters that are to be identified are free in the comparison.
     """
     found = rows(prepared, model, inertial=model.inertial == "identify")
-    terms, column = list(model.terms), 0
-    for i, term in enumerate(model.terms):
-        if isinstance(term.effect, DryFriction) and term.width is not None:
-            terms[i] = replace(term, width=_best_width(prepared, found, term, column))
-        column += len(term.estimates)
+    columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
+    chosen = [i for i, t in enumerate(model.terms) if isinstance(t.effect, DryFriction) and t.width is not None]
+    tried = {i: sorted({*WIDTHS, cast(float, model.terms[i].width)}) for i in chosen}
+    if not chosen:
+        return model
+    laws = filtered(prepared, lambda r: np.vstack([_unit_law(model.terms[i], r, w) for i in chosen for w in tried[i]]))
+    terms, row = list(model.terms), 0
+    for i in chosen:
+        law = dict(zip(tried[i], laws[row : row + len(tried[i])], strict=True))
+        terms[i] = replace(terms[i], width=_best_width(found, terms[i], int(columns[i]), law))
+        row += len(tried[i])
     return replace(model, terms=tuple(terms))
 
 
-def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int) -> float:
-    (j,), own = term.effect.joints, term.width
+def _best_width(found: Rows, term: Term, column: int, laws: dict[float, np.ndarray]) -> float:
+    """Of the widths, each with its filtered law of level 1, the one that leaves least beside all other columns."""
+    (j,), own = term.effect.joints, cast(float, term.width)
     others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
     count = found.moving[j].sum() * STRIDE / CORRELATION
 
-    def left(width: float) -> float:
-        law = filtered(prepared, lambda r: _unit_law(term, r, width))
-        columns = np.column_stack([others, law[0] * found.moving[j]])
+    def left(law: np.ndarray) -> float:
+        columns = np.column_stack([others, law * found.moving[j]])
         return float(np.sum((found.residual[j] - columns @ np.linalg.lstsq(columns, found.residual[j], rcond=1e-9)[0]) ** 2))
 
-    squares = {width: left(width) for width in {*WIDTHS, own}}
+    squares = {width: left(law) for width, law in laws.items()}
     best = min(squares, key=lambda width: squares[width])
     return best if count * (squares[own] / max(squares[best], 1e-300) - 1) > DOUBT else own
 
@@ -138,10 +157,10 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
     Found once, spikes taken out of the residual, found again. Raises `UserError` where no row is left.
     """
     began = time.perf_counter()
-    values, _ = _minimised(prepared, start, _checked_rows(recordings, prepared, start))
+    values, found = _minimised(prepared, start, _checked_rows(recordings, prepared, start))
     model = replace(start, terms=_with_values(start.terms, values))
     prepared = without_spikes(prepared, model)
-    values, found = _minimised(prepared, model, rows(prepared, model))
+    values, found = _minimised(prepared, model, with_residuals(found, prepared, model))
     weights = found.deviation() ** -2
     matrix, right = normal_equations(found, weights)
     estimates, spread = _estimates(found, weights, matrix, right, values, bounds(start.terms))
@@ -152,7 +171,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
 
 def _minimised(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows) -> tuple[np.ndarray, Rows]:
     """Parameters that minimise the weighted squares of the residuals within bounds, and the rows there; Gauss–Newton."""
-    (lower, upper), values = bounds(model.terms), _values(model)
+    (lower, upper), values, linear = bounds(model.terms), _values(model), is_linear(prepared, model)
     for _ in range(STEPS):
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
@@ -160,7 +179,11 @@ def _minimised(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows
         step = box_step(matrix, right, np.where(known, lower - values, 0.0), np.where(known, upper - values, 0.0))
         if weights @ (np.sum(found.residual**2, axis=1)) * TOLERANCE > step @ (2 * right - matrix @ step):
             break  # what is to be gained is nothing beside what is left
-        model, found, taken = _descend(prepared, model, found, values, step)
+        if linear:  # the rows after the step are known
+            model = replace(model, terms=_with_values(model.terms, values + step))
+            found, taken = replace(found, residual=found.residual - found.jacobian @ step), step
+        else:
+            model, found, taken = _descend(prepared, model, found, values, step)
         values = values + taken
         if not np.any(taken):
             break

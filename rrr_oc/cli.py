@@ -29,6 +29,8 @@ app = typer.Typer(
 importers = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True)
 app.add_typer(importers, name="import")
 console = Console()
+if not console.is_terminal:
+    console.width = 140  # a log's lines may be longer than the 80 columns that are assumed of it
 
 
 class Way(StrEnum):

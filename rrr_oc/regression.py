@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from rrr_oc.calibrated import CalibratedModel, Physics
-from rrr_oc.model import Model
+from rrr_oc.model import CHAIN, Model
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.savitzky_golay import local_polynomial, smooth, window_samples
 
@@ -24,10 +24,7 @@ STRIDE = 0.04  # [s] between the rows kept; the filter has removed what is faste
 ENDS = 0.1  # [s] left out at both ends of a stretch, where the filter is one-sided
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
-RARE = (
-    0.99,
-    2.576,
-)  # the deviation is at least that of normal noise with this quantile, so that spikes are one in a hundred at most
+RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
 
 
@@ -97,6 +94,34 @@ def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = 
         stretches=tuple(stretches),
         durations=tuple(d for p in parts for d in p.durations),
     )
+
+
+def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> Rows:
+    """The rows with the residuals of another model or of cleaned torques, and the derivatives that they had.
+
+    Those of parameters that enter linearly (`is_linear`) change neither with the parameters nor with the torque.
+    """
+    parts = []
+    for p in prepared:
+        kept = _kept(p.recording)[0]
+        parts.append(_filtered(residuals(p, model), p)[:, kept] * p.moving[:, kept])
+    return replace(found, residual=np.concatenate(parts, axis=1))
+
+
+def is_linear(prepared: Sequence[Prepared], model: CalibratedModel) -> bool:
+    """Whether the predicted torques are linear in the parameters of all terms."""
+    if any(t.effect.states or t.effect.side not in ("link", "drive") for t in model.terms):
+        return False  # they reach the torque by other ways than `Model.sensitivity`
+    signal = "load" if model.torque == "load" else "motor"
+    for p in prepared:
+        function = model.physics(p.recording).model.sensitivity(signal, "theta")
+        size = function.size2_out(0)
+        listed = size - sum(len(t.estimates) for t in model.terms if t.holds_for(p.recording))
+        second = np.array(function.jac_sparsity(0, CHAIN.index("theta")).find(), int)  # in the order of the columns
+        entry, column = second % (model.robot.n * size), second // (model.robot.n * size)
+        if np.any((entry // model.robot.n >= listed) & (column >= listed)):
+            return False
+    return True
 
 
 def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[Prepared, ...]:
