@@ -5,20 +5,22 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from rrr_oc.effects import CATALOGUE, Effect
+from rrr_oc.effects import CATALOGUE, Effect, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.files import write_json
 from rrr_oc.model import Model
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.robot import BUNDLED, Robot, ToolPoint, load_robot
+from rrr_oc.savitzky_golay import local_polynomial, window_samples
 
 FORMAT = "rrr_oc-model/1"
+PASSES = 3  # by which load and twist are made to agree
+SHIFT_WINDOW = 0.07  # of the derivatives of what the links move otherwise than the drives [s]
 Kind = Literal["motor", "load", "current"]
 
 
@@ -59,6 +61,8 @@ class Term:
 
     def holds_for(self, recording: Recording) -> bool:
         """Whether the effect is at work in a recording."""
+        if self.effect.of_spring and self.effect.joints not in [spring.joints for spring, _ in recording.springs]:
+            return False
         return self.recordings == "all" or recording.file in self.recordings or recording.group in self.groups
 
     @property
@@ -93,9 +97,102 @@ class Physics:
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
-        inputs = self.inputs(recording)
-        motor, load = self.model.motor_inverse(*inputs, self.theta, self.widths, self.model.robot.inertial)
-        return np.array(motor), np.array(load)
+        inputs, states = self.inputs(recording), self.states(recording)
+        values = (self.theta, self.widths, self.model.robot.inertial)
+        moving = any(effect.side == "motion" for effect in self.model.effects)
+        if not moving and not len(states):
+            motor, load = self.model.motor_inverse(*inputs, *values)
+            return np.array(motor), np.array(load)
+        motor = load = np.zeros_like(recording.q)
+        for _ in range(PASSES if moving else 1):  # the shift depends on the load, and the load on the shift
+            found = self.model.recorded_inverse(*inputs, *values, self.shift(recording, load), states)
+            motor, load = np.array(found[0]), np.array(found[1])
+        return motor, load
+
+    def shift(self, recording: Recording, load: np.ndarray) -> np.ndarray:
+        """What the links move otherwise than the recorded motion at a load torque: q, dq, ddq, one below the other, (3 n, K)."""
+        position = np.zeros_like(recording.q)
+        for effect, theta, width in self.named():
+            shifts = effect.shift(Signals(recording.q, load=load), theta, width)
+            for j, shift in zip(effect.joints, shifts if effect.side == "motion" else (), strict=effect.side == "motion"):
+                position[j] += np.array(shift).reshape(-1)
+        return np.vstack([position, *derivatives(recording, position)])
+
+    def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
+        """What sensors make of a torque (n, K), as the effects of the side "sensor" say."""
+        result, delay = np.array(torque), 0.0
+        for effect, theta, width in self.named():
+            if effect.side == "sensor":
+                delay += theta.get("delay", 0.0)
+                for j, more in zip(effect.joints, effect.torque(Signals(recording.q, load=torque), theta, width), strict=True):
+                    result[j] += more
+        return later(recording, result, delay) if delay else result
+
+    def states(self, recording: Recording) -> np.ndarray:
+        """Internal states of the effects along the recording, (number of states, K)."""
+        signals, found = Signals(recording.q, recording.dq, recording.ddq), []
+        for effect, theta, width in self.named():
+            if effect.states:
+                found.append(
+                    along(recording, effect, lambda z, e=effect, t=theta, w=width: e.rate(replace(signals, states=z), t, w))
+                )
+        return np.concatenate([*found, np.zeros((0, len(recording.t)))])
+
+    def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
+        """Each effect with its parameters by name and its width."""
+        numbers, widths = iter(self.theta.tolist()), iter(self.widths.tolist())
+        return [
+            (e, {p.name: next(numbers) for p in e.parameters}, next(widths) if e.width is not None else None)
+            for e in self.model.effects
+        ]
+
+
+def derivatives(recording: Recording, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and second derivative of signals (m, K) along a recording, over as short a window as the sampling allows."""
+    first, second = np.zeros_like(x), np.zeros_like(x)
+    used = np.flatnonzero(np.ptp(x, axis=1) > 0)
+    for s in recording.segments:
+        count = min(window_samples(recording.t[s], SHIFT_WINDOW, 7), (s.stop - s.start - 1) // 2 * 2 + 1)
+        if count >= 5 and len(used):
+            first[used, s] = local_polynomial(recording.t[s], x[used, s], 1, 3, count)
+            second[used, s] = local_polynomial(recording.t[s], x[used, s], 2, 3, count)
+    return first, second
+
+
+def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
+    """Signals (m, K) as they were a delay [s] before, within each segment."""
+    result = np.array(x)
+    for s in recording.segments:
+        t = recording.t[s]
+        for row in result:
+            row[s] = np.interp(t - delay, t, row[s])
+    return result
+
+
+def along(recording: Recording, effect: Effect, rate: Any) -> np.ndarray:
+    """States (number, K) of rates that are affine in them, each in its own, exactly over every sample's step.
+
+    Args:
+        rate: From states, a list of (K,), to rates.
+    """
+    count, length = len(effect.states), len(recording.t)
+    constant, unit = (
+        [np.broadcast_to(np.array(v).reshape(-1), (length,)) for v in rate([np.full(length, z)] * count)] for z in (0.0, 1.0)
+    )
+    result = np.empty((count, length))
+    for i, state in enumerate(effect.states):
+        slope = unit[i] - constant[i]
+        for s in recording.segments:
+            h = np.diff(recording.t[s])
+            a, b = (((x[s][1:] + x[s][:-1]) / 2) * h for x in (constant[i], slope))
+            keep = np.exp(np.clip(b, -700, 50))
+            gain = np.where(np.abs(b) > 1e-8, np.expm1(np.clip(b, -700, 50)) / np.where(b == 0, 1, b), 1.0) * a
+            z, values = state.nominal, [state.nominal]
+            for k, g in zip(keep.tolist(), gain.tolist(), strict=True):
+                z = k * z + g
+                values.append(z)
+            result[i, s] = values
+    return result
 
 
 @dataclass(frozen=True)
@@ -115,6 +212,7 @@ class CalibratedModel:
         nrmse: Of the predicted torque over the recordings calibrated on, mean over recordings, one per joint [1].
         report: How it was found: correlations, conditioning, wall time and the like, as plain data.
         versions: Of the packages that made it.
+        compiled: Models in use, shared by the copies that `replace` makes.
     """
 
     robot: Robot
@@ -129,6 +227,7 @@ class CalibratedModel:
     nrmse: np.ndarray
     report: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    compiled: dict[tuple[int, tuple[Effect, ...]], Model] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -139,12 +238,13 @@ class CalibratedModel:
         """What is at work in a recording: the springs it lists, then the terms that hold for it."""
         terms = [term for term in self.terms if term.holds_for(recording)]
         effects = (*(spring for spring, _ in recording.springs), *(term.effect for term in terms))
-        if effects not in self._models:
-            self._models[effects] = Model(self.robot, self.tool, effects)
+        key = (id(self.robot), effects)  # the model holds the robot, so that no other gets its id
+        if key not in self.compiled:
+            self.compiled[key] = Model(self.robot, self.tool, effects)
         springs = [theta[p.name] for effect, theta in recording.springs for p in effect.parameters]
         widths = [effect.width.nominal for effect, _ in recording.springs if effect.width is not None]
         return Physics(
-            self._models[effects],
+            self.compiled[key],
             np.concatenate([springs, *(term.values for term in terms)]),
             np.array(widths + [term.width for term in terms if term.width is not None]),
         )
@@ -155,8 +255,9 @@ class CalibratedModel:
 
     def output_torque(self, recording: Recording) -> np.ndarray:
         """What `RecordingSet.output_torque` measures, from the recorded motion, (n, K) [Nm]."""
-        motor, load = self.torques(recording)
-        return load if self.torque == "load" else motor
+        physics = self.physics(recording)
+        motor, load = physics.torques(recording)
+        return physics.recorded(recording, load if self.torque == "load" else motor)
 
     def predict(self, recording: Recording) -> np.ndarray:
         """The recorded signal, in its own unit, from the recorded motion, (n, K), at every sample."""
@@ -171,10 +272,6 @@ class CalibratedModel:
             )
         if recordings.torque != self.torque:
             raise UserError(f"{recordings.path}: records torque {recordings.torque!r}, but the model predicts {self.torque!r}")
-
-    @cached_property
-    def _models(self) -> dict[tuple[Effect, ...], Model]:
-        return {}
 
 
 def urdf_text(source: str | Path) -> tuple[str, str]:

@@ -8,13 +8,14 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects import Effect, Signals
+from rrr_oc.effects import Body, Effect, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.parameters import Parameter
 from rrr_oc.rigid_body import RigidBody, rigid_body, with_payload
 from rrr_oc.robot import Robot, ToolPoint
 
 CHAIN = ("q", "dq", "ddq", "time", "payload", "theta", "widths", "inertial")  # arguments of `Model.motor_inverse`
+LISTED = ("parallel_spring", "biarticular_spring")  # what recordings may list
 
 
 @dataclass(frozen=True)
@@ -76,13 +77,11 @@ class Model:
 
     def effect_torques(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> list[ca.SX]:
         """For each effect its torque on all joints [Nm], each (n,); `signals` must hold what the effects depend on."""
-        return [self._on_joints(e, signals, named, width) for e, named, width in self._unpacked(theta, widths)]
+        return [self._on_joints(*one) for one in self._with_signals(signals, theta, widths)]
 
     def side_torque(self, side: str, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
         """Torque of all effects that act on one side, of `effects.effect.SIDES`, on all joints (n,) [Nm]."""
-        torques = [
-            self._on_joints(e, signals, named, width) for e, named, width in self._unpacked(theta, widths) if e.side == side
-        ]
+        torques = [self._on_joints(*one) for one in self._with_signals(signals, theta, widths) if one[0].side == side]
         return sum(torques, ca.SX.zeros(self.robot.n))
 
     def stored_energy(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
@@ -96,8 +95,8 @@ class Model:
         Eq. 6: tau_load = M ddq + C dq + G − tau_spring, where tau_spring sums the effects that act on the links.
         """
         q, dq, ddq, payload, theta, widths = self._symbols("q", "dq", "ddq")
-        inertial = with_payload(self.robot.inertial, self.tool.joint, payload, self.tool.position)
-        total = self.body.inverse_dynamics(q, dq, ddq, inertial, self.robot.gravity)
+        inertial, gravity = self.rigid(self.robot.inertial, payload, theta, widths)
+        total = self.body.inverse_dynamics(q, dq, ddq, inertial, gravity)
         spring = self.side_torque("link", Signals(q, dq, ddq, payload=payload), theta, widths)
         return ca.Function("inverse", [q, dq, ddq, payload, theta, widths], [total - spring, spring])
 
@@ -126,6 +125,20 @@ class Model:
         return self._sensitivities[signal, by]
 
     @cached_property
+    def load_partials(self) -> ca.Function:
+        """(q, dq, ddq, carried, gravity, theta, widths) -> load torque and its derivatives by the first five, exact.
+
+        `carried` (10, n) holds the links with their payload, as `rigid` gives it. Called on (n, K) arrays, each derivative's K
+        Jacobians stand side by side; `carried` must then be repeated K times.
+        """
+        q, dq, ddq, _, theta, widths = self._symbols("q", "dq", "ddq")
+        carried, gravity = ca.SX.sym("carried", 10, self.robot.n), ca.SX.sym("gravity", 3)
+        load = self.body.inverse_dynamics(q, dq, ddq, carried, gravity)
+        load -= self.side_torque("link", Signals(q, dq, ddq), theta, widths)
+        by = [ca.densify(ca.jacobian(load, x)) for x in (q, dq, ddq, carried, gravity)]
+        return ca.Function("load_partials", [q, dq, ddq, carried, gravity, theta, widths], [load, *by])
+
+    @cached_property
     def _sensitivities(self) -> dict[tuple[str, str], ca.Function]:
         return {}
 
@@ -133,9 +146,9 @@ class Model:
     def forward(self) -> ca.Function:
         """(q, dq, tau_load, payload, theta, widths) -> ddq (n,) [rad/s²], the inverse of `inverse` in its third argument."""
         q, dq, tau, payload, theta, widths = self._symbols("q", "dq", "tau")
-        inertial = with_payload(self.robot.inertial, self.tool.joint, payload, self.tool.position)
+        inertial, gravity = self.rigid(self.robot.inertial, payload, theta, widths)
         spring = self.side_torque("link", Signals(q, dq, payload=payload), theta, widths)
-        ddq = self.body.forward_dynamics(q, dq, tau + spring, inertial, self.robot.gravity)
+        ddq = self.body.forward_dynamics(q, dq, tau + spring, inertial, gravity)
         return ca.Function("forward", [q, dq, tau, payload, theta, widths], [ddq])
 
     @cached_property
@@ -143,26 +156,70 @@ class Model:
         """(q, dq, payload, theta, widths) -> (kinetic, potential, stored by effects) [J]; potential is zero at the base."""
         q, dq, _, payload, theta, widths = self._symbols("q", "dq", "unused")
         robot = self.robot
-        inertial = with_payload(robot.inertial, self.tool.joint, payload, self.tool.position)
+        inertial, gravity = self.rigid(robot.inertial, payload, theta, widths)
         kinetic = dq.T @ self.body.mass_matrix(q, inertial) @ dq / 2
         frames = self.body.joint_frames(q)
         potential = ca.SX(0)
         for i in range(robot.n):
             rotation, origin = ca.reshape(frames[:9, i], 3, 3), frames[9:, i]
-            potential -= ca.dot(ca.SX(robot.gravity), inertial[0, i] * origin + rotation @ inertial[1:4, i])
+            potential -= ca.dot(gravity, inertial[0, i] * origin + rotation @ inertial[1:4, i])
         stored = self.stored_energy(Signals(q, dq, payload=payload), theta, widths)
         return ca.Function("energy", [q, dq, payload, theta, widths], [kinetic, potential, stored])
 
-    def _motor_chain(self) -> tuple[list[ca.SX], ca.SX, ca.SX]:
-        """Arguments in the order of `CHAIN`, motor torque and load torque."""
+    @cached_property
+    def recorded_inverse(self) -> ca.Function:
+        """As `motor_inverse`, with two more arguments: shift (3 n,) and states, and without effects of the sensors.
+
+        The links move by `shift` otherwise than the drives: positions, speeds, accelerations, one below the other; `states` are
+        those of all effects, in their order.
+        """
+        arguments, motor, load = self._motor_chain(moved=True)
+        return ca.Function("recorded_inverse", arguments, [motor, load], [*CHAIN, "shift", "states"], ["tau_motor", "tau_load"])
+
+    def rigid(self, inertial, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
+        """Inertial parameters with payload (10, n) and gravity (3,), as the effects of the side "body" make them."""
+        body = Body(ca.SX(inertial), ca.SX(self.robot.gravity), payload, list(self.tool.position))
+        for effect, named, _ in self._unpacked(theta, widths):
+            body = effect.change(body, named)
+        gravity = ca.vertcat(*body.gravity) if isinstance(body.gravity, list) else body.gravity
+        return with_payload(body.inertial, self.tool.joint, body.payload, body.position), gravity
+
+    @property
+    def states(self) -> tuple[Parameter, ...]:
+        """Internal states of all effects."""
+        return tuple(p for effect in self.effects for p in effect.states)
+
+    def _motor_chain(self, moved: bool = False) -> tuple[list[ca.SX], ca.SX, ca.SX]:
+        """Arguments in the order of `CHAIN` (and shift and states), motor torque and load torque."""
+        n = self.robot.n
         q, dq, ddq, payload, theta, widths = self._symbols("q", "dq", "ddq")
-        time, inertial = ca.SX.sym("time"), ca.SX.sym("inertial", 10, self.robot.n)
-        carried = with_payload(inertial, self.tool.joint, payload, self.tool.position)
-        signals = Signals(q, dq, ddq, time=time, payload=payload)
-        load = self.body.inverse_dynamics(q, dq, ddq, carried, self.robot.gravity)
-        load -= self.side_torque("link", signals, theta, widths)
+        time, inertial = ca.SX.sym("time"), ca.SX.sym("inertial", 10, n)
+        shift, states = ca.SX.sym("shift", 3 * n), ca.SX.sym("states", len(self.states))
+        carried, gravity = self.rigid(inertial, payload, theta, widths)
+        signals = Signals(q, dq, ddq, time=time, payload=payload, states=states)
+        arguments, links = [q, dq, ddq, time, payload, theta, widths, inertial], signals
+        if moved:
+            arguments += [shift, states]
+            links = replace(signals, q=q + shift[:n], dq=dq + shift[n : 2 * n], ddq=ddq + shift[2 * n :])
+        else:
+            signals = links = replace(signals, states=ca.SX([p.nominal for p in self.states]))
+        load = self.body.inverse_dynamics(links.q, links.dq, links.ddq, carried, gravity)
+        load -= self.side_torque("link", links, theta, widths)
         motor = load - self.side_torque("drive", replace(signals, load=load), theta, widths)
-        return [q, dq, ddq, time, payload, theta, widths, inertial], motor, load
+        return arguments, motor, load
+
+    def _with_signals(self, signals: Signals, theta, widths):
+        """Effects with what each may depend on: its own states, the plain friction, the springs listed."""
+        unpacked = list(self._unpacked(theta, widths))
+        springs = {e.joints: (e, named, width) for e, named, width in reversed(unpacked) if e.name in LISTED}
+        signals, state, friction = replace(signals, springs=springs), 0, ca.SX.zeros(self.robot.n)
+        for e, named, width in unpacked:
+            if e.plain and not e.states and signals.dq is not None and e.name != "armature":
+                friction += self._on_joints(e, signals, named, width)
+        for e, named, width in unpacked:
+            own = None if signals.states is None else signals.states[state : state + len(e.states)]
+            state += len(e.states)
+            yield e, replace(signals, states=own, friction=friction), named, width
 
     def _on_joints(self, effect: Effect, signals: Signals, named, width) -> ca.SX:
         torque = ca.SX.zeros(self.robot.n)

@@ -71,7 +71,7 @@ def read_header(path: Path) -> Header:
 
 
 def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, Any]:
-    """The `springs` of a recording as they stand in the file; a spring across two joints is written with r_1 = r_2 = 1 m."""
+    """The `springs` of a recording as they stand in the file; a spring across two joints is written with r_2 = 1 m."""
     result: dict[str, Any] = {}
     for effect, theta in springs:
         names = [joints[j] for j in effect.joints]
@@ -83,8 +83,9 @@ def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, A
             }
             result.setdefault("pea", {}).setdefault(names[0], []).append(spring)
         elif isinstance(effect, BiarticularSpring):
-            radii = {"radius1_m": 1.0, "radius2_m": 1.0, "radius3_m": theta["rho"]}  # Eq. 5 decides κ, ρ and φ only
-            spring = {"stiffness_Nm_per_rad": theta["kappa"], "equilibrium_rad": theta["phi"], **radii}
+            r = effect.pulleys  # Eq. 5 decides κ, ρ and φ only, and a change of q_0 the ratio r_1/r_2
+            radii = {"radius1_m": r, "radius2_m": 1.0, "radius3_m": theta["rho"]}
+            spring = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
             result.setdefault("bpea", []).append({**spring, "joints": names, "winding": list(effect.winding)})
         else:
             raise UserError(f"a recording cannot list {effect.name!r}; allowed are parallel_spring and biarticular_spring")
@@ -153,7 +154,9 @@ def _bpea(node: "_Node", joints: tuple[str, ...]) -> Spring:
         winding = data["winding"].numbers(2)
         if any(w not in (-1, 1) for w in winding):
             raise UserError(f"{data['winding'].where}: found {list(winding)}; two numbers, each 1 or -1, are required")
-    effect = BiarticularSpring((joints.index(pair[0]), joints.index(pair[1])), winding=(int(winding[0]), int(winding[1])))
+    effect = BiarticularSpring(
+        (joints.index(pair[0]), joints.index(pair[1])), winding=(int(winding[0]), int(winding[1])), pulleys=radii[0] / radii[1]
+    )
     return effect, {"kappa": kappa, "rho": rho, "phi": phi}
 
 

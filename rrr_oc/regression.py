@@ -25,6 +25,7 @@ ENDS = 0.1  # [s] left out at both ends of a stretch, where the filter is one-si
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
+DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
 
 
@@ -103,8 +104,8 @@ def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedM
     """
     parts = []
     for p in prepared:
-        kept = _kept(p.recording)[0]
-        parts.append(_filtered(residuals(p, model), p)[:, kept] * p.moving[:, kept])
+        kept = kept_rows(p.recording)[0]
+        parts.append(through_filter(residuals(p, model), p)[:, kept] * p.moving[:, kept])
     return replace(found, residual=np.concatenate(parts, axis=1))
 
 
@@ -134,7 +135,7 @@ def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tupl
 
 def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray]) -> np.ndarray:
     """Signals (m, K) that a function makes of a recording, filtered, at the samples that `rows` keeps, (m, M)."""
-    return np.concatenate([_filtered(law(p.recording), p)[:, _kept(p.recording)[0]] for p in prepared], axis=1)
+    return np.concatenate([through_filter(law(p.recording), p)[:, kept_rows(p.recording)[0]] for p in prepared], axis=1)
 
 
 def residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
@@ -188,15 +189,15 @@ def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
     r = prepared.recording
     residual = residuals(prepared, model)
     jacobian = _jacobian(model, r, inertial)
-    kept, stretches, durations = _kept(r)
+    kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]
     moving = prepared.moving[:, kept]
     columns = np.moveaxis(jacobian, 2, 1).reshape(n * p, -1)
     used = np.flatnonzero(np.any(columns != 0, axis=1))
     filtered = np.zeros((n * p, len(kept)))
-    filtered[used] = _filtered(columns[used], prepared)[:, kept]
+    filtered[used] = through_filter(columns[used], prepared)[:, kept]
     return Rows(
-        residual=_filtered(residual, prepared)[:, kept] * moving,
+        residual=through_filter(residual, prepared)[:, kept] * moving,
         jacobian=np.moveaxis(filtered.reshape(n, p, -1), 1, 2) * moving[:, :, None],
         moving=moving,
         stretches=stretches,
@@ -215,12 +216,12 @@ def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
     return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))
 
 
-def _filtered(x: np.ndarray, prepared: Prepared) -> np.ndarray:
+def through_filter(x: np.ndarray, prepared: Prepared) -> np.ndarray:
     r, window = prepared.recording, prepared.window
     return smooth(r.t, smooth(r.t, x, r.segments, window), r.segments, window)
 
 
-def _kept(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:
+def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:
     """Samples kept, the stretches of the rows that they become, and their durations [s]."""
     kept, stretches, durations, count = [], [], [], 0
     for s in recording.segments:
@@ -248,9 +249,28 @@ def _jacobian(model: CalibratedModel, recording: Recording, inertial: bool) -> n
             result[:, :, column : column + size] = by_theta[:, :, listed : listed + size]
             listed += size
         column += size
-    if not inertial:
-        return result
-    return np.concatenate([result, _sensitivity(physics, recording, model.torque, "inertial")], axis=2)
+    if inertial:
+        result = np.concatenate([result, _sensitivity(physics, recording, model.torque, "inertial")], axis=2)
+    return _beyond_the_torque(model, recording, physics, result)
+
+
+def _beyond_the_torque(model: CalibratedModel, recording: Recording, physics: Physics, jacobian: np.ndarray) -> np.ndarray:
+    """The derivatives as sensors pass them on, with differences for terms that do not add a torque of the instant."""
+    special = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in model.terms]
+    if not any(special):
+        return jacobian
+    at_zero = physics.recorded(recording, np.zeros_like(recording.q))
+    for k in range(jacobian.shape[2]):
+        jacobian[:, :, k] = physics.recorded(recording, jacobian[:, :, k]) - at_zero
+    base, column = model.output_torque(recording), 0
+    for i, (term, other) in enumerate(zip(model.terms, special, strict=True)):
+        for k, value in enumerate(term.values if other and term.holds_for(recording) else ()):
+            step = DIFFERENCE * max(abs(value), 1.0 if value else DIFFERENCE)
+            moved = term.with_values(term.values + step * (np.arange(len(term.values)) == k))
+            there = replace(model, terms=(*model.terms[:i], moved, *model.terms[i + 1 :]))
+            jacobian[:, :, column + k] = (there.output_torque(recording) - base) / step
+        column += len(term.estimates)
+    return jacobian
 
 
 def _sensitivity(physics: Physics, recording: Recording, torque: str, by) -> np.ndarray:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import casadi as ca
+import numpy as np
 
 from rrr_oc.effects.effect import Effect
 from rrr_oc.errors import UserError
@@ -21,14 +22,18 @@ class BiarticularSpring(Effect):
     """
 
     name = "biarticular_spring"
+    equation = "tau_a = kappa max(-q_a - rho q_b - phi, 0), tau_b = rho tau_a"
     parameters = (
         Parameter("kappa", "Nm/rad", 10.0, lower=0.0),
         Parameter("rho", "1", 1.0, lower=0.0),
         Parameter("phi", "rad", 0.0),
     )
+    amplitudes = ("kappa",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
+    local = True
 
     winding: tuple[int, int] = field(default=(1, 1))
+    pulleys: float = field(default=1.0)  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
 
     def __post_init__(self) -> None:
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
@@ -46,6 +51,24 @@ class BiarticularSpring(Effect):
 
     def energy(self, signals, theta, width):
         return theta["kappa"] * ramp_integral(self._stretch(signals, theta), width)
+
+    def lever(self, theta):
+        """By how much the stretch changes with each joint, less its sign."""
+        return self.winding[0], self.winding[1] * theta["rho"]
+
+    def moved(self, theta, offset):
+        """Parameters with the equilibrium q_0 moved by an offset [rad]."""
+        return {**theta, "phi": theta["phi"] + self.pulleys * offset}
+
+    @classmethod
+    def trials(cls, view):
+        for a in range(view.n - 1):
+            for winding in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+                for rho in (0.35, 0.6, 0.9, 1.3, 1.9):
+                    stretch = -winding[0] * view.positions[a] - winding[1] * rho * view.positions[a + 1]
+                    for share in (0.05, 0.25, 0.45, 0.65):
+                        phi = float(np.quantile(stretch, share))
+                        yield cls((a, a + 1), winding).trial(view, rho=rho, phi=phi)
 
     def native(self, spec, joints, theta):
         """A fixed tendon of length w_a q_a + w_b rho q_b that is slack above −phi."""

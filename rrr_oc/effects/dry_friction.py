@@ -19,6 +19,7 @@ class DryFriction(Effect):
     parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
+    plain = True
 
     def torque(self, signals, theta, width):
         return (-theta["level"] * ca.tanh(signals.dq[self.joints[0]] / ca.fmax(width, 1e-300)),)

@@ -1,16 +1,21 @@
 """What every effect is: one piece of physics beside the rigid body, written once as a CasADi expression."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
+
+import numpy as np
 
 from rrr_oc.parameters import Parameter
 
 SIDES = {
+    "motion": "the links do not move as the encoders say, as behind a gear that gives",
+    "body": "the rigid body is not what the URDF and the labels say, as with a payload nobody noted",
     "link": "the torque acts on the links beside the drive, as springs do, and enters Eq. 1",
     "drive": "the torque acts between motor and link, as friction in a gear does, and the motor sees it",
-}  # in the order in which `Model` goes from the motion to the motor torque
+    "sensor": "the recorded torque is not the true one",
+}  # in the order in which a prediction goes from the recorded motion to the recorded torque
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,8 @@ class Signals:
         time: Since the start of the motion [s], scalar.
         payload: Mass at the tool [kg], scalar.
         states: The effect's own internal states, (number of states,).
+        friction: Torque of the plain dry and viscous friction of each joint's drive [Nm].
+        springs: The springs that a recording lists, by their joints: (effect, its parameters, its width).
     """
 
     q: Any
@@ -33,6 +40,67 @@ class Signals:
     time: Any = None
     payload: Any = None
     states: Any = None
+    friction: Any = None
+    springs: Mapping[tuple[int, ...], tuple["Effect", Mapping[str, Any], Any]] | None = None
+
+
+@dataclass(frozen=True)
+class Body:
+    """The rigid body as an effect of the side "body" may change it; casadi or numpy.
+
+    Attributes:
+        inertial: Of the links, without payload, (10, n).
+        gravity: In the base frame [m/s²], (3,).
+        payload: Mass at the tool [kg].
+        position: The payload's point in the frame of the joint that carries it [m], (3,).
+    """
+
+    inertial: Any
+    gravity: Any
+    payload: Any
+    position: Any
+
+
+@dataclass(frozen=True)
+class View:
+    """What recordings show of an arm, so that effects can say where and how they might be present.
+
+    Attributes:
+        low, high: Least and greatest position of each joint [rad], (n,).
+        speed: Largest speed of each joint [rad/s], (n,).
+        duration: Of the longest recording [s].
+        widths: Speeds over which each joint's dry friction changes sign [rad/s], (n,).
+        positions: A sample of joint positions [rad], (n, K).
+        springs: Joints of the springs that recordings list.
+        payload: Whether a recording lists a payload.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    speed: np.ndarray
+    duration: float
+    widths: np.ndarray
+    positions: np.ndarray
+    springs: tuple[tuple[int, ...], ...]
+    payload: bool
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.low)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One way in which an effect might be present, linear in its coefficients c.
+
+    The change of the prediction is Σ c_k · change(points[k]) / size.
+    """
+
+    effect: "Effect"
+    points: tuple[dict[str, float], ...]
+    size: float = 1.0
+    width: float | None = None
 
 
 @dataclass(frozen=True)
@@ -43,36 +111,86 @@ class Effect(ABC):
 
     Attributes:
         name: Key in files (class attribute).
+        equation: The law in a line, for people (class attribute).
         parameters: Its parameters (class attribute).
+        amplitudes: Those parameters in which it is linear and with which it vanishes (class attribute).
         width: Smoothing width of what is not smooth in it (class attribute; None where all is smooth). The nominal value is
             used unless a solver drives it down.
         states: Internal states, nominal = initial value (class attribute).
         load_dependent: Whether its torque depends on `Signals.load`, so that forward dynamics must solve for the load.
         side: Where on the way from links to motor it acts (class attribute), see `SIDES`.
+        plain: Whether every calibrated model has it (class attribute).
+        local: Whether it may be present in some recordings only, as what depends on how the arm was set up (class attribute).
+        of_arm: Whether it belongs to no single joint (class attribute).
+        of_spring: Whether it is one of a spring that a recording lists, and absent where none is (class attribute).
         joints: Indices of the joints it acts on.
     """
 
     name: ClassVar[str]
+    equation: ClassVar[str] = ""
     parameters: ClassVar[tuple[Parameter, ...]]
+    amplitudes: ClassVar[tuple[str, ...]] = ()
     width: ClassVar[Parameter | None] = None
     states: ClassVar[tuple[Parameter, ...]] = ()
     load_dependent: ClassVar[bool] = False
     side: ClassVar[str] = "link"
+    plain: ClassVar[bool] = False
+    local: ClassVar[bool] = False
+    of_arm: ClassVar[bool] = False
+    of_spring: ClassVar[bool] = False
 
     joints: tuple[int, ...]
 
     @abstractmethod
     def torque(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """Torque on each of `joints` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`."""
+        """Torque on each of `joints` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`.
+
+        Of the side "sensor": what the recorded torque has too much, from the true one, which is `signals.load`.
+        """
 
     def rate(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """Time derivative of each internal state."""
+        """Time derivative of each internal state, affine in the states."""
         return ()
 
     def energy(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> Any:
         """Energy stored [J], with torque = −d energy / d q; 0 where nothing is stored."""
         return 0.0
 
+    def change(self, body: Body, theta: Mapping[str, Any]) -> Body:
+        """The rigid body with the effect, for the side "body"."""
+        return body
+
+    def shift(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
+        """True less recorded position of each of `joints` [rad], for the side "motion"."""
+        return ()
+
     def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> bool:
         """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""
         return False
+
+    @classmethod
+    def trials(cls, view: View) -> Iterator[Trial]:
+        """The ways in which recordings might hold the effect; none for what a diagnosis does not look for.
+
+        By default one for each joint, linear in the only parameter.
+        """
+        if cls.amplitudes:
+            for j in range(view.n):
+                yield cls((j,)).trial(view)
+
+    def trial(self, view: View, **shape: float) -> Trial:
+        """A trial with these values of the parameters in which the effect is not linear."""
+        points = tuple(
+            {p.name: shape.get(p.name, 0.0) for p in self.parameters} | {amplitude: 1.0} for amplitude in self.amplitudes
+        )
+        return Trial(self, points, width=self.sign_width(view))
+
+    def sign_width(self, view: View) -> float | None:
+        """Smoothing width that suits the recordings: that of the joint's dry friction where it is one of speed."""
+        if self.width is None:
+            return None
+        return float(view.widths[self.joints[0]]) if self.width.unit == "rad/s" else self.width.nominal
+
+    def combined(self, points: Sequence[Mapping[str, float]], coefficients: np.ndarray) -> dict[str, float]:
+        """Parameters that amount to Σ c_k · change(points[k])."""
+        return dict(points[0]) | dict(zip(self.amplitudes, map(float, coefficients), strict=True))

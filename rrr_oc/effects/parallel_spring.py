@@ -18,11 +18,14 @@ class ParallelSpring(Effect):
     """
 
     name = "parallel_spring"
+    equation = "tau = stiffness (equilibrium - q) on the active side of the equilibrium, else 0"
     parameters = (
         Parameter("stiffness", "Nm/rad", 5.0, lower=0.0),
         Parameter("equilibrium", "rad", 0.0),
     )
+    amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
+    local = True
 
     active: Literal["below", "above"] = field(default="below")
 
@@ -50,3 +53,16 @@ class ParallelSpring(Effect):
         tendon.stiffness[0] = theta["stiffness"]
         tendon.springlength = [-1e6, -self._sign * theta["equilibrium"]]
         return True
+
+    def moved(self, theta, offset):
+        """Parameters with the equilibrium moved by an offset [rad]."""
+        return {**theta, "equilibrium": theta["equilibrium"] + offset}
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for active in ("below", "above"):
+                for share in (0.12, 0.25, 0.37, 0.5, 0.62, 0.75, 0.88, 1.0):
+                    way = view.high[j] - view.low[j]
+                    start = view.low[j] + share * way if active == "below" else view.high[j] - share * way
+                    yield cls((j,), active).trial(view, equilibrium=float(start))

@@ -13,6 +13,7 @@ class ViscousFriction(Effect):
     name = "viscous_friction"
     parameters = (Parameter("coefficient", "Nm s/rad", 0.0, lower=0.0),)
     side = "drive"
+    plain = True
 
     def torque(self, signals, theta, width):
         return (-theta["coefficient"] * signals.dq[self.joints[0]],)

@@ -1,0 +1,23 @@
+"""Dry friction that differs between the directions of motion."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from rrr_oc.effects.effect import Effect
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class CoulombAsymmetry(Effect):
+    """tau = −(asymmetry/2) sgn²(dq): what the level has more for dq > 0 than for dq < 0, halved about the plain level."""
+
+    name = "coulomb_asymmetry"
+    equation = "tau = -(asymmetry/2) sgn(dq)^2"
+    parameters = (Parameter("asymmetry", "Nm", 0.0),)
+    amplitudes = ("asymmetry",)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+
+    def torque(self, signals, theta, width):
+        return (-theta["asymmetry"] / 2 * ca.tanh(signals.dq[self.joints[0]] / ca.fmax(width, 1e-300)) ** 2,)

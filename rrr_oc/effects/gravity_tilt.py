@@ -1,0 +1,38 @@
+"""A base that is not level."""
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from rrr_oc.effects.effect import Effect, Trial
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class GravityTilt(Effect):
+    """gravity in the base frame = (R_y(about_y) R_x(about_x))ᵀ g."""
+
+    name = "gravity_tilt"
+    equation = "gravity in the base frame = (R_y(about_y) R_x(about_x))^T g"
+    parameters = (Parameter("about_x", "rad", 0.0), Parameter("about_y", "rad", 0.0))
+    amplitudes = ("about_x", "about_y")
+    side = "body"
+    local = True
+    of_arm = True
+
+    def torque(self, signals, theta, width):
+        return ()
+
+    def change(self, body, theta):
+        (cx, sx), (cy, sy) = ((ca.cos(theta[k]), ca.sin(theta[k])) for k in self.amplitudes)
+        x, y, z = body.gravity[0], body.gravity[1], body.gravity[2]
+        x, z = cy * x - sy * z, sy * x + cy * z  # R_yᵀ
+        return replace(body, gravity=[x, cx * y + sx * z, -sx * y + cx * z])  # R_xᵀ
+
+    @classmethod
+    def trials(cls, view):
+        zero = dict.fromkeys(cls.amplitudes, 0.0)
+        yield Trial(cls(()), tuple(zero | {k: STEP} for k in cls.amplitudes), STEP)
+
+
+STEP = 1e-4  # [rad], for a derivative

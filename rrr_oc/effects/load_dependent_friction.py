@@ -1,0 +1,26 @@
+"""Friction that grows with the torque that the gear transmits."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from rrr_oc.effects.effect import Effect
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(Effect):
+    """tau = −mu |tau_l| sgn(dq): the dissipative form of c_12 in Eq. 9, which prints mu sgn(dq) tau_l."""
+
+    name = "load_dependent_friction"
+    equation = "tau = -mu |tau_l| sgn(dq)"
+    parameters = (Parameter("mu", "1", 0.0, lower=0.0),)
+    amplitudes = ("mu",)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+    load_dependent = True
+    local = True
+
+    def torque(self, signals, theta, width):
+        j = self.joints[0]
+        return (-theta["mu"] * ca.fabs(signals.load[j]) * ca.tanh(signals.dq[j] / ca.fmax(width, 1e-300)),)

@@ -1,0 +1,29 @@
+"""A payload that is heavier or lighter than listed."""
+
+from dataclasses import dataclass, replace
+
+from rrr_oc.effects.effect import Effect
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class PayloadMass(Effect):
+    """mass at the tool = listed + mass."""
+
+    name = "payload_mass"
+    equation = "mass at the tool = listed + mass"
+    parameters = (Parameter("mass", "kg", 0.0),)
+    amplitudes = ("mass",)
+    side = "body"
+    local = True
+    of_arm = True
+
+    def torque(self, signals, theta, width):
+        return ()
+
+    def change(self, body, theta):
+        return replace(body, payload=body.payload + theta["mass"])
+
+    @classmethod
+    def trials(cls, view):
+        yield cls(()).trial(view)

@@ -1,0 +1,38 @@
+"""Friction that builds up over a small way, as of bristles that bend before they slip."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from rrr_oc.effects.effect import Effect
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class PreslidingHysteresis(Effect):
+    """tau = −level z with dz/dt = (dq − |dq| z) stiffness/level (Dahl 1968), beside what is left of the plain level."""
+
+    name = "presliding_hysteresis"
+    equation = "tau = -level z, dz/dt = (dq - |dq| z) stiffness / level"
+    parameters = (Parameter("stiffness", "Nm/rad", 100.0, lower=1e-3), Parameter("level", "Nm", 0.0, lower=0.0))
+    amplitudes = ("level",)
+    states = (Parameter("z", "1", 0.0),)
+    side = "drive"
+
+    def torque(self, signals, theta, width):
+        return (-theta["level"] * signals.states[0],)
+
+    def rate(self, signals, theta, width):
+        dq = signals.dq[self.joints[0]]
+        return ((dq - ca.fabs(dq) * signals.states[0]) * theta["stiffness"] / ca.fmax(theta["level"], 1e-9),)
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for share in (0.0015, 0.004, 0.01, 0.025, 0.06):
+                yield cls((j,)).trial(view, stiffness=1 / (share * (view.high[j] - view.low[j])))
+
+    def combined(self, points, coefficients):
+        """The reach level/stiffness is what the points share."""
+        level = float(coefficients[0])
+        return {"stiffness": points[0]["stiffness"] * level, "level": level}

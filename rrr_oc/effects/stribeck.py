@@ -1,0 +1,31 @@
+"""Dry friction that falls from a static to a kinetic level as speed rises."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from rrr_oc.effects.effect import Effect
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class Stribeck(Effect):
+    """tau = −excess exp(−(dq/velocity)²) sgn(dq), beside the plain (kinetic) level (Armstrong-Hélouvry 1991)."""
+
+    name = "stribeck"
+    equation = "tau = -excess exp(-(dq/velocity)^2) sgn(dq)"
+    parameters = (Parameter("excess", "Nm", 0.0, lower=0.0), Parameter("velocity", "rad/s", 0.1, lower=1e-3))
+    amplitudes = ("excess",)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+
+    def torque(self, signals, theta, width):
+        dq = signals.dq[self.joints[0]]
+        sign = ca.tanh(dq / ca.fmax(width, 1e-300))
+        return (-theta["excess"] * ca.exp(-((dq / theta["velocity"]) ** 2)) * sign,)
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for share in (0.04, 0.08, 0.14, 0.22, 0.35):
+                yield cls((j,)).trial(view, velocity=share * view.speed[j])

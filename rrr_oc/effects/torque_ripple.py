@@ -1,0 +1,43 @@
+"""Torque that is periodic in the joint's angle: cogging, gear mesh, a harmonic drive's wave."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.effects.effect import Effect, Trial
+from rrr_oc.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class TorqueRipple(Effect):
+    """tau = amplitude sin(order q + phase); one effect an order."""
+
+    name = "torque_ripple"
+    equation = "tau = amplitude sin(order q + phase)"
+    parameters = (
+        Parameter("amplitude", "Nm", 0.0),
+        Parameter("order", "1", 1.0, lower=0.0),
+        Parameter("phase", "rad", 0.0),
+    )
+    amplitudes = ("amplitude",)
+    side = "drive"
+
+    def torque(self, signals, theta, width):
+        return (theta["amplitude"] * ca.sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
+
+    @classmethod
+    def trials(cls, view):
+        """Whole orders of which the recordings see two cycles and more: less is any smooth torque."""
+        for j in range(view.n):
+            least = int(np.ceil(4 * np.pi / (view.high[j] - view.low[j])))
+            for order in range(max(least, 1), max(MOST_CYCLES, 2 * least)):
+                yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
+
+    def combined(self, points, coefficients):
+        """c_0 sin x + c_1 cos x as one sine."""
+        s, c = map(float, coefficients)
+        return {"amplitude": float(np.hypot(c, s)), "order": points[0]["order"], "phase": float(np.arctan2(c, s))}
+
+
+MOST_CYCLES = 64  # a joint turn, of those looked for

@@ -1,0 +1,281 @@
+"""Signatures: by how much each effect that might be missing would change the torque that a model predicts for recordings.
+
+They are linear in the effects' coefficients (`effects.Trial`) and pass the same filter as the residuals (`regression`), so that
+what is missing is found by linear algebra on few numbers.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy import sparse
+
+from rrr_oc.calibrated import CalibratedModel, Physics, along, derivatives, later
+from rrr_oc.effects import CATALOGUE, Body, Signals, Trial, View
+from rrr_oc.effects.dry_friction import DryFriction
+from rrr_oc.recordings import Recording
+from rrr_oc.regression import Prepared, kept_rows, through_filter
+from rrr_oc.rigid_body import with_payload
+
+SAMPLE = 400  # positions that trials look at
+
+
+def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
+    """What the recordings show of the arm."""
+    q = np.concatenate([p.recording.q for p in prepared], axis=1)
+    dq = np.concatenate([p.recording.dq for p in prepared], axis=1)
+    low, high = np.quantile(q, [0.002, 0.998], axis=1)
+    widths = np.full(len(q), 0.05)
+    for term in model.terms:
+        if isinstance(term.effect, DryFriction) and term.width is not None:
+            widths[term.effect.joints[0]] = term.width
+    springs = {spring.joints for p in prepared for spring, _ in p.recording.springs}
+    return View(
+        low=low,
+        high=np.maximum(high, low + 1e-3),
+        speed=np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3),
+        duration=max(float(np.ptp(p.recording.t)) for p in prepared),
+        widths=widths,
+        positions=q[:, :: max(1, q.shape[1] // SAMPLE)],
+        springs=tuple(sorted(springs)),
+        payload=any(np.any(p.recording.payload > 0) for p in prepared),
+    )
+
+
+def trials(seen: View, torque: str) -> list[Trial]:
+    """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive."""
+    kinds = [kind for kind in CATALOGUE.values() if not kind.plain and not (torque == "load" and kind.side == "drive")]
+    return [trial for kind in kinds for trial in kind.trials(seen)]
+
+
+@dataclass(frozen=True)
+class Context:
+    """A recording at a model: what signatures are made of.
+
+    Attributes:
+        prepared: The recording.
+        physics: What is at work in it.
+        recorded: Predicted recorded torque before a common delay (n, K) [Nm].
+        load: Load torque (n, K) [Nm].
+        through: d motor torque / d load torque of each joint (n, K).
+        gain: d recorded torque / d true torque of each joint (n, 1).
+        delay: Of the torque channel [s].
+        body: The rigid body with the model's effects, without payload in `Body.payload`.
+        partials: Derivatives of the load torque by q, dq, ddq (n, n, K), the links' parameters (n, 10 n, K) and gravity (n, 3, K).
+        friction: Torque of the plain friction (n, K) [Nm].
+    """
+
+    prepared: Prepared
+    physics: Physics
+    load: np.ndarray
+    motor: np.ndarray
+    through: np.ndarray
+    gain: np.ndarray
+    delay: float
+    body: Body
+    partials: tuple[np.ndarray, ...]
+    friction: np.ndarray
+    torque: str
+
+    @property
+    def recording(self) -> Recording:
+        """With speeds and accelerations from short windows."""
+        return self.prepared.recording
+
+    @cached_property
+    def signals(self) -> Signals:
+        """CasADi columns (K, 1) by joint, which effects take as they take symbols."""
+        r = self.recording
+        rows = {k: [ca.DM(x) for x in getattr(r, k)] for k in ("q", "dq", "ddq")}
+        springs = {}
+        for effect, theta, width in reversed(self.physics.named()[: len(r.springs)]):
+            springs[effect.joints] = (effect, theta, width)
+        return Signals(
+            **rows,
+            load=[ca.DM(x) for x in self.load],
+            time=ca.DM(r.t - r.t[0]),
+            payload=ca.DM(r.payload),
+            friction=[ca.DM(x) for x in self.friction],
+            springs=springs,
+        )
+
+
+def context(prepared: Prepared, model: CalibratedModel) -> Context:
+    """A recording at a model."""
+    r, physics = prepared.recording, model.physics(prepared.recording)
+    n, chain = model.robot.n, physics.model
+    motor, load = physics.torques(r)
+    named = physics.named()
+    body = Body(ca.DM(model.robot.inertial), ca.DM(model.robot.gravity), 0.0, list(model.tool.position))
+    for effect, theta, _ in named:
+        body = effect.change(body, theta)
+    payload = r.payload + float(ca.DM(body.payload))
+    gravity = np.array(ca.DM(ca.vertcat(*body.gravity)) if isinstance(body.gravity, list) else ca.DM(body.gravity)).reshape(3)
+    body = replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.DM(gravity))
+    masses, which = np.unique(payload, return_inverse=True)
+    links = [np.array(ca.evalf(with_payload(ca.SX(body.inertial), model.tool.joint, m, body.position))) for m in masses]
+    shift = physics.shift(r, load)
+    moved = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(shift, 3), strict=True)]
+    parts = []
+    for k, link in enumerate(links):
+        at = np.flatnonzero(which == k)
+        found = chain.load_partials(*(x[:, at] for x in moved), np.tile(link, len(at)), gravity, physics.theta, physics.widths)
+        parts.append((at, [np.array(x) for x in found[1:]]))
+    widths_of = (n, n, n, 10 * n, 3)
+    partials = tuple(np.empty((n, width, len(r.t))) for width in widths_of)
+    for at, found in parts:
+        for whole, part, width in zip(partials, found, widths_of, strict=True):
+            whole[:, :, at] = np.moveaxis(part.reshape(n, len(at), width), 1, 2)
+    gain, delay = np.ones((n, 1)), 0.0
+    for effect, theta, _ in named:
+        if effect.side == "sensor":
+            delay += theta.get("delay", 0.0)
+            for j in effect.joints:
+                gain[j] += theta.get("gain", 0.0)
+    friction = np.zeros_like(load)
+    through = np.ones_like(load)
+    plain = Signals(r.q, r.dq, r.ddq)
+    for effect, theta, width in named:
+        if effect.plain and effect.name != "armature":
+            friction[effect.joints[0]] += np.array(effect.torque(plain, theta, width)[0]).reshape(-1)
+        if effect.load_dependent and model.torque != "load":
+            more, now = (
+                np.array(effect.torque(replace(plain, load=x), theta, width)[0]).reshape(-1) for x in (load + 1e-6, load)
+            )
+            through[effect.joints[0]] -= (more - now) / 1e-6
+    if model.torque == "load":
+        through[:] = 1.0
+    return Context(prepared, physics, load, motor, through, gain, delay, body, partials, friction, model.torque)
+
+
+def columns(at: Context, trial: Trial) -> np.ndarray:
+    """Change of the predicted recorded torque for each coefficient, unfiltered, (m, n, K) [Nm]."""
+    effect, r = trial.effect, at.recording
+    result = np.zeros((len(trial.points), *r.q.shape))
+    if effect.of_spring and effect.joints not in (at.signals.springs or {}):
+        return result
+    for change, theta in zip(result, trial.points, strict=True):
+        if effect.side == "sensor":
+            true = at.load if at.torque == "load" else at.motor
+            if effect.of_arm:
+                change += later(r, true, theta["delay"]) - true
+            else:
+                _add(change, effect, effect.torque(replace(at.signals, load=[ca.DM(x) for x in true]), theta, trial.width))
+            continue
+        if effect.side == "drive":
+            _add(change, effect, effect.torque(_with_states(at, trial, theta), theta, trial.width), -1.0)
+        elif effect.side == "link":
+            _add(change, effect, effect.torque(at.signals, theta, trial.width), -1.0)
+        elif effect.side == "body":
+            change += _of_body(at, effect, theta)
+        else:
+            change += _of_motion(at, trial, theta)
+        if effect.side != "drive":
+            change *= at.through
+        change *= at.gain
+        if at.delay:
+            change[:] = later(r, change, at.delay)
+    return result / trial.size
+
+
+def _add(change: np.ndarray, effect, torques, sign: float = 1.0) -> None:
+    for j, torque in zip(effect.joints, torques, strict=True):
+        change[j] += sign * np.array(torque).reshape(-1)
+
+
+def _with_states(at: Context, trial: Trial, theta) -> Signals:
+    if not trial.effect.states:
+        return at.signals
+    signals = at.signals
+    states = along(at.recording, trial.effect, lambda z: trial.effect.rate(_at(signals, z), theta, trial.width))
+    return replace(signals, states=[ca.DM(z) for z in states])
+
+
+def _at(signals: Signals, states: Sequence[np.ndarray]) -> Signals:
+    return replace(signals, states=[ca.DM(z) for z in states])
+
+
+def _of_body(at: Context, effect, theta) -> np.ndarray:
+    r, total = at.recording, np.zeros_like(at.load)
+    masses, which = np.unique(r.payload, return_inverse=True)
+    tool = at.physics.model.tool.joint
+    for k, mass in enumerate(masses):
+        base = replace(at.body, payload=at.body.payload + mass)
+        there = effect.change(base, theta)
+        links = [np.array(ca.evalf(with_payload(ca.SX(b.inertial), tool, b.payload, b.position))) for b in (base, there)]
+        gravity = ca.vertcat(*there.gravity) if isinstance(there.gravity, list) else there.gravity
+        pull = np.array(ca.evalf(ca.SX(gravity) - ca.SX(base.gravity))).reshape(3)
+        samples = which == k
+        more = (links[1] - links[0]).T.reshape(-1)
+        for by, change in ((at.partials[3], more), (at.partials[4], pull)):
+            if np.any(change):
+                used = np.flatnonzero(change)
+                total[:, samples] += np.einsum("ick,c->ik", by[:, used][:, :, samples], change[used])
+    return total
+
+
+def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:
+    effect, r = trial.effect, at.recording
+    shift = np.zeros_like(r.q)
+    for j, value in zip(effect.joints, effect.shift(at.signals, theta, trial.width), strict=True):
+        shift[j] += np.array(value).reshape(-1)
+    moved = (shift, *derivatives(r, shift))
+    return sum(np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], moved, strict=True))
+
+
+def common_filter(prepared: Prepared) -> sparse.csr_matrix:
+    """The common filter as a matrix: kept samples by samples.
+
+    Its responses to combs, whose teeth are further apart than the filter reaches, are its columns.
+    """
+    r, rows = prepared.recording, kept_rows(prepared.recording)[0]
+    step = np.median(np.diff(r.t))
+    reach = 2 * (2 * round(prepared.window / step / 2) + 2)
+    period = min(2 * reach + 1, len(r.t))
+    combs = np.zeros((period, len(r.t)))
+    combs[np.arange(len(r.t)) % period, np.arange(len(r.t))] = 1.0
+    response = through_filter(combs, prepared)[:, rows]  # (period, kept)
+    offsets = np.arange(-reach, reach + 1)[: period if period < 2 * reach + 1 else None]
+    at = rows[:, None] + offsets[None, :]
+    inside = (at >= 0) & (at < len(r.t))
+    row, _ = np.nonzero(inside)
+    column = at[inside]
+    return sparse.csr_matrix((response[column % period, row], (row, column)), shape=(len(rows), len(r.t)))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Signatures of many trials at the rows of all recordings.
+
+    Attributes:
+        trials: The trials, in order.
+        start: First column of each trial, and the number of columns at the end, (trials + 1,).
+        values: For each joint (M, columns that are not 0 there) [Nm].
+        used: For each joint the numbers of those columns.
+    """
+
+    trials: tuple[Trial, ...]
+    start: np.ndarray
+    values: tuple[np.ndarray, ...]
+    used: tuple[np.ndarray, ...]
+
+
+def table(contexts: Sequence[Context], filters: Sequence[Any], every: Iterable[Trial]) -> Table:
+    """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps."""
+    every = tuple(every)
+    start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
+    parts: list[list[np.ndarray]] = []
+    for at, matrix in zip(contexts, filters, strict=True):
+        moving = at.prepared.moving[:, kept_rows(at.recording)[0]]
+        raw = np.concatenate([columns(at, t) for t in every]) if every else np.zeros((0, *at.load.shape))
+        parts.append([(matrix @ raw[:, j].T) * moving[j][:, None] for j in range(raw.shape[1])])
+    values, used = [], []
+    for j in range(len(parts[0])):
+        whole = np.concatenate([p[j] for p in parts])
+        live = np.flatnonzero(np.any(whole != 0, axis=0))
+        values.append(whole[:, live])
+        used.append(live)
+    return Table(every, start, tuple(values), tuple(used))
