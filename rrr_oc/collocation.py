@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
+from rrr_oc.c_library import digest, library
 from rrr_oc.errors import UserError
 from rrr_oc.problem import Guess, Phase, Problem
 
@@ -114,11 +115,14 @@ class Transcription:
 
     Attributes:
         mesh: For each phase the intervals' fractions of its duration, each (N,).
+        compiled: Whether the intervals' functions run as C (a few times faster; some seconds to compile, once a machine).
+            They cannot be differentiated any further.
     """
 
     problem: Problem
     scheme: Scheme
     mesh: tuple[np.ndarray, ...]
+    compiled: bool = False
 
     @cached_property
     def blocks(self) -> tuple[_Block, ...]:
@@ -150,7 +154,7 @@ class Transcription:
                     stage_x[:, -1, :] = nodes[:, 1:]
                 stage_u[:] = take(nu, s.d, N)
             gather = self._gather(duration, nodes, stage_x, stage_u, own)
-            rows = slice(row, row + self._interval(phase).size1_out(1) * N)
+            rows = slice(row, row + self._interval(phase).rows * N)
             row = rows.stop
             blocks.append(_Block(duration, nodes, stage_x, stage_u, rows, gather))
         return tuple(blocks)
@@ -220,7 +224,7 @@ class Transcription:
         """What a constraint is about, in words."""
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
             if row < block.rows.stop:
-                per_interval = self._interval(phase).size1_out(1)
+                per_interval = self._interval(phase).rows
                 interval, local = divmod(row - block.rows.start, per_interval)
                 time = f"at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
                 if local < self._defects(phase):
@@ -228,12 +232,23 @@ class Transcription:
                 return f"{phase.paths[(local - self._defects(phase)) % len(phase.paths)]} {time}"
         return self.problem.designs[row - self.blocks[-1].rows.stop]
 
+    @property
+    def path_rows(self) -> list[tuple[str, np.ndarray]]:
+        """For each phase and path, in their order, the path's name and its rows."""
+        found = []
+        for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
+            rows = np.arange(block.rows.start, block.rows.stop).reshape(len(fractions), -1)[:, self._defects(phase) :]
+            found += [(name, rows[:, i :: len(phase.paths)].ravel()) for i, name in enumerate(phase.paths)]
+        return found
+
     def _defects(self, phase: Phase) -> int:
         s = self.scheme
         return len(phase.states) * (s.d - s.shares_first + (not s.shares_last))
 
-    def _interval(self, phase: Phase) -> ca.Function:
-        return _interval(phase, self.scheme, len(self.problem.parameters), self.problem.data.size, self.problem.cost_scale)
+    def _interval(self, phase: Phase) -> "_Interval":
+        problem = self.problem
+        sizes = len(problem.parameters), problem.data.size
+        return _interval(phase, self.scheme, *sizes, problem.cost_scale, self.compiled)
 
     def pack(self, guess: Guess) -> np.ndarray:
         """Scaled variables from a guess, states and controls sampled at the mesh's nodes and stages."""
@@ -261,23 +276,23 @@ class Transcription:
         jacobian, hessian = _Scatter(), _Scatter()
         value = w * self.scale
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
-            derivatives = _derivatives(self._interval(phase))
+            interval = self._interval(phase)
             N, nz = len(fractions), block.gather.shape[0]
             z = ca.reshape(value[block.gather.ravel(order="F").tolist()], nz, N)
             h, data, gather = ca.MX(ca.DM(fractions).T), ca.repmat(d, 1, N), block.gather
             magnitude = ca.DM(self.scale[gather])
-            costs, g = self._interval(phase).map(N)(z, h, data)
+            costs, g = interval.value.map(N)(z, h, data)
             cost, rows = cost + ca.sum2(costs), [*rows, ca.vec(g)]
-            slopes = derivatives["gradient"].map(N)(z, h, data) * magnitude
+            slopes = interval.gradient.map(N)(z, h, data) * magnitude
             gradient += _sum_into(self.size, gather, slopes)
-            n_rows = g.size1()
+            n_rows = interval.rows
             multipliers = ca.reshape(lam_g[block.rows], n_rows, N)
             row_of = block.rows.start + np.arange(n_rows)[:, None] + n_rows * np.arange(N)
-            i, j = (np.array(k, int) for k in derivatives["jacobian"].sparsity_out(0).get_triplet())
-            values = _nonzeros(derivatives["jacobian"], N)(z, h, data)
+            i, j = interval.jacobian_at
+            values = interval.jacobian.map(N)(z, h, data)
             jacobian.add(row_of[i], gather[j], values * ca.DM(self.scale[gather[j]]))
-            i, j = (np.array(k, int) for k in derivatives["hessian"].sparsity_out(0).get_triplet())
-            values = _nonzeros(derivatives["hessian"], N)(z, h, data, ca.repmat(lam_f, 1, N), multipliers)
+            i, j = interval.hessian_at
+            values = interval.hessian.map(N)(z, h, data, ca.repmat(lam_f, 1, N), multipliers)
             both = self.scale[gather[i]] * self.scale[gather[j]]
             hessian.add(np.minimum(gather[i], gather[j]), np.maximum(gather[i], gather[j]), values * ca.DM(both))
         self._add_design(value, d, lam_g, rows, jacobian, hessian)
@@ -343,13 +358,32 @@ def _sum_into(size: int, gather: np.ndarray, values: ca.MX) -> ca.MX:
     return ca.MX(_incidence(size, gather.ravel(order="F"))) @ ca.vec(values)
 
 
-@lru_cache(maxsize=64)
-def _interval(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float) -> ca.Function:
-    """(z, fraction, d) -> (cost, rows) of one interval; z = (p, T, x_0, x_1, own stages, stage controls), unscaled.
+@dataclass(frozen=True, eq=False)
+class _Interval:
+    """Functions of one interval, of z = (p, T, x_0, x_1, own stages, stage controls), unscaled; their outputs are dense.
 
     Rows: the stages' defects, the step's defect where the last stage is not the node, then the path constraints at each
     stage; defects are divided by the states' scales.
+
+    Attributes:
+        rows: Number of rows.
+        value: (z, fraction, d) -> (cost, rows).
+        gradient: (z, fraction, d) -> gradient of the cost (nz,).
+        jacobian: (z, fraction, d) -> nonzeros of the rows' Jacobian, which stand at `jacobian_at` (rows, columns).
+        hessian: (z, fraction, d, lam_f, lam_g) -> nonzeros of one triangle of the Lagrangian's Hessian, at `hessian_at`.
     """
+
+    rows: int
+    value: ca.Function
+    gradient: ca.Function
+    jacobian: ca.Function
+    jacobian_at: tuple[np.ndarray, np.ndarray]
+    hessian: ca.Function
+    hessian_at: tuple[np.ndarray, np.ndarray]
+
+
+@lru_cache(maxsize=64)
+def _interval(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float, compiled: bool) -> _Interval:
     nx, nu = len(phase.states), len(phase.controls)
     own = s.d - s.shares_first - s.shares_last
     p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)
@@ -363,23 +397,66 @@ def _interval(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float) ->
     cost = step * sum(float(b) * r[1] for b, r in zip(s.b, rates, strict=True)) / cost_scale
     rows = ca.vertcat(*[defect / phase.x_scale for defect in defects], *[r[2] for r in rates])
     z = ca.vertcat(p, T, x0, x1, ca.vec(X), ca.vec(U))
-    return ca.Function("interval", [z, h, d], [cost, rows])
+    slopes = ca.jacobian(rows, z)
+    jacobian_at = slopes.sparsity().get_triplet()
+    gradient, hessian, hessian_at = _by_stages(phase, s, n_p, n_d, cost_scale)
+    functions = [
+        ca.Function("value", [z, h, d], [cost, ca.densify(rows)]),
+        gradient,
+        ca.Function("jacobian", [z, h, d], [slopes.nz[:]]),
+        hessian,
+    ]
+    value, gradient, jacobian, hessian = _as_c(functions) if compiled else functions
+    at = (np.array(jacobian_at[0], int), np.array(jacobian_at[1], int))
+    return _Interval(rows.numel(), value, gradient, jacobian, at, hessian, hessian_at)
 
 
-@lru_cache(maxsize=64)
-def _derivatives(interval: ca.Function) -> dict[str, ca.Function]:
-    z, h, d = (ca.SX.sym(name, interval.size1_in(i)) for i, name in enumerate(("z", "h", "d")))
-    lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", interval.size1_out(1))
-    cost, rows = interval(z, h, d)
-    lagrangian = lam_f * cost + ca.dot(lam_g, rows)
-    return {
-        "gradient": ca.Function("gradient", [z, h, d], [ca.densify(ca.gradient(cost, z))]),
-        "jacobian": ca.Function("jacobian", [z, h, d], [ca.jacobian(rows, z)]),
-        "hessian": ca.Function("hessian", [z, h, d, lam_f, lam_g], [ca.triu(ca.hessian(lagrangian, z)[0])]),
-    }
+def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float):
+    """Gradient of an interval's cost and Hessian of its Lagrangian, from those of one stage at y = (p, T, x, u).
+
+    Stage j's share of the Lagrangian, but for terms linear in z, is T (σ l − ν·f) + μ·path, where l is the cost rate,
+    σ = h b_j lam_f / cost_scale, ν = h Σ_i A_ij λ_i / x_scale (and b_j times the step's multipliers), and λ_i and μ multiply
+    the stage's defects and paths.
+    """
+    nx, nu, ng, d = len(phase.states), len(phase.controls), len(phase.paths), s.d
+    y, data = ca.SX.sym("y", n_p + 1 + nx + nu), ca.SX.sym("d", n_d)
+    sigma, nu_f, mu = ca.SX.sym("sigma"), ca.SX.sym("nu", nx), ca.SX.sym("mu", ng)
+    p, T, x, u = ca.vertsplit(y, [0, n_p, n_p + 1, n_p + 1 + nx, y.numel()])
+    f, rate, path = phase.rates(x, u, p, data)
+    share = T * (sigma * rate - ca.dot(nu_f, f)) + ca.dot(mu, path)
+    second = ca.triu(ca.hessian(share, y)[0])
+    slope = ca.Function("slope", [y, data, sigma], [ca.densify(ca.gradient(T * sigma * rate, y))])
+    curvature = ca.Function("curvature", [y, data, sigma, nu_f, mu], [second.nz[:]])
+    i, j = (np.array(k, int) for k in second.sparsity().get_triplet())
+
+    own = d - s.shares_first - s.shares_last
+    shared, controls = np.arange(n_p + 1), n_p + 1 + (2 + own) * nx
+    places = []  # of each stage's y in z
+    for k in range(d):
+        position = 0 if k == 0 and s.shares_first else 1 if k == d - 1 and s.shares_last else 2 + k - s.shares_first
+        places.append(np.r_[shared, n_p + 1 + position * nx + np.arange(nx), controls + k * nu + np.arange(nu)])
+    nz, n_defects = controls + d * nu, d - s.shares_first + (not s.shares_last)
+    z, h, c = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("d", n_d)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nx * n_defects + ng * d)
+    weights = np.vstack([s.A[int(s.shares_first) :], *([] if s.shares_last else [s.b])])  # (n_defects, d)
+    nu_all = ca.reshape(lam_g[: nx * n_defects], nx, n_defects) @ ca.DM(weights) * h / phase.x_scale
+    mu_all = ca.reshape(lam_g[nx * n_defects :], ng, d)
+    ys = [z[k.tolist()] for k in places]
+    slopes = [slope(ys[k], c, h * float(s.b[k]) / cost_scale) for k in range(d)]
+    summed = _sum_into(nz, np.concatenate(places), ca.vertcat(*slopes))
+    gradient = ca.Function("gradient", [z, h, c], [ca.densify(summed)])  # nodes that are no stages have none
+    curvatures = [curvature(ys[k], c, h * float(s.b[k]) / cost_scale * lam_f, nu_all[:, k], mu_all[:, k]) for k in range(d)]
+    ends = [np.sort(np.vstack([k[i], k[j]]), axis=0) for k in places]
+    keys, slot = np.unique(np.hstack([a * nz + b for a, b in ends]), return_inverse=True)
+    hessian = ca.Function("hessian", [z, h, c, lam_f, lam_g], [_sum_into(keys.size, slot, ca.vertcat(*curvatures))])
+    return gradient, hessian, (keys // nz, keys % nz)
 
 
-def _nonzeros(function: ca.Function, N: int) -> ca.Function:
-    """The function's nonzeros as a dense column, mapped over N intervals: (nnz, N)."""
-    arguments = [ca.SX.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
-    return ca.Function("nonzeros", arguments, [ca.SX(function(*arguments)).nz[:]]).map(N)
+def _as_c(functions: list[ca.Function]) -> list[ca.Function]:
+    """The same functions from a compiled library."""
+    generator = ca.CodeGenerator("interval", {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    code, flags = generator.dump(), ("-O1", "-DGCC_HASCLASSVISIBILITY")  # the latter exports what casadi marks
+    path = library(f"interval-{digest(code, *flags)}", code, flags)
+    return [ca.external(function.name(), str(path)) for function in functions]

@@ -9,13 +9,6 @@ models with different values run side by side, in any number of threads. A model
 # (mujoco's wheel has no stubs)
 
 import ctypes
-import hashlib
-import os
-import platform
-import shlex
-import shutil
-import subprocess
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,12 +21,12 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from rrr_oc.c_library import digest, library
 from rrr_oc.effects import Signals
 from rrr_oc.errors import UserError
 from rrr_oc.model import Model
 
 PAYLOAD = "rrr_oc:payload"
-_FLAGS = ("-O2", "-fPIC", "-shared", "-fvisibility=hidden")
 _WRAPPER = """
 #include <string.h>
 #include <mujoco/mjdata.h>
@@ -94,21 +87,12 @@ def compile_effects(model: Model) -> Native:
     generator = ca.CodeGenerator("effects", {"with_header": False})
     generator.add(function)
     code = generator.dump()
-    key = "\0".join([code, _WRAPPER, mujoco.__version__, platform.system(), platform.machine(), *_FLAGS])
-    digest = hashlib.sha256(key.encode()).hexdigest()[:24]
-    marker = f"rrr_oc:{digest}"
-    path = cache_folder() / f"effects-{digest}.so"
-    if not path.is_file():
-        sizes = {k: max(1, getattr(function, k)()) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
-        wrapper = _WRAPPER.format(marker=marker, payload=PAYLOAD, n=model.robot.n, n_theta=len(model.parameters), **sizes)
-        _compile(_compiler(), code + wrapper, path)
-    return Native(marker, _load(path))
-
-
-def cache_folder() -> Path:
-    """Where compiled effects are kept: `rrr_oc` in $XDG_CACHE_HOME (if that is an absolute path) or in ~/.cache."""
-    home = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (home if home.is_absolute() else Path.home() / ".cache") / "rrr_oc"
+    flags = ("-O2", f"-I{Path(str(mujoco.__file__)).parent / 'include'}")
+    name = digest(code, _WRAPPER, mujoco.__version__, *flags)
+    marker = f"rrr_oc:{name}"
+    sizes = {k: max(1, getattr(function, k)()) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+    wrapper = _WRAPPER.format(marker=marker, payload=PAYLOAD, n=model.robot.n, n_theta=len(model.parameters), **sizes)
+    return Native(marker, _load(library(f"effects-{name}", code + wrapper, flags, " or use effects='native'")))
 
 
 @contextmanager
@@ -172,31 +156,6 @@ def _torque(model: Model) -> ca.Function:
     torques = model.effect_torques(Signals(q, dq, time=time, payload=payload), theta, widths)
     total = sum((t for e, t in zip(model.effects, torques, strict=True) if e.side == "link"), ca.SX.zeros(n))
     return ca.Function("effects", [q, dq, time, payload, theta, widths], [ca.densify(total)])
-
-
-def _compiler() -> tuple[str, ...]:
-    chosen = os.environ.get("CC")
-    for command in [shlex.split(chosen)] if chosen else [["cc"], ["gcc"], ["clang"]]:
-        if command and shutil.which(command[0]):
-            return tuple(command)
-    tried = f"$CC = {chosen!r} is not on PATH" if chosen else "none of cc, gcc, clang is on PATH"
-    raise UserError(f"effects='generated' needs a C compiler, but {tried}; install one or use effects='native'")
-
-
-def _compile(command: tuple[str, ...], source: str, path: Path) -> None:
-    headers = Path(str(mujoco.__file__)).parent / "include"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            code, library = Path(folder) / "effects.c", Path(folder) / "effects.so"
-            code.write_text(source)
-            line = [*command, *_FLAGS, f"-I{headers}", str(code), "-o", str(library), "-lm"]
-            done = subprocess.run(line, capture_output=True, text=True)
-            if done.returncode:
-                raise UserError(f"{shlex.join(command)} cannot compile the effects: {done.stderr.strip()[:600]}")
-            os.replace(library, path)
-    except OSError as error:
-        raise UserError(f"cannot keep compiled effects in {path.parent}: {error}; XDG_CACHE_HOME chooses another") from None
 
 
 @cache

@@ -1,5 +1,6 @@
 """First- and second-order optimality of a solution, measured on the nonlinear program itself."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import casadi as ca
@@ -55,7 +56,8 @@ class Kkt:
     @property
     def data_gradient(self) -> np.ndarray:
         """Derivative of the optimal cost with respect to the problem's data, in the cost's unit."""
-        solution, nlp = self.solution, self.solution.transcription.functions["nlp"]
+        solution = self.solution
+        nlp = replace(solution.transcription, compiled=False).functions["nlp"]
         w, d = ca.MX.sym("w", solution.w.size), ca.MX.sym("d", self.d.size)
         f, g = nlp(w, d)
         lagrangian = f + ca.dot(ca.MX(ca.DM(solution.lam_g)), g)
@@ -69,9 +71,11 @@ class Kkt:
         H + AᵀA/δ is positive definite, which for small δ is so exactly if H is on the null space of A (Debreu's lemma).
 
         Returns:
-            "strict"; or "weak" where it holds only with bounds held that are touched with next to no multiplier (the
-            necessary condition); or "violated". The smallest curvature (eigenvalue for variables weighted by their share of
-            time), and its direction (size of w), unit length in those weights.
+            "strict": the sufficient condition holds. "weak": it holds only with bounds held that are touched, or nearly so,
+            with next to no multiplier. That is less than the necessary condition, which asks the same of directions inward
+            from such a bound too: the cost may still fall that way. "violated": not even that. The smallest curvature
+            (eigenvalue for variables weighted by their share of time), and its direction (size of w), unit length in those
+            weights.
         """
         verdict = self.verdict()
         value, direction = self._curvature(self.at_bound, self.active_rows)
@@ -135,12 +139,22 @@ def _sparse(matrix: ca.DM) -> scipy.sparse.csc_array:
 
 
 def _factor(H, A, diagonal: np.ndarray, delta: float = 1e-9):
-    """LDLᵀ-like factors of the quasi-definite optimality system (no pivoting, so U's signs are its inertia)."""
-    K = scipy.sparse.block_array(
-        [[H + scipy.sparse.diags_array(diagonal + 1e-13), A.T], [A, -delta * scipy.sparse.eye_array(A.shape[0])]]
-    )
-    factors = splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return factors, int((factors.U.diagonal() < 0).sum())
+    """LDLᵀ-like factors of the quasi-definite optimality system (no pivoting, so U's signs are its inertia).
+
+    AᵀA in the first block changes nothing on the null space of A, and gives variables without curvature of their own pivots of
+    the size of their constraints. What is left without a pivot, in neither H nor A, gets a positive one. A pivot that cancels
+    exactly is moved by a larger shift, up to 1e-8, far below `FLAT`.
+    """
+    rows, quadratic = A.shape[0], H + A.T @ A
+    for shift in (1e-12, 1e-10, 1e-8):
+        first = quadratic + scipy.sparse.diags_array(diagonal + shift)
+        K = scipy.sparse.block_array([[first, A.T], [A, -delta * scipy.sparse.eye_array(rows)]]).tocsc()
+        try:
+            factors = splu(K, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        except RuntimeError:  # "Factor is exactly singular"
+            continue
+        return factors, int((factors.U.diagonal() < 0).sum())
+    raise ArithmeticError("the optimality system is singular with every shift up to 1e-8")
 
 
 def _below(H, A, weights: np.ndarray, shift: float) -> int:

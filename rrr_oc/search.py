@@ -87,7 +87,7 @@ class Optimum:
     Attributes:
         solution: On its last mesh, with the smallest width.
         meshes: A row a mesh, as `refine` returns them; one row where it was not refined.
-        reached: Number of starts that ended here.
+        reached: Number of starts that ended here; 0 where it was found on the way from another optimum (`hops`, `continued`).
     """
 
     solution: Solution
@@ -197,6 +197,7 @@ def search(
         SolverFailure: No start led to an optimum; the failure of the start that came nearest.
     """
     options = options or SearchOptions()
+    _ = transcribed(design, options, options.coarse).functions  # compiled here once, not by each process
     starts: list[Start] = []
     interrupted = False
     try:
@@ -261,9 +262,9 @@ def _polish(key: str, design: CoDesign, options: SearchOptions, layer: str, inde
 
 
 def transcribed(design: CoDesign, options: SearchOptions, intervals: int) -> Transcription:
-    """The problem on a uniform mesh with the search's scheme."""
+    """The problem on a uniform mesh with the search's scheme, its functions compiled."""
     problem = design.problem
-    return Transcription(problem, scheme(options.scheme, options.stages), uniform_mesh(problem, intervals))
+    return Transcription(problem, scheme(options.scheme, options.stages), uniform_mesh(problem, intervals), compiled=True)
 
 
 def _explain(design: CoDesign, options: SearchOptions, starts: list[Start]) -> None:
@@ -337,12 +338,12 @@ def continued(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) -> l
         (index of the start, optimum), best first; starts that led nowhere are missing.
     """
     packed = ordered(_follow, [(design, options, guess) for design, guess in starts], options.jobs)
-    found = [(i, Optimum(_unpack(starts[i][0], options, p), p.rows, 1)) for i, p in enumerate(packed) if p is not None]
+    found = [(i, Optimum(_unpack(starts[i][0], options, p), p.rows, 0)) for i, p in enumerate(packed) if p is not None]
     found.sort(key=lambda pair: pair[1].solution.cost)
     if found:
         index, optimum = found[0]
         p = _refine(starts[index][0], options, _pack(optimum))
-        found[0] = index, Optimum(_unpack(starts[index][0], options, p), p.rows, 1)
+        found[0] = index, Optimum(_unpack(starts[index][0], options, p), p.rows, 0)
     return found
 
 
@@ -370,9 +371,8 @@ def _pack(optimum: Optimum) -> _Packed:
 
 def _unpack(design: CoDesign, options: SearchOptions, packed: _Packed) -> Solution:
     problem = replace(design.problem, data=packed.data)
-    return Solution(
-        Transcription(problem, scheme(options.scheme, options.stages), packed.mesh), *packed.arrays, *packed.numbers
-    )
+    transcription = Transcription(problem, scheme(options.scheme, options.stages), packed.mesh, compiled=True)
+    return Solution(transcription, *packed.arrays, *packed.numbers)
 
 
 def _follow(design: CoDesign, options: SearchOptions, guess: Guess) -> _Packed | None:

@@ -279,7 +279,12 @@ class Solver:
 
     def _solver(self, barrier: float | None) -> ca.Function:
         if barrier not in self._solvers:
-            options = {"ipopt": replace(self.options, barrier=barrier).ipopt(), "print_time": False, "calc_lam_p": False}
+            options = {
+                "ipopt": replace(self.options, barrier=barrier).ipopt(),
+                "print_time": False,
+                "calc_lam_p": False,
+                "no_nlp_grad": True,  # compiled functions have no derivatives, and none is needed
+            }
             self._solvers[barrier] = ca.nlpsol("solver", "ipopt", self._nlp, options | self._functions)
         return self._solvers[barrier]
 
@@ -316,7 +321,8 @@ def refine(
 
     Returns:
         The last solution, and a row a mesh: intervals, cost, error, violation, seconds, and from the second on the cost's
-        relative change and whether the tolerance is met. It is not where `rounds` or `largest` ended the refinement.
+        relative change and whether the tolerance is met. It is not where `rounds` or `largest` ended the refinement. Limits
+        hold at nodes and stages; `violation` says by how much they are exceeded between, and is no part of the tolerance.
     """
     refinement, options = refinement or Refinement(), options or Options()
     options = replace(options, barrier=1e-8, tolerance=min(options.tolerance, 1e-3 * refinement.tolerance))

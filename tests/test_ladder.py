@@ -13,7 +13,7 @@ PACKAGE = ROOT / "rrr_oc"
 # none imports from another. Names are below `rrr_oc`; to the folders `effects.*` and `importers.*` files may be added freely.
 LADDER = (
     ("trunk", ("errors", "smooth", "parallel", "savitzky_golay", "_rigid_body")),
-    ("trunk", ("files", "parameters", "csv_table", "metrics", "nrmse")),
+    ("trunk", ("files", "parameters", "csv_table", "metrics", "nrmse", "c_library")),
     ("trunk", ("robot", "effects.effect")),
     ("trunk", ("rigid_body", "effects.*")),
     ("trunk", ("effects", "inertial")),

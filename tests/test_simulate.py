@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from mujoco import rollout
 
-from rrr_oc import metrics, native
+from rrr_oc import c_library, metrics, native
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model import Model
@@ -158,7 +158,7 @@ def test_generated_code_follows_the_smoothed_law():
 def test_values_change_without_compiling(monkeypatch):
     model, theta = spring_arm()
     first = twin(model, theta)
-    monkeypatch.setattr(native, "_compile", lambda *_: pytest.fail("compiled again"))
+    monkeypatch.setattr(c_library, "_compile", lambda *_: pytest.fail("compiled again"))
     second, third = twin(model, theta * 2), first.with_theta(theta * 3, np.zeros(3))
     q = np.array([0.0, 1.0, -2.0])
     with first.effects():
@@ -287,7 +287,7 @@ def test_cache(monkeypatch, tmp_path):
     native.compile_effects(spring_arm(winding=(1, -1))[0])
     assert len(list((tmp_path / "rrr_oc").iterdir())) == 2
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # the XDG rules: ignored
-    assert native.cache_folder() == Path.home() / ".cache/rrr_oc"
+    assert c_library.cache_folder() == Path.home() / ".cache/rrr_oc"
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     with pytest.raises(UserError, match="XDG_CACHE_HOME"):
