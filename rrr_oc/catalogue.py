@@ -75,16 +75,21 @@ class Coverage:
     Attributes:
         combinations: In the catalogue.
         distinct: Of those, that differ in what the arm feels (kappa, rho, stiffnesses).
-        solved: Co-design problems solved with the hardware held.
-        relaxed: Problems solved with parallel stiffnesses free, to screen the rest.
-        margin: Where not all were solved: by how much the screening value of the best combination left out exceeds the
-            best cost, relative; infinite where all were solved.
+        solved: Of those, solved with the hardware held.
+        complete: Whether that is every one of them.
+        neighbours: Whether of the parallel springs only those were solved whose stiffness lies next to the optimal one of
+            their biarticular spring. That the best is among them is likely, as the cost is smooth, and not certain.
+        relaxed: Problems solved with parallel stiffnesses free, or off the catalogue, to screen the rest.
+        margin: By how much the screening value (interpolated) of the best biarticular spring that was left out exceeds the
+            best cost, relative; infinite where none was left out.
         failed: Problems that IPOPT did not solve.
     """
 
     combinations: int
     distinct: int
     solved: int
+    complete: bool
+    neighbours: bool
     relaxed: int
     margin: float
     failed: int
@@ -149,7 +154,9 @@ def search_catalogue(
             choices = [choice for _, choice, _ in rough.all(choices)[:200]]
             run.solved, run.failed = rough.solved - len(choices), rough.failed
         ranked = [(cost, choice) for cost, choice, _ in run.all(choices)]
-    coverage = Coverage(combinations, distinct, run.solved - counts["relaxed"], **counts, failed=run.failed)
+    solved, neighbours = run.solved - counts["relaxed"], bar is not None and len(springs) > 1
+    complete = solved == distinct and not run.failed
+    coverage = Coverage(combinations, distinct, solved, complete, neighbours and not complete, **counts, failed=run.failed)
     return _finish(design, start, options, [c for _, c in ranked[:finalists]], coverage)
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rrr_oc.codesign import COST_UNITS, HARDWARE, CoDesign
+from rrr_oc.codesign import COST_UNITS, FLOOR, HARDWARE, CoDesign, torque_path
 from rrr_oc.optimality import Kkt
 from rrr_oc.search import Optimum, SearchResult
 from rrr_oc.solve import Solution
@@ -40,19 +40,19 @@ class Certificate:
         primal, dual, complementarity: Residuals of the optimality conditions, scaled; infinity norms.
         second_order: "strict" if the Hessian of the Lagrangian is positive definite on the directions that the active
             constraints leave (kappa, rho, phi stand for the biarticular spring, so its null directions are gone);
-            "weak" if it is so only with bounds held that are touched with next to no multiplier (the necessary condition);
-            "violated" otherwise.
+            "weak" if it is so only with bounds held that are touched with next to no multiplier (the cost may still fall
+            inward from one of these: less than the necessary condition); "violated" otherwise.
         curvature: Its smallest eigenvalue there, variables scaled and weighted by their share of time, cost relative.
         flattest: The variables that dominate that eigenvector.
         active: Bounds with their multipliers, largest saving first.
         sensitivity: Relative change of the cost by one more kg of payload.
         mesh: Largest error between the nodes, the quadrature's, and the cost's last change from mesh to mesh, all relative;
-            and whether they are within the tolerance.
-        violation: Largest excess of a limit between the nodes, relative to its scale.
+            and whether error and change are within the tolerance.
+        violation: Largest excess of a limit between the nodes, relative to its scale; no part of `mesh`.
         smoothing: Relative change of the cost with exact, non-smooth springs on the same motion.
         exact_cost: The cost with exact springs.
         reintegration: Differences after an adaptive integrator (DOP853) has run the controls: states, and cost (relative).
-        share: Of the starts that reached this optimum.
+        share: Of the starts that reached this optimum; 0 where it was found on the way from another one.
     """
 
     primal: float
@@ -106,7 +106,8 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
 
 
 def _active(design: CoDesign, solution: Solution, kkt: Kkt) -> tuple[ActiveBound, ...]:
-    bounds = [*_parameter_bounds(design, solution), *_hardware_bounds(design, kkt), *_motion_bounds(design, solution)]
+    bounds = [*_parameter_bounds(design, solution), *_hardware_bounds(design, kkt)]
+    bounds += [*_motion_bounds(design, solution), *_path_bounds(design, solution)]
     return tuple(sorted((b for b in bounds if b.saving > 1e-6), key=lambda b: -b.saving))
 
 
@@ -169,6 +170,22 @@ def _motion_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
             found.append(
                 _bound(design, solution, f"the acceleration limit of {joint}", float(task.acceleration[j]), "rad/s²", total)
             )
+    return found
+
+
+def _path_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
+    """Torque limits and the floor, rows of the problem: the multipliers of all instants together."""
+    found, t, task = [], solution.transcription, design.task
+    force: dict[str, float] = {}
+    for name, rows in t.path_rows:
+        force[name] = force.get(name, 0.0) + float(np.abs(solution.lam_g[rows]).sum()) * solution.problem.cost_scale
+    for name, total in force.items():
+        if name == FLOOR:
+            found.append(_bound(design, solution, "the floor under the tool", float(task.floor), "m", total))
+            continue
+        limit = float(task.torque[[torque_path(j) for j in task.joints].index(name)])
+        # the row is torque / limit ≤ 1
+        found.append(_bound(design, solution, f"the limit of the {name}", limit, "Nm", total / limit))
     return found
 
 

@@ -26,6 +26,7 @@ CONFIGURATIONS = {
 }
 HARDWARE = ("k_b", "q_0", "r_1", "r_2", "r_3")
 COSTS = ("load", "motor", "energy")
+FLOOR = "height of the tool"
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
 
@@ -189,7 +190,7 @@ class CoDesign:
             duration=task.duration,
             x_scale=np.r_[np.ones(m), np.ones(m)],
             u_scale=peak,
-            paths=(*[f"load torque of {task.joints[i]}" for i in limited], *(["height of the tool"] if floor else [])),
+            paths=(*[torque_path(task.joints[i]) for i in limited], *([FLOOR] if floor else [])),
             path_lower=np.r_[-np.ones(limited.size), np.full(floor, task.floor)],
             path_upper=np.r_[np.ones(limited.size), np.full(floor, np.inf)],
         )
@@ -299,6 +300,11 @@ class CoDesign:
                     lower[i] = upper[i] = hardware[name]
             springs.append(SpringBounds(spring.effect, lower, upper))
         return CoDesign(self.task, tuple(springs), self.cost, self.actuators, self.at_rest)
+
+
+def torque_path(joint: str) -> str:
+    """Name of the path that a joint's torque limit bounds."""
+    return f"load torque of {joint}"
 
 
 def motion_guess(

@@ -233,7 +233,7 @@ def _published(name: str, design: CoDesign, options: SearchOptions) -> float | N
     if not springs or not {"joint2", "joint3"} <= set(task.joints):
         return None
     held = CoDesign(task, spring_bounds(task, name.rstrip("*")), design.cost, design.actuators).with_fixed(springs)
-    return search(held, replace(options, starts=max(4, options.starts // 4), kept=3)).best.solution.cost
+    return search(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)).best.solution.cost
 
 
 def plain(value: Any) -> Any:

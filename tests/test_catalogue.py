@@ -95,11 +95,24 @@ def test_buying_costs_more_than_making(pea, bought_pea):
 def test_coverage_adds_up(bought_pea, bought_bpea, counted):
     cover = bought_pea.coverage
     assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.failed) == (4, 4, 4, 0, 0)
-    assert cover.margin == float("inf")  # all were solved
+    assert (cover.complete, cover.neighbours) == (True, False)
     assert counted == sorted(counted)
     assert counted[-1] == cover.solved
     cover = bought_bpea.coverage
     assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.failed) == (4, 3, 3, 0, 0)
+    assert (cover.complete, cover.neighbours) == (True, False)
+
+
+def test_coverage_of_both_kinds_does_not_claim_what_was_not_solved():
+    """One biarticular spring, three stiffnesses a joint: only the two next to the optimal ones are solved, 4 of 9."""
+    lists = {"joint2": (2.0, 7.0, 13.0), "joint3": (0.1, 0.6, 1.2)}
+    short = {"k_b": (13.0,), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.019,)}
+    few = replace(OPTIONS, coarse=6, fine=8)
+    cover = shop(search(CoDesign(TASK, spring_bounds(TASK, "PEA+BPEA")), few), lists, short, settings=few).coverage
+    assert (cover.combinations, cover.distinct) == (9, 9)
+    assert 1 <= cover.solved <= 4
+    assert (cover.complete, cover.neighbours) == (False, True)
+    assert cover.margin == float("inf")  # no biarticular spring was left out
 
 
 def test_equal_kappa_and_rho_are_one_choice(bought_bpea):
@@ -127,8 +140,7 @@ def test_screened_equals_exhaustive(bpea):
     assert screened.hardware == pytest.approx(exhaustive.hardware, rel=1e-3)  # q_0 is free and its valley flat
     assert screened.optimum.solution.cost == pytest.approx(exhaustive.optimum.solution.cost, rel=1e-4)
     cover = screened.coverage
-    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed) == (4, 4, 4, 0)
-    assert cover.margin == float("inf")
+    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.complete) == (4, 4, 4, 0, True)
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.sparse import csc_array
 from test_codesign import TASK, design_of, solved, trapezoid
 
 from rrr_oc.certificate import Certificate, certify, exact_cost, reintegrate
 from rrr_oc.codesign import CoDesign
 from rrr_oc.collocation import Scheme, Transcription, scheme, uniform_mesh
 from rrr_oc.files import write_json
-from rrr_oc.optimality import Kkt
+from rrr_oc.optimality import Kkt, _factor
 from rrr_oc.problem import Guess, Phase, PhaseGuess, Problem
 from rrr_oc.search import Optimum, SearchResult
 from rrr_oc.solve import Options, Refinement, Solution, Solver, refine, solve
@@ -149,6 +150,25 @@ def test_savings_of_motion_limits(certified, method: Scheme, words, row, kind):
     assert saving(certificate_of(design, solution), words) == pytest.approx(by_hand, rel=2e-2)  # the active set moves a little
 
 
+@pytest.mark.parametrize("method", [scheme("lobatto", 4), scheme("gauss", 3)], ids=lambda s: s.name)
+def test_savings_of_torque_limits_and_floor(certified, method: Scheme):
+    """PEA peaks at 6.5 Nm in joint 3 and dips to −0.28 m: held to 6 Nm and −0.15 m, both limits bind. By Nm and by mm."""
+    _, known, _ = certified["PEA"]
+
+    def held(torque: float, floor: float) -> CoDesign:
+        return design_of("PEA", replace(TASK, torque=np.array([np.inf, torque]), floor=floor))
+
+    design = held(6.0, -0.15)
+    t = Transcription(design.problem, method, uniform_mesh(design.problem, 12))
+    solution = Solver(t, TIGHT).solve(known.guess(), design.data(0.01))
+    certificate = certificate_of(design, solution)
+    near = dict[str, Any](rel=2e-2)  # the active set moves a little
+    by_hand = slope(design, solution, lambda h: resolved(held(6.0 + h, -0.15), solution), 0.02)
+    assert saving(certificate, "the limit of the load torque of joint3") == pytest.approx(by_hand, **near)
+    by_hand = slope(design, solution, lambda h: resolved(held(6.0, -0.15 - h), solution), 2e-4) * 1e-3
+    assert saving(certificate, "the floor under the tool") == pytest.approx(by_hand, **near)
+
+
 @pytest.mark.parametrize("name", ["SA", "PEA", "BPEA"])
 def test_sensitivity_to_payload(certified, name):
     design, solution, certificate = certified[name]
@@ -270,6 +290,15 @@ def test_second_order_with_the_saddle_on_a_bound():
     kkt = Kkt(replace(pressed, lam_w=multipliers))
     assert kkt.dual < 1e-12
     assert kkt.second_order()[0] == "strict"
+
+
+def test_a_pivot_that_cancels_is_no_obstacle():
+    """−1e-12 + 1e-12 = 0: without another shift the factors do not exist. Two rows that say the same do no harm either."""
+    H, none = csc_array([[-1e-12, 0.0], [0.0, 2.0]]), csc_array((0, 2))
+    assert _factor(H, none, np.zeros(2))[1] == 0
+    twice = csc_array([[1.0, 1.0], [1.0, 1.0]])
+    assert _factor(csc_array(np.diag([-1.0, 2.0])), twice, np.zeros(2))[1] == 2  # xᵀHx = 1 along (1, −1)
+    assert _factor(csc_array(np.diag([-3.0, 2.0])), twice, np.zeros(2))[1] == 3  # and −1: one more than rows
 
 
 def test_curvature_against_dense_eigenvalues(certified):
