@@ -4,6 +4,7 @@ import importlib.resources
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import casadi as ca
@@ -77,6 +78,13 @@ class Actuators:
             direction = s if self.form == "printed" else s * ca.sign(left)
             torques.append(left / (self.c_1[i] + self.c_12[i] * direction))
         return ca.vertcat(*torques)
+
+    @cached_property
+    def load_from_motor(self) -> ca.Function:
+        """(dq, ddq, tau_motor) -> (tau_load, d tau_load / d tau_motor), each (m,), by Eq. 10; on numbers also (m, K)."""
+        dq, ddq, motor = (ca.SX.sym(name, len(self.joints)) for name in ("dq", "ddq", "tau_motor"))
+        load = self.load_torque(dq, ddq, motor / self.torque_constant)
+        return ca.Function("load_from_motor", [dq, ddq, motor], [load, ca.diag(ca.jacobian(load, motor))])
 
     def motor_torque(self, dq, ddq, tau_load) -> ca.SX:
         """tau_a = k_t I (m,) [Nm]."""

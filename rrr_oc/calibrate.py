@@ -77,13 +77,15 @@ class Fit:
 def plain_model(recordings: RecordingSet) -> CalibratedModel:
     """The model that calibration starts from, its parameters at their nominal 0.
 
-    Recorded load torque does not hold what happens in the drives, so it has no terms then.
+    Links that are to be identified start from the prior's bodies, for a URDF may give them no mass. Recorded load torque does not hold what happens in the drives, so it has no terms then.
     """
     source, urdf = urdf_text(recordings.source)
-    n = recordings.robot.n
+    robot, n = recordings.robot, recordings.robot.n
+    if recordings.inertial == "identify":
+        robot = replace(robot, inertial=_inertial(prior(robot).centre)[0])
     kinds = () if recordings.torque == "load" else PLAIN
     return CalibratedModel(
-        robot=recordings.robot,
+        robot=robot,
         source=source,
         urdf=urdf,
         tool=recordings.tool,
@@ -202,7 +204,6 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
     began, robot, size = time.perf_counter(), start.robot, len(_values(start))
     guess, base = prior(robot), base_parameters(robot)
     xi = guess.centre.copy()
-    start = replace(start, robot=replace(robot, inertial=_inertial(xi)[0]))
     found = _checked_rows(recordings, prepared, start, inertial=True)
     matrix, _ = normal_equations(found, np.ones(robot.n))
     open_ = _not_in_span(matrix, size)

@@ -52,7 +52,10 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     torque = rigid_body(robot).inverse_dynamics(q, dq, ddq, inertial, robot.gravity)
     regressor = ca.Function("regressor", [q, dq, ddq, inertial], [ca.densify(ca.jacobian(torque, inertial))])
     states = rng.uniform(-np.pi, np.pi, (n, count)), rng.normal(0, 2, (n, count)), rng.normal(0, 5, (n, count))
-    matrix = np.array(regressor(*states, np.zeros((10, n)))).reshape(n * count, 10 * n)
+    body = np.tile(
+        [[1.0], [0.0], [0.0], [0.0], [1.0], [0.0], [1.0], [0.0], [0.0], [1.0]], n
+    )  # any will do, but for a massless one
+    matrix = np.array(regressor(*states, body)).reshape(n * count, 10 * n)
     upper = np.asarray(np.linalg.qr(matrix / np.sqrt(n * count), mode="r"))
     independent: list[int] = []
     for column in range(10 * n):  # a diagonal of R alone misleads behind a dependent column

@@ -188,17 +188,17 @@ def _moving(recording: Recording) -> np.ndarray:
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
     r = prepared.recording
     residual = residuals(prepared, model)
-    jacobian = _jacobian(model, r, inertial)
+    jacobian = derivatives(model, r, inertial)
     kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]
     moving = prepared.moving[:, kept]
-    columns = np.moveaxis(jacobian, 2, 1).reshape(n * p, -1)
+    columns = np.moveaxis(jacobian, 2, 1).reshape(n * p, len(r.t))
     used = np.flatnonzero(np.any(columns != 0, axis=1))
     filtered = np.zeros((n * p, len(kept)))
     filtered[used] = through_filter(columns[used], prepared)[:, kept]
     return Rows(
         residual=through_filter(residual, prepared)[:, kept] * moving,
-        jacobian=np.moveaxis(filtered.reshape(n, p, -1), 1, 2) * moving[:, :, None],
+        jacobian=np.moveaxis(filtered.reshape(n, p, len(kept)), 1, 2) * moving[:, :, None],
         moving=moving,
         stretches=stretches,
         durations=durations,
@@ -236,7 +236,7 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
     return np.concatenate([*kept, np.zeros(0, int)]).astype(int), tuple(stretches), tuple(durations)
 
 
-def _jacobian(model: CalibratedModel, recording: Recording, inertial: bool) -> np.ndarray:
+def derivatives(model: CalibratedModel, recording: Recording, inertial: bool = False) -> np.ndarray:
     """d predicted / d (parameters of the terms, inertial parameters), (n, K, p)."""
     physics, n, count = model.physics(recording), model.robot.n, len(recording.t)
     by_theta = _sensitivity(physics, recording, model.torque, "theta")
@@ -279,5 +279,5 @@ def _sensitivity(physics: Physics, recording: Recording, torque: str, by) -> np.
     columns = function.size2_out(0)
     if columns == 0:
         return np.zeros((model.robot.n, len(recording.t), 0))
-    found = function(*physics.inputs(recording), physics.theta, physics.widths, model.robot.inertial)
+    found = function(*physics.inputs(recording), physics.theta, physics.widths, physics.inertial)
     return np.array(found).reshape(model.robot.n, len(recording.t), columns)

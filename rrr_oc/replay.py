@@ -70,7 +70,12 @@ def replay(model: CalibratedModel, recording: Recording, control: Controller) ->
 
 
 def follow(
-    engines: Sequence[Twin], recording: Recording, control: Controller, forward: np.ndarray, expected: np.ndarray
+    engines: Sequence[Twin],
+    recording: Recording,
+    control: Controller,
+    forward: np.ndarray,
+    expected: np.ndarray,
+    timestep: float = SETTINGS.timestep,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Several engines along one recording.
 
@@ -78,13 +83,14 @@ def follow(
         forward: Torque fed forward [Nm], (engines, n, K).
         expected: Motor torque at the recorded motion [Nm], (engines, n, K): each piece starts where the controllers would hold
             it, q_ref − (expected − forward)/k_p.
+        timestep: The longest [s].
 
     Returns:
         q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged.
     """
     found = np.full((3, len(engines), *recording.q.shape), np.nan)
     for piece in pieces(recording):
-        steps = max(2, int(np.ceil((recording.t[piece.stop - 1] - recording.t[piece.start]) / SETTINGS.timestep)))
+        steps = max(2, int(np.ceil((recording.t[piece.stop - 1] - recording.t[piece.start]) / timestep)))
         size = max(1, CHUNK // (steps * 3 * recording.q.shape[0]))
         for first in range(0, len(engines), size):
             some = slice(first, first + size)
@@ -103,12 +109,17 @@ def pieces(recording: Recording) -> list[slice]:
 
 
 def _follow(engines, recording: Recording, piece: slice, control: Controller, forward, expected, steps: int) -> np.ndarray:
-    """q, dq, torque (3, engines, n, samples of the piece)."""
+    """q, dq, torque (3, engines, n, samples of the piece).
+
+    Over a step the integrator damps with the speed at its end and holds all else of its start. So dq_ref is led by a step, and the
+    torque of a step is u − k_p q of its start less k_d dq of its end; otherwise k_d would stand k_d h ddq in the torque, which
+    looks like armature.
+    """
     t = recording.t[piece]
-    fine = np.linspace(t[0], t[-1], steps + 1)
+    fine, h = np.linspace(t[0], t[-1], steps + 1, retstep=True)
     q, dq = recording.q[:, piece], recording.dq[:, piece]
     k_p, k_d = control.k_p[:, None], control.k_d[:, None]
-    aim = k_p * CubicHermiteSpline(t, q, dq, axis=1)(fine) + k_d * _linear(fine, t, dq)
+    aim = k_p * CubicHermiteSpline(t, q, dq, axis=1)(fine) + k_d * _linear(fine + h, t, dq)
     u = aim + np.stack([_linear(fine, t, f) for f in forward[:, :, piece]])  # (engines, n, steps + 1)
     start = q[:, 0] - (expected[:, :, piece.start] - forward[:, :, piece.start]) / control.k_p
     initial = np.concatenate(
@@ -117,18 +128,22 @@ def _follow(engines, recording: Recording, piece: slice, control: Controller, fo
     models = []
     for engine in engines:
         engine.grip(float(recording.payload[piece.start]))
-        engine.mj.opt.timestep = fine[1] - fine[0]
+        engine.mj.opt.timestep = h
+        engine.mj.dof_solref[:, 0] = 2 * h  # the hardest friction that the engine allows; by default it yields over 20 ms
         models.append(engine.mj)
     threads = min(len(models), os.cpu_count() or 1)
     data = [mujoco.MjData(models[0]) for _ in range(threads)]
-    rates = np.moveaxis(np.diff(u) / (fine[1] - fine[0]), 1, 2)
+    rates = np.moveaxis(np.diff(u) / h, 1, 2)
     with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
         states = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 3 n)
     states = np.moveaxis(np.concatenate([initial[:, None], states], axis=1), 1, 2)
     n = len(q)
     at, speed, activation = states[:, 1 : n + 1], states[:, n + 1 : 2 * n + 1], states[:, 2 * n + 1 :]
-    torque = np.clip(activation - k_p * at - k_d * speed, -control.limit[:, None], control.limit[:, None])
-    return np.stack([np.stack([_linear(t, fine, one) for one in x]) for x in (at, speed, torque)])
+    torque = (activation - k_p * at)[:, :, :-1] - k_d * speed[:, :, 1:]
+    torque = np.clip(torque, -control.limit[:, None], control.limit[:, None])
+    return np.stack(
+        [np.stack([_linear(t, x, one) for one in y]) for x, y in ((fine, at), (fine, speed), (fine[:-1] + h / 2, torque))]
+    )
 
 
 def _linear(t: np.ndarray, known: np.ndarray, values: np.ndarray) -> np.ndarray:

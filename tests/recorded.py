@@ -1,0 +1,100 @@
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+"""Recordings of a made-up plant for the tests: numeric Pinocchio, friction and springs written out here.
+
+It shares with the package only the classes that hold recordings and the derivatives of their reader.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.recordings import Recording, RecordingSet
+from rrr_oc.robot import Robot, load_robot
+from rrr_oc.savitzky_golay import differentiate, split
+
+URDF = Path(__file__).resolve().parents[1] / "rrr_oc" / "urdf"
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A robot's URDF, dry friction [Nm] that turns within `width` [rad/s], viscous friction [Nm s/rad], armature [kg m²]."""
+
+    urdf: str | Path
+    dry: np.ndarray
+    viscous: np.ndarray
+    armature: np.ndarray
+    width: float = 0.05
+    model: pin.Model = field(init=False)
+
+    def __post_init__(self) -> None:
+        path = URDF / f"{self.urdf}.urdf" if self.urdf in ("rrr", "rrr_prototype") else self.urdf
+        object.__setattr__(self, "model", pin.buildModelFromUrdf(str(path)))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.model.nq
+
+    def torque(self, q, dq, ddq, payload: float = 0.0, tool=(0.0, 0.0, 0.0), pea: dict | None = None) -> np.ndarray:
+        """Motor torque (n, K) [Nm]; `pea` maps a joint's number to (stiffness [Nm/rad], equilibrium [rad])."""
+        load = self.load(q, dq, ddq, payload, tool, pea)
+        drive = self.dry[:, None] * np.tanh(dq / self.width) + self.viscous[:, None] * dq + self.armature[:, None] * ddq
+        return load + drive
+
+    def load(self, q, dq, ddq, payload: float = 0.0, tool=(0.0, 0.0, 0.0), pea: dict | None = None) -> np.ndarray:
+        """Load torque of Eq. 6 (n, K) [Nm]."""
+        model = self.model.copy()
+        model.appendBodyToJoint(self.n, pin.Inertia(payload, np.zeros(3), np.zeros((3, 3))), pin.SE3(np.eye(3), np.array(tool)))
+        data = model.createData()
+        tau = np.array([pin.rnea(model, data, *x) for x in zip(q.T, dq.T, ddq.T, strict=True)]).T
+        for joint, (stiffness, equilibrium) in (pea or {}).items():
+            tau[joint] -= stiffness * np.maximum(equilibrium - q[joint], 0.0)
+        return tau
+
+
+def multisine(n: int, t: np.ndarray, rng: np.random.Generator, fastest: float = 0.8) -> tuple[np.ndarray, ...]:
+    """q, dq, ddq (n, K) of four sines a joint, from 0.1 Hz to `fastest`, with exact derivatives."""
+    q, dq, ddq = np.zeros((3, n, t.size))
+    for f in rng.uniform(0.1, fastest, (4, n)):
+        w, phase, a = 2 * np.pi * f[:, None], rng.uniform(0, 2 * np.pi, (n, 1)), rng.uniform(0.1, 0.35, (n, 1))
+        q, dq, ddq = q + a * np.sin(w * t + phase), dq + a * w * np.cos(w * t + phase), ddq - a * w**2 * np.sin(w * t + phase)
+    return q, dq, ddq
+
+
+def record(
+    plant: Plant,
+    name: str,
+    rng: np.random.Generator,
+    seconds: float = 10.0,
+    noise: float = 0.02,
+    motion: tuple[np.ndarray, ...] | None = None,
+    pea: dict | None = None,
+    payload: float = 0.0,
+    tool=(0.0, 0.0, 0.0),
+    load: bool = False,
+) -> Recording:
+    """One recording at 100 Hz with an encoder of 18 bits; `noise` is a share of the torque's spread, white."""
+    t = np.arange(round(100 * seconds)) / 100
+    q, dq, ddq = multisine(plant.n, t, rng) if motion is None else motion
+    tau = (plant.load if load else plant.torque)(q, dq, ddq, payload, tool, pea)
+    tau = tau + noise * tau.std(axis=1, keepdims=True) * rng.standard_normal(tau.shape)
+    count = 2 * np.pi / 2**18
+    seen, segments = count * np.round(q / count), split(t)
+    springs = tuple(
+        (ParallelSpring((j,), active="below"), {"stiffness": k, "equilibrium": rest}) for j, (k, rest) in (pea or {}).items()
+    )
+    computed = tuple(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in list(plant.model.names)[1:])
+    rates = differentiate(t, seen, segments), differentiate(t, seen, segments, 2)
+    return Recording(name, name, t, seen, *rates, tau, np.full(t.size, payload), springs, segments, computed)
+
+
+def as_set(
+    plant: Plant, recordings, inertial: str = "nominal", torque: str = "motor", robot: Robot | None = None
+) -> RecordingSet:
+    """The recordings as a set; the robot with its URDF's inertial parameters, or only its kinematics."""
+    source = str(plant.urdf) if plant.urdf in ("rrr", "rrr_prototype") else Path(plant.urdf)
+    arm = robot or load_robot(source, None, inertial == "nominal")
+    return RecordingSet(arm, source, torque, inertial, arm.tool, (None,) * arm.n, tuple(recordings), Path("made_up"))
