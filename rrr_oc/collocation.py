@@ -457,6 +457,8 @@ def _as_c(functions: list[ca.Function]) -> list[ca.Function]:
     generator = ca.CodeGenerator("interval", {"with_header": False})
     for function in functions:
         generator.add(function)
-    code, flags = generator.dump(), ("-O1", "-DGCC_HASCLASSVISIBILITY")  # the latter exports what casadi marks
+    code = generator.dump()
+    optimise = "-O1" if code.count("\n") < 20_000 else "-O0"  # gcc's time grows faster than the code: 40 s for 7 joints
+    flags = (optimise, "-DGCC_HASCLASSVISIBILITY")  # the latter exports what casadi marks
     path = library(f"interval-{digest(code, *flags)}", code, flags)
     return [ca.external(function.name(), str(path)) for function in functions]

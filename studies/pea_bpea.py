@@ -48,6 +48,7 @@ def main(
     ),
     starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 40,
     seed: Annotated[int, typer.Option(min=0)] = 0,
+    hops: Annotated[int, typer.Option(min=0, help="rounds of basin hopping over the durations of the best optimum")] = 2,
     out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/pea_bpea"),
     cost: Annotated[str, typer.Option(help="load (Eq. 13), motor (motor torque squared, Eq. 7) or energy (Eq. 11)")] = "load",
     actuators: Annotated[str, typer.Option(help="'prototype' or a JSON file, for the costs motor and energy")] = "prototype",
@@ -72,7 +73,7 @@ def main(
     shop = None if catalogue == "none" else load_catalogue(catalogue)
     if catalogue_search not in METHODS:
         raise UserError(f"--catalogue-search is {catalogue_search!r}; allowed are {', '.join(METHODS)}")
-    options = SearchOptions(starts=starts, seed=seed, jobs=jobs, refinement=Refinement(tolerance))
+    options = SearchOptions(starts=starts, seed=seed, jobs=jobs, hops=hops, refinement=Refinement(tolerance))
     asked = {
         "preset": preset,
         "cost": cost,

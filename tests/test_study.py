@@ -15,7 +15,20 @@ from chains import arm, joint, link, robot
 
 ROOT = Path(__file__).resolve().parents[1]
 STUDY = ROOT / "studies" / "pea_bpea.py"
-TINY = ["--configurations", "SA,PEA", "--starts", "2", "--tolerance", "1e-3", "--catalogue", "none", "--jobs", "1"]
+TINY = [
+    "--configurations",
+    "SA,PEA",
+    "--starts",
+    "2",
+    "--hops",
+    "0",
+    "--tolerance",
+    "1e-3",
+    "--catalogue",
+    "none",
+    "--jobs",
+    "1",
+]
 PAPER = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
 CONTRACT = {"E1", "E1_joint", "rms", "peak", "springs", "durations", "certificate", "mujoco", "published_springs_E1", "wall_s"}
 

@@ -2,9 +2,10 @@
 
     python -m pytest tests/benchmarks/bench_*.py --benchmark-columns=median,iqr,rounds
 
-Builds: the model of an arm, and problem with transcription, at 40 intervals a phase. Solves: one from a fixed start of each
-configuration, after the build. Searches: 20 starts on two processes, of one configuration and of all four. Cost, iterations
-and number of variables stand in the saved json (`--benchmark-json`) beside each time.
+Builds: the model of an arm, and problem with transcription, at 40 intervals a phase, with the generated C in the cache and
+without. Solves: one from a fixed start of each configuration, after the build, and the same followed to narrow springs.
+Searches: 20 starts on two processes, of one configuration and of all four. Cost, iterations and number of variables stand in
+the saved json (`--benchmark-json`) beside each time.
 """
 
 import numpy as np
@@ -14,7 +15,7 @@ from rrr_oc.codesign import CONFIGURATIONS, CoDesign, motion_guess, spring_bound
 from rrr_oc.collocation import Transcription, scheme, uniform_mesh
 from rrr_oc.problem import Guess
 from rrr_oc.search import SearchOptions, decode, dimensions, search
-from rrr_oc.solve import Options, Solver
+from rrr_oc.solve import Options, Solver, continue_in
 from rrr_oc.task import load_task
 
 INTERVALS = 40
@@ -36,7 +37,7 @@ def start_of(design: CoDesign) -> Guess:
 
 def transcription(configuration: str, method: str) -> Transcription:
     problem = design_of(configuration).problem
-    return Transcription(problem, SCHEMES[method], uniform_mesh(problem, INTERVALS))
+    return Transcription(problem, SCHEMES[method], uniform_mesh(problem, INTERVALS), compiled=True)
 
 
 def test_build_model(benchmark):
@@ -57,17 +58,44 @@ def test_build_transcription(benchmark, configuration, method):
     benchmark.extra_info["variables"] = functions["nlp"].size1_in(0)
 
 
+@each_configuration
+def test_build_transcription_without_cache(benchmark, configuration, monkeypatch, tmp_path):
+    """The same, with the C of both phases compiled first."""
+
+    def fresh():
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+
+    benchmark.pedantic(lambda: transcription(configuration, "lobatto-4").functions, setup=fresh, rounds=2)
+
+
 @each_scheme
 @each_configuration
 def test_solve(benchmark, configuration, method):
-    """IPOPT to 1e-8 from the fixed start, smoothing width 0.01 rad; the program is built before."""
+    """IPOPT to 1e-8 from the fixed start, smoothing width 0.1 rad as in the search; the program is built before."""
     design = design_of(configuration)
-    solver, data = Solver(transcription(configuration, method), Options()), design.data(0.01)
+    solver, data = Solver(transcription(configuration, method), Options()), design.data(0.1)
     guess = start_of(design)
     solver.solve(guess, data)
-    solution = benchmark.pedantic(lambda: solver.solve(guess, data), rounds=3)
+    solution = benchmark.pedantic(lambda: solver.solve(guess, data), rounds=5)
     benchmark.extra_info |= {"cost": solution.cost, "iterations": solution.iterations, "variables": solution.w.size}
     assert solution.status == "Solve_Succeeded"
+
+
+@each_scheme
+@pytest.mark.parametrize("configuration", [c for c in CONFIGURATIONS if c != "SA"])
+def test_solve_and_follow(benchmark, configuration, method):
+    """The same, then followed to a smoothing width of 0.01 rad."""
+    design = design_of(configuration)
+    solver, guess = Solver(transcription(configuration, method), Options()), start_of(design)
+    widths = [design.data(width) for width in (0.03, 0.01)]
+
+    def both():
+        return continue_in(solver, solver.solve(guess, design.data(0.1)), widths)
+
+    both()
+    benchmark.extra_info["cost"] = benchmark.pedantic(both, rounds=5).cost
 
 
 def test_search_of_one_configuration(benchmark):
