@@ -172,7 +172,11 @@ def draw_landscape(summary: dict) -> Any:
                     alpha=0.8,
                 )
                 axis.annotate(
-                    str(o["reached"]), (o["durations"][phase], o["E1"]), textcoords="offset points", xytext=(7, 3), **_FOOTER
+                    str(o["reached"] or "hop"),
+                    (o["durations"][phase], o["E1"]),
+                    textcoords="offset points",
+                    xytext=(7, 3),
+                    **_FOOTER,
                 )
             axis.set_xlabel(f"duration of {phase} [s]")
             if row == 0:
@@ -183,7 +187,7 @@ def draw_landscape(summary: dict) -> Any:
             axis.ticklabel_format(useOffset=False)
     axes[0, 0].set_ylabel("E1 [N²m²s]")
     axes[1, 0].set_ylabel("E1 [N²m²s]")
-    note = "filled: refined to the mesh tolerance; open: on the first fine mesh; number and size: starts that ended there"
+    note = "filled: refined to the mesh tolerance; open: on the first fine mesh; number and size: starts that ended there (hop: by hopping)"
     figure.text(0.5, -0.02, note, ha="center", **_FOOTER)
     figure.tight_layout()
     return figure

@@ -193,4 +193,6 @@ def _coverage(cover: dict) -> str:
         text += "For each biarticular spring only the stiffnesses next to its optimal ones were solved. "
     if cover["margin"] is not None:
         text += f"The best biarticular spring left out screens {100 * cover['margin']:.1f} % above the best (interpolated). "
-    return text + f"Cost of buying instead of making: {100 * cover['gap']:+.1f} % against the continuous optimum."
+    return (
+        text + f"Cost of buying instead of making: {round(100 * cover['gap'], 1) + 0.0:+.1f} % against the continuous optimum."
+    )
