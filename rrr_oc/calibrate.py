@@ -77,7 +77,8 @@ class Fit:
 def plain_model(recordings: RecordingSet) -> CalibratedModel:
     """The model that calibration starts from, its parameters at their nominal 0.
 
-    Links that are to be identified start from the prior's bodies, for a URDF may give them no mass. Recorded load torque does not hold what happens in the drives, so it has no terms then.
+    Links that are to be identified start from the prior's bodies, for a URDF may give them no mass.
+    Recorded load torque does not hold what happens in the drives, so it has no terms then.
     """
     source, urdf = urdf_text(recordings.source)
     robot, n = recordings.robot, recordings.robot.n

@@ -10,7 +10,12 @@ DROPPED = 0.1  # [s] left out at the start and at the end
 
 
 def error(
-    t: np.ndarray, recorded: np.ndarray, predicted: np.ndarray, segments: Sequence[slice], window: float = WINDOW
+    t: np.ndarray,
+    recorded: np.ndarray,
+    predicted: np.ndarray,
+    segments: Sequence[slice],
+    window: float = WINDOW,
+    dropped: float = DROPPED,
 ) -> dict[str, np.ndarray]:
     """NRMSE [1] and RMSE [unit of the signal] of each row, both smoothed over `window` [s] (order 3), the ends dropped.
 
@@ -18,12 +23,13 @@ def error(
         t: Times [s], shape (K,).
         recorded, predicted: Signals (n, K).
         segments: Slices of the samples that no filter may cross.
+        dropped: Time left out at both ends [s].
 
     Returns:
         `{"nrmse": (n,), "rmse": (n,)}`: RMSE over the standard deviation of the recorded signal, NaN where that is 0 or
         nothing is left.
     """
-    kept = (t >= t[0] + DROPPED) & (t <= t[-1] - DROPPED)
+    kept = (t >= t[0] + dropped) & (t <= t[-1] - dropped)
     if not kept.any():
         return {"nrmse": np.full(len(recorded), np.nan), "rmse": np.full(len(recorded), np.nan)}
     recorded, predicted = (smooth(t, x, segments, window)[:, kept] for x in (recorded, predicted))

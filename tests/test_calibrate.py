@@ -246,13 +246,10 @@ def test_broken_model_files(concealed, tmp_path):
     for name, wrong in broken.items():
         path = tmp_path / f"{name}.json"
         path.write_text(wrong)
-        try:
+        with pytest.raises(UserError) as caught:
             load_model(path)
-        except UserError as error:
-            assert path.name in str(error)
-            assert "\n" not in str(error)
-        else:
-            pytest.fail(f"{name}: no error")
+        assert path.name in str(caught.value)
+        assert "\n" not in str(caught.value), name
     with pytest.raises(UserError, match="nowhere"):
         load_model(tmp_path / "nowhere.json")
 
