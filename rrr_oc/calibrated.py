@@ -16,11 +16,9 @@ from rrr_oc.files import write_json
 from rrr_oc.model import Model
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.robot import BUNDLED, Robot, ToolPoint, load_robot
-from rrr_oc.savitzky_golay import local_polynomial, window_samples
 
 FORMAT = "rrr_oc-model/1"
 PASSES = 3  # by which load and twist are made to agree
-SHIFT_WINDOW = 0.07  # of the derivatives of what the links move otherwise than the drives [s]
 Kind = Literal["motor", "load", "current"]
 
 
@@ -88,6 +86,7 @@ class Physics:
     model: Model
     theta: np.ndarray
     widths: np.ndarray
+    inertial: np.ndarray
 
     @staticmethod
     def inputs(recording: Recording) -> tuple[np.ndarray, ...]:
@@ -98,7 +97,7 @@ class Physics:
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
         inputs, states = self.inputs(recording), self.states(recording)
-        values = (self.theta, self.widths, self.model.robot.inertial)
+        values = (self.theta, self.widths, self.inertial)
         moving = any(effect.side == "motion" for effect in self.model.effects)
         if not moving and not len(states):
             motor, load = self.model.motor_inverse(*inputs, *values)
@@ -111,12 +110,24 @@ class Physics:
 
     def shift(self, recording: Recording, load: np.ndarray) -> np.ndarray:
         """What the links move otherwise than the recorded motion at a load torque: q, dq, ddq, one below the other, (3 n, K)."""
-        position = np.zeros_like(recording.q)
+        total = np.zeros((3 * len(recording.q), len(recording.t)))
         for effect, theta, width in self.named():
-            shifts = effect.shift(Signals(recording.q, load=load), theta, width)
-            for j, shift in zip(effect.joints, shifts if effect.side == "motion" else (), strict=effect.side == "motion"):
-                position[j] += np.array(shift).reshape(-1)
-        return np.vstack([position, *derivatives(recording, position)])
+            if effect.side == "motion":
+                total += moved(recording, effect, theta, width, load, self.reaction)
+        return total
+
+    def reaction(self, recording: Recording, load: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
+        """By how much joint j's load torque grows with its own position and acceleration, K [Nm/rad] and M [kg m²], each (K,)."""
+        n, inputs = self.model.robot.n, self.inputs(recording)
+        shift, states = np.zeros((3 * n, len(recording.t))), np.zeros((len(self.model.states), len(recording.t)))
+        found = []
+        for row, step in ((None, 1.0), (j, 1e-4), (2 * n + j, 1.0)):
+            shift[:] = 0.0
+            if row is not None:
+                shift[row] = step
+            torque = self.model.recorded_inverse(*inputs, self.theta, self.widths, self.inertial, shift, states)[1]
+            found.append((np.array(torque)[j], step))
+        return (found[1][0] - found[0][0]) / 1e-4, found[2][0] - found[0][0]
 
     def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
         """What sensors make of a torque (n, K), as the effects of the side "sensor" say."""
@@ -147,16 +158,27 @@ class Physics:
         ]
 
 
-def derivatives(recording: Recording, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and second derivative of signals (m, K) along a recording, over as short a window as the sampling allows."""
-    first, second = np.zeros_like(x), np.zeros_like(x)
-    used = np.flatnonzero(np.ptp(x, axis=1) > 0)
-    for s in recording.segments:
-        count = min(window_samples(recording.t[s], SHIFT_WINDOW, 7), (s.stop - s.start - 1) // 2 * 2 + 1)
-        if count >= 5 and len(used):
-            first[used, s] = local_polynomial(recording.t[s], x[used, s], 1, 3, count)
-            second[used, s] = local_polynomial(recording.t[s], x[used, s], 2, 3, count)
-    return first, second
+def moved(
+    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray, reaction: Any
+) -> np.ndarray:
+    """What the links move otherwise than the recorded motion because of one effect: q, dq, ddq, one below the other, (3 n, K).
+
+    Args:
+        load: Torque that the rigid motion needs (n, K) [Nm].
+        reaction: From recording, load and joint to what `Physics.reaction` returns.
+    """
+    n, result = len(recording.q), np.zeros((3 * len(recording.q), len(recording.t)))
+    if effect.simulated:
+        for j in effect.joints:
+            stiffness, inertia = reaction(recording, load, j)
+            for s in recording.segments:
+                result[[j, n + j, 2 * n + j], s] = effect.motion(recording.t[s], load[j, s], stiffness[s], inertia[s], theta)
+        return result
+    for j, shift in zip(effect.joints, effect.shift(Signals(recording.q, load=load), theta, width), strict=True):
+        result[j] = np.array(shift).reshape(-1)
+    for k, derivative in enumerate(recording.differentiators, 1):
+        result[k * n : (k + 1) * n] = (derivative @ result[:n].T).T
+    return result
 
 
 def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
@@ -227,7 +249,7 @@ class CalibratedModel:
     nrmse: np.ndarray
     report: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
-    compiled: dict[tuple[int, tuple[Effect, ...]], Model] = field(default_factory=dict, compare=False, repr=False)
+    compiled: dict[tuple[Any, ...], Model] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -238,7 +260,8 @@ class CalibratedModel:
         """What is at work in a recording: the springs it lists, then the terms that hold for it."""
         terms = [term for term in self.terms if term.holds_for(recording)]
         effects = (*(spring for spring, _ in recording.springs), *(term.effect for term in terms))
-        key = (id(self.robot), effects)  # the model holds the robot, so that no other gets its id
+        robot = self.robot  # its inertial parameters enter as numbers
+        key = (robot.placements.tobytes(), robot.axes.tobytes(), robot.gravity.tobytes(), effects)
         if key not in self.compiled:
             self.compiled[key] = Model(self.robot, self.tool, effects)
         springs = [theta[p.name] for effect, theta in recording.springs for p in effect.parameters]
@@ -247,6 +270,7 @@ class CalibratedModel:
             self.compiled[key],
             np.concatenate([springs, *(term.values for term in terms)]),
             np.array(widths + [term.width for term in terms if term.width is not None]),
+            robot.inertial,
         )
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -417,6 +441,8 @@ def _term(entry: Mapping[str, Any], robot: Robot) -> Term:
     width = None
     if effect.width is not None:
         width = float(entry["width"]["value"])
+        if not 0 <= width < math.inf:
+            raise UserError(f"{name}: width {width} {effect.width.unit}; a finite number of 0 or more is required")
     recordings = entry["recordings"] if entry["recordings"] == "all" else tuple(entry["recordings"])
     return Term(effect, estimates, width, recordings, tuple(entry["groups"]))
 

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.sparse import csr_matrix
 
 from rrr_oc.calibrated import CalibratedModel, Physics
 from rrr_oc.model import CHAIN, Model
 from rrr_oc.recordings import Recording, RecordingSet
-from rrr_oc.savitzky_golay import local_polynomial, smooth, window_samples
+from rrr_oc.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
 
 FILTER = 0.2  # window of the common filter [s], applied twice
 CORRELATION = 0.2  # time over which filtered noise is correlated [s]
@@ -46,6 +47,19 @@ class Prepared:
     moving: np.ndarray
     window: float
     spikes: np.ndarray
+
+    @property
+    def matrix(self) -> csr_matrix:
+        """The common filter at the samples that are kept, (kept, K)."""
+        if self.window not in self.recording.filters:
+
+            def count(s: slice) -> int:
+                samples = min(window_samples(self.recording.t[s], self.window), (s.stop - s.start) // 10)
+                return samples - 1 + samples % 2
+
+            once = as_matrix(self.recording.t, self.recording.segments, 0, 3, count)
+            self.recording.filters[self.window] = (once[kept_rows(self.recording)[0]] @ once).tocsr()
+        return self.recording.filters[self.window]
 
 
 @dataclass(frozen=True)
@@ -105,7 +119,7 @@ def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedM
     parts = []
     for p in prepared:
         kept = kept_rows(p.recording)[0]
-        parts.append(through_filter(residuals(p, model), p)[:, kept] * p.moving[:, kept])
+        parts.append(through_filter(residuals(p, model), p) * p.moving[:, kept])
     return replace(found, residual=np.concatenate(parts, axis=1))
 
 
@@ -135,7 +149,7 @@ def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tupl
 
 def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray]) -> np.ndarray:
     """Signals (m, K) that a function makes of a recording, filtered, at the samples that `rows` keeps, (m, M)."""
-    return np.concatenate([through_filter(law(p.recording), p)[:, kept_rows(p.recording)[0]] for p in prepared], axis=1)
+    return np.concatenate([through_filter(law(p.recording), p) for p in prepared], axis=1)
 
 
 def residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
@@ -195,9 +209,9 @@ def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
     columns = np.moveaxis(jacobian, 2, 1).reshape(n * p, len(r.t))
     used = np.flatnonzero(np.any(columns != 0, axis=1))
     filtered = np.zeros((n * p, len(kept)))
-    filtered[used] = through_filter(columns[used], prepared)[:, kept]
+    filtered[used] = through_filter(columns[used], prepared)
     return Rows(
-        residual=through_filter(residual, prepared)[:, kept] * moving,
+        residual=through_filter(residual, prepared) * moving,
         jacobian=np.moveaxis(filtered.reshape(n, p, len(kept)), 1, 2) * moving[:, :, None],
         moving=moving,
         stretches=stretches,
@@ -217,8 +231,8 @@ def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
 
 
 def through_filter(x: np.ndarray, prepared: Prepared) -> np.ndarray:
-    r, window = prepared.recording, prepared.window
-    return smooth(r.t, smooth(r.t, x, r.segments, window), r.segments, window)
+    """Signals (m, K) after the common filter at the samples that are kept, (m, kept)."""
+    return (prepared.matrix @ x.T).T
 
 
 def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:

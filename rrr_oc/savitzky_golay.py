@@ -2,10 +2,11 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 GAP = 5.0  # longest step within a segment, in median steps
 WINDOW = 0.15  # default length of the window [s]
@@ -81,6 +82,37 @@ def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, 
             if chunk[-1] == starts[-1]:  # rows after the last one's
                 result[:, windows + half :] = polynomials.one(-1).value(t[None, windows + half :], derivative)[:, 0]
     return result
+
+
+def as_matrix(
+    t: np.ndarray, segments: Sequence[slice], derivative: int, order: int, count: Callable[[slice], int]
+) -> csr_matrix:
+    """`local_polynomial` within each segment as a matrix (K, K), for signals that are many and windows that are short.
+
+    Args:
+        count: Samples of the window in a segment, odd; where it is not above `order`, rows are those of the identity, or of 0 for
+            a derivative.
+    """
+    rows, columns, values = [], [], []
+    for s in segments:
+        size, window = s.stop - s.start, count(s)
+        if window <= order or window > size:
+            at = np.arange(s.start, s.stop) if derivative == 0 else np.zeros(0, int)
+            for part, entries in ((rows, at), (columns, at), (values, np.ones(len(at)))):
+                part.append(entries)
+            continue
+        for rows_ in np.array_split(np.arange(size), 1 + size // CHUNK):
+            samples = s.start + np.clip(rows_ - window // 2, 0, size - window)[:, None] + np.arange(window)
+            at = s.start + rows_
+            scale = (t[samples[:, -1]] - t[samples[:, 0]])[:, None] / 2
+            powers = ((t[samples] - t[at][:, None]) / scale)[:, :, None] ** np.arange(order + 1)
+            pick = np.zeros((len(at), order + 1, 1))
+            pick[:, derivative] = math.factorial(derivative)
+            solved = np.linalg.solve(np.einsum("kwa,kwb->kab", powers, powers), pick)[:, :, 0]
+            values.append((np.einsum("kwa,ka->kw", powers, solved) / scale**derivative).ravel())
+            rows.append(np.repeat(at, window))
+            columns.append(samples.ravel())
+    return csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(len(t), len(t)))
 
 
 @dataclass(frozen=True)

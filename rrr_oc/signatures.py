@@ -7,17 +7,15 @@ what is missing is found by linear algebra on few numbers.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
 
-from rrr_oc.calibrated import CalibratedModel, Physics, along, derivatives, later
+from rrr_oc.calibrated import CalibratedModel, Physics, along, later, moved
 from rrr_oc.effects import CATALOGUE, Body, Signals, Trial, View
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.recordings import Recording
-from rrr_oc.regression import Prepared, kept_rows, through_filter
+from rrr_oc.regression import Prepared, kept_rows
 from rrr_oc.rigid_body import with_payload
 
 SAMPLE = 400  # positions that trials look at
@@ -87,18 +85,19 @@ class Context:
 
     @cached_property
     def signals(self) -> Signals:
-        """CasADi columns (K, 1) by joint, which effects take as they take symbols."""
+        """What effects may depend on, as arrays."""
         r = self.recording
-        rows = {k: [ca.DM(x) for x in getattr(r, k)] for k in ("q", "dq", "ddq")}
         springs = {}
         for effect, theta, width in reversed(self.physics.named()[: len(r.springs)]):
             springs[effect.joints] = (effect, theta, width)
         return Signals(
-            **rows,
-            load=[ca.DM(x) for x in self.load],
-            time=ca.DM(r.t - r.t[0]),
-            payload=ca.DM(r.payload),
-            friction=[ca.DM(x) for x in self.friction],
+            r.q,
+            r.dq,
+            r.ddq,
+            load=self.load,
+            time=r.t - r.t[0],
+            payload=r.payload,
+            friction=self.friction,
             springs=springs,
         )
 
@@ -118,11 +117,11 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
     masses, which = np.unique(payload, return_inverse=True)
     links = [np.array(ca.evalf(with_payload(ca.SX(body.inertial), model.tool.joint, m, body.position))) for m in masses]
     shift = physics.shift(r, load)
-    moved = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(shift, 3), strict=True)]
+    motion = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(shift, 3), strict=True)]
     parts = []
     for k, link in enumerate(links):
         at = np.flatnonzero(which == k)
-        found = chain.load_partials(*(x[:, at] for x in moved), np.tile(link, len(at)), gravity, physics.theta, physics.widths)
+        found = chain.load_partials(*(x[:, at] for x in motion), np.tile(link, len(at)), gravity, physics.theta, physics.widths)
         parts.append((at, [np.array(x) for x in found[1:]]))
     widths_of = (n, n, n, 10 * n, 3)
     partials = tuple(np.empty((n, width, len(r.t))) for width in widths_of)
@@ -163,7 +162,7 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
             if effect.of_arm:
                 change += later(r, true, theta["delay"]) - true
             else:
-                _add(change, effect, effect.torque(replace(at.signals, load=[ca.DM(x) for x in true]), theta, trial.width))
+                _add(change, effect, effect.torque(replace(at.signals, load=true), theta, trial.width))
             continue
         if effect.side == "drive":
             _add(change, effect, effect.torque(_with_states(at, trial, theta), theta, trial.width), -1.0)
@@ -190,12 +189,8 @@ def _with_states(at: Context, trial: Trial, theta) -> Signals:
     if not trial.effect.states:
         return at.signals
     signals = at.signals
-    states = along(at.recording, trial.effect, lambda z: trial.effect.rate(_at(signals, z), theta, trial.width))
-    return replace(signals, states=[ca.DM(z) for z in states])
-
-
-def _at(signals: Signals, states: Sequence[np.ndarray]) -> Signals:
-    return replace(signals, states=[ca.DM(z) for z in states])
+    states = along(at.recording, trial.effect, lambda z: trial.effect.rate(replace(signals, states=z), theta, trial.width))
+    return replace(signals, states=list(states))
 
 
 def _of_body(at: Context, effect, theta) -> np.ndarray:
@@ -218,32 +213,12 @@ def _of_body(at: Context, effect, theta) -> np.ndarray:
 
 
 def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:
-    effect, r = trial.effect, at.recording
-    shift = np.zeros_like(r.q)
-    for j, value in zip(effect.joints, effect.shift(at.signals, theta, trial.width), strict=True):
-        shift[j] += np.array(value).reshape(-1)
-    moved = (shift, *derivatives(r, shift))
-    return sum(np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], moved, strict=True))
+    def reaction(_: Recording, __: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
+        return at.partials[0][j, j], at.partials[2][j, j]
 
-
-def common_filter(prepared: Prepared) -> sparse.csr_matrix:
-    """The common filter as a matrix: kept samples by samples.
-
-    Its responses to combs, whose teeth are further apart than the filter reaches, are its columns.
-    """
-    r, rows = prepared.recording, kept_rows(prepared.recording)[0]
-    step = np.median(np.diff(r.t))
-    reach = 2 * (2 * round(prepared.window / step / 2) + 2)
-    period = min(2 * reach + 1, len(r.t))
-    combs = np.zeros((period, len(r.t)))
-    combs[np.arange(len(r.t)) % period, np.arange(len(r.t))] = 1.0
-    response = through_filter(combs, prepared)[:, rows]  # (period, kept)
-    offsets = np.arange(-reach, reach + 1)[: period if period < 2 * reach + 1 else None]
-    at = rows[:, None] + offsets[None, :]
-    inside = (at >= 0) & (at < len(r.t))
-    row, _ = np.nonzero(inside)
-    column = at[inside]
-    return sparse.csr_matrix((response[column % period, row], (row, column)), shape=(len(rows), len(r.t)))
+    shift = moved(at.recording, trial.effect, theta, trial.width, at.load, reaction)
+    parts = np.split(shift, 3)
+    return sum(np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], parts, strict=True))
 
 
 @dataclass(frozen=True)
@@ -263,15 +238,15 @@ class Table:
     used: tuple[np.ndarray, ...]
 
 
-def table(contexts: Sequence[Context], filters: Sequence[Any], every: Iterable[Trial]) -> Table:
+def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
     """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps."""
     every = tuple(every)
     start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
     parts: list[list[np.ndarray]] = []
-    for at, matrix in zip(contexts, filters, strict=True):
+    for at in contexts:
         moving = at.prepared.moving[:, kept_rows(at.recording)[0]]
         raw = np.concatenate([columns(at, t) for t in every]) if every else np.zeros((0, *at.load.shape))
-        parts.append([(matrix @ raw[:, j].T) * moving[j][:, None] for j in range(raw.shape[1])])
+        parts.append([(at.prepared.matrix @ raw[:, j].T) * moving[j][:, None] for j in range(raw.shape[1])])
     values, used = [], []
     for j in range(len(parts[0])):
         whole = np.concatenate([p[j] for p in parts])

@@ -1,6 +1,34 @@
-"""C2-smooth stand-ins for the non-smooth functions of springs, each with a named width and exact outside it."""
+"""Functions that laws are written with, for casadi expressions and for numpy arrays, which casadi would copy.
+
+C2-smooth stand-ins for the non-smooth functions of springs among them, each with a named width and exact outside it.
+"""
+
+from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
+import numpy as np
+
+
+def _either(symbolic: Callable[..., Any], numeric: Callable[..., Any]) -> Callable[..., Any]:
+    def function(*arguments: Any) -> Any:
+        if any(isinstance(a, SYMBOLIC) for a in arguments):
+            return symbolic(*arguments)
+        with np.errstate(over="ignore", under="ignore"):
+            return numeric(*arguments)
+
+    return function
+
+
+SYMBOLIC = (ca.SX, ca.MX, ca.DM)
+cos, sin, exp, tanh = (_either(getattr(ca, name), getattr(np, name)) for name in ("cos", "sin", "exp", "tanh"))
+fabs, fmax, fmin = (_either(getattr(ca, name), getattr(np, name)) for name in ("fabs", "fmax", "fmin"))
+
+
+def sign(x, width):
+    """tanh(x / width), the smooth sign; `x` and `width` in the same unit, a width of 0 gives the exact sign."""
+    with np.errstate(over="ignore"):
+        return tanh(x / fmax(width, 1e-300))
 
 
 def ramp(x, width):
@@ -8,16 +36,16 @@ def ramp(x, width):
 
     A width of 0 gives the exact ramp. `x` and `width` in the same unit; numpy or casadi.
     """
-    inside = ca.fmax(-width, ca.fmin(x, width))
-    safe = ca.fmax(width, 1e-300)
+    inside = fmax(-width, fmin(x, width))
+    safe = fmax(width, 1e-300)
     blend = ((inside + width) / safe) ** 3 * (3 * width - inside) / 16
-    return blend + ca.fmax(x - width, 0)
+    return blend + fmax(x - width, 0)
 
 
 def ramp_integral(x, width):
     """Antiderivative of `ramp`, zero for x ≤ −w: (x + w)⁴ (4 w − x) / (80 w³) for |x| < w; for x > w it is x²/2 + w²/10."""
-    inside = ca.fmax(-width, ca.fmin(x, width))
-    safe = ca.fmax(width, 1e-300)
+    inside = fmax(-width, fmin(x, width))
+    safe = fmax(width, 1e-300)
     blend = ((inside + width) / safe) ** 3 * (inside + width) * (4 * width - inside) / 80
-    beyond = ca.fmax(x - width, 0)
+    beyond = fmax(x - width, 0)
     return blend + width * beyond + beyond**2 / 2

@@ -2,25 +2,51 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
+import numpy as np
 
-from rrr_oc.effects.effect import Effect
+from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
+
+STEPS = 2  # of the link's motion in a sample
 
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """The link hangs behind the motor by half of the gap: q_link = theta − (gap/2) sgn(tau_l); positions are the motor's."""
+    """The link is free within ±gap/2 of the motor; positions are the motor's.
+
+    Pressed to an end of the gap, q_link = theta − (gap/2) sgn(tau_l). Between the ends the drive transmits nothing and the link moves
+    by itself, M x'' = −(tau_rigid + K x) with x = q_link − theta, until it meets the other end, where it stays.
+    """
 
     name = "backlash"
-    equation = "q_link = theta - (gap/2) sgn(tau_l)"
+    equation = "tau_l = 0 while |q_link - theta| < gap/2, else q_link = theta - (gap/2) sgn(tau_l)"
     parameters = (Parameter("gap", "rad", 0.0, lower=0.0),)
     amplitudes = ("gap",)
-    width = Parameter("width", "Nm", 0.05, lower=0.0)
     side = "motion"
+    simulated = True
 
     def torque(self, signals, theta, width):
         return (0 * signals.q[self.joints[0]],)
 
-    def shift(self, signals, theta, width):
-        return (-theta["gap"] / 2 * ca.tanh(signals.load[self.joints[0]] / ca.fmax(width, 1e-300)),)
+    def motion(self, t, load, stiffness, inertia, theta):
+        half, x, v = theta["gap"] / 2, -np.sign(load[0]) * theta["gap"] / 2, 0.0
+        result = np.zeros((3, len(t)))
+        steps = np.append(np.diff(t), t[-1] - t[-2] if len(t) > 1 else 1.0).tolist()
+        for k, (h, rigid, spring, mass) in enumerate(
+            zip(steps, load.tolist(), stiffness.tolist(), np.maximum(inertia, 1e-9).tolist(), strict=True)
+        ):
+            before, part = v, h / STEPS
+            result[0, k], result[1, k] = x, v
+            for _ in range(STEPS):
+                v -= (rigid + spring * x) / mass * part
+                x += v * part
+                if x >= half or x <= -half:
+                    x, v = (half if x > 0 else -half), 0.0
+            result[2, k] = (v - before) / h
+        return result
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for gap in (0.002, 0.006, 0.02, 0.05, 0.11, 0.2):
+                yield Trial(cls((j,)), ({"gap": gap},), gap)

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import sign
 
 
 @dataclass(frozen=True)
@@ -20,4 +19,4 @@ class CoulombAsymmetry(Effect):
     side = "drive"
 
     def torque(self, signals, theta, width):
-        return (-theta["asymmetry"] / 2 * ca.tanh(signals.dq[self.joints[0]] / ca.fmax(width, 1e-300)) ** 2,)
+        return (-theta["asymmetry"] / 2 * sign(signals.dq[self.joints[0]], width) ** 2,)

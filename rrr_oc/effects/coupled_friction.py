@@ -3,10 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import sign
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class CoupledFriction(Effect):
         a, b = self.joints
         own, other = {"sum": (1, 1), "difference": (1, -1), "other": (0, 1)}[self.form]
         rate = own * signals.dq[a] + other * signals.dq[b]
-        torque = -theta["coulomb"] * ca.tanh(rate / ca.fmax(width, 1e-300)) - theta["viscous"] * rate
+        torque = -theta["coulomb"] * sign(rate, width) - theta["viscous"] * rate
         return torque, own * other * torque
 
     @classmethod

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import sign
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,7 @@ class DryFriction(Effect):
     plain = True
 
     def torque(self, signals, theta, width):
-        return (-theta["level"] * ca.tanh(signals.dq[self.joints[0]] / ca.fmax(width, 1e-300)),)
+        return (-theta["level"] * sign(signals.dq[self.joints[0]], width),)
 
     def native(self, spec, joints, theta):
         """The joint's `frictionloss`: the exact law, which holds a joint at rest."""

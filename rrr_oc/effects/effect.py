@@ -123,6 +123,7 @@ class Effect(ABC):
         local: Whether it may be present in some recordings only, as what depends on how the arm was set up (class attribute).
         of_arm: Whether it belongs to no single joint (class attribute).
         of_spring: Whether it is one of a spring that a recording lists, and absent where none is (class attribute).
+        simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
         joints: Indices of the joints it acts on.
     """
 
@@ -138,6 +139,7 @@ class Effect(ABC):
     local: ClassVar[bool] = False
     of_arm: ClassVar[bool] = False
     of_spring: ClassVar[bool] = False
+    simulated: ClassVar[bool] = False
 
     joints: tuple[int, ...]
 
@@ -163,6 +165,18 @@ class Effect(ABC):
     def shift(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
         """True less recorded position of each of `joints` [rad], for the side "motion"."""
         return ()
+
+    def motion(
+        self, t: np.ndarray, load: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]
+    ) -> np.ndarray:
+        """True less recorded position, speed and acceleration of the joint along a stretch, (3, K), for the side "motion".
+
+        Args:
+            t: Times [s], (K,).
+            load: Torque that the recorded motion would need if it were the link's [Nm], (K,).
+            stiffness, inertia: By how much that torque grows with the joint's position and acceleration, (K,).
+        """
+        raise NotImplementedError
 
     def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> bool:
         """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""

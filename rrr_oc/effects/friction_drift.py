@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import exp
 
 
 @dataclass(frozen=True)
@@ -19,7 +18,7 @@ class FrictionDrift(Effect):
     side = "drive"
 
     def torque(self, signals, theta, width):
-        return (theta["ratio"] * ca.exp(-signals.time / theta["time_constant"]) * signals.friction[self.joints[0]],)
+        return (theta["ratio"] * exp(-signals.time / theta["time_constant"]) * signals.friction[self.joints[0]],)
 
     @classmethod
     def trials(cls, view):

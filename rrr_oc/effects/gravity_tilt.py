@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass, replace
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import cos, sin
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class GravityTilt(Effect):
         return ()
 
     def change(self, body, theta):
-        (cx, sx), (cy, sy) = ((ca.cos(theta[k]), ca.sin(theta[k])) for k in self.amplitudes)
+        (cx, sx), (cy, sy) = ((cos(theta[k]), sin(theta[k])) for k in self.amplitudes)
         x, y, z = body.gravity[0], body.gravity[1], body.gravity[2]
         x, z = cy * x - sy * z, sy * x + cy * z  # R_yᵀ
         return replace(body, gravity=[x, cx * y + sx * z, -sx * y + cx * z])  # R_xᵀ

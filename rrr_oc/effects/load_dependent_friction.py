@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import fabs, sign
 
 
 @dataclass(frozen=True)
@@ -23,4 +22,4 @@ class LoadDependentFriction(Effect):
 
     def torque(self, signals, theta, width):
         j = self.joints[0]
-        return (-theta["mu"] * ca.fabs(signals.load[j]) * ca.tanh(signals.dq[j] / ca.fmax(width, 1e-300)),)
+        return (-theta["mu"] * fabs(signals.load[j]) * sign(signals.dq[j], width),)

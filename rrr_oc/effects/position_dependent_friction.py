@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import cos, sign
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class PositionDependentFriction(Effect):
 
     def torque(self, signals, theta, width):
         j = self.joints[0]
-        profile = ca.cos(theta["order"] * signals.q[j] - theta["phase"])
-        return (-theta["amplitude"] * profile * ca.tanh(signals.dq[j] / ca.fmax(width, 1e-300)),)
+        profile = cos(theta["order"] * signals.q[j] - theta["phase"])
+        return (-theta["amplitude"] * profile * sign(signals.dq[j], width),)
 
     @classmethod
     def trials(cls, view):

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import fabs, fmax
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class PreslidingHysteresis(Effect):
 
     def rate(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]
-        return ((dq - ca.fabs(dq) * signals.states[0]) * theta["stiffness"] / ca.fmax(theta["level"], 1e-9),)
+        return ((dq - fabs(dq) * signals.states[0]) * theta["stiffness"] / fmax(theta["level"], 1e-9),)
 
     @classmethod
     def trials(cls, view):

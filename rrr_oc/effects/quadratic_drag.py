@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import fabs
 
 
 @dataclass(frozen=True)
@@ -23,4 +22,4 @@ class QuadraticDrag(Effect):
 
     def torque(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]
-        return (-theta["coefficient"] * dq * ca.fabs(dq),)
+        return (-theta["coefficient"] * dq * fabs(dq),)

@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import fabs, sign
 
 
 @dataclass(frozen=True)
@@ -25,9 +24,9 @@ class SpringHysteresis(Effect):
         torques = spring.torque(signals, values, own)
         lever = [1.0] if len(torques) == 1 else spring.lever(values)  # of the stretch's rate, by joint
         rate = sum(r * signals.dq[j] for r, j in zip(lever, self.joints, strict=True))
-        sign = ca.tanh(rate / ca.fmax(width, 1e-300))
-        size = ca.fabs(torques[0])
-        return tuple(-theta["loss"] * r * size * sign for r in lever)
+        turn = sign(rate, width)
+        size = fabs(torques[0])
+        return tuple(-theta["loss"] * r * size * turn for r in lever)
 
     @classmethod
     def trials(cls, view):

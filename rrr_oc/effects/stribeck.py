@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
-
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import exp, sign
 
 
 @dataclass(frozen=True)
@@ -21,8 +20,8 @@ class Stribeck(Effect):
 
     def torque(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]
-        sign = ca.tanh(dq / ca.fmax(width, 1e-300))
-        return (-theta["excess"] * ca.exp(-((dq / theta["velocity"]) ** 2)) * sign,)
+        turn = sign(dq, width)
+        return (-theta["excess"] * exp(-((dq / theta["velocity"]) ** 2)) * turn,)
 
     @classmethod
     def trials(cls, view):

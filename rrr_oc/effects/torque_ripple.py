@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
+from rrr_oc.smooth import sin
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class TorqueRipple(Effect):
     side = "drive"
 
     def torque(self, signals, theta, width):
-        return (theta["amplitude"] * ca.sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
+        return (theta["amplitude"] * sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
 
     @classmethod
     def trials(cls, view):

@@ -1,0 +1,283 @@
+"""Which physics a calibrated model lacks: candidates compete after all parameters are estimated anew with each of them.
+
+Forward: the trial with the most evidence joins the model, is fitted with everything else on the exact equations, and what it made
+superfluous leaves again, until nothing is left beyond chance. Then each effect must hold against every other in its place; those
+that do as well are its rivals.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from rrr_oc.calibrate import bounds
+from rrr_oc.calibrated import CalibratedModel, Estimate, Term
+from rrr_oc.evidence import Bench, Candidate, Evidence, correlation, robust_p
+from rrr_oc.inference import box_step, normal_equations
+from rrr_oc.regression import STRIDE, Rows, rows
+from rrr_oc.signatures import trials, view
+
+MOST = 8  # effects
+TRIED = 4  # candidates that are fitted exactly in each round
+CLOSE = 0.4  # of the best score, for a candidate to be tried
+DOUBT = 1e-3  # p-value of the robust test, all trials together
+SAME = 9.0  # twice the log-likelihood within which two models do equally well
+STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to a bench.
+
+    Attributes:
+        model: With the parameters found.
+        rows: There.
+    """
+
+    model: CalibratedModel
+    rows: Rows
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Sum of squared residuals of each joint (n,)."""
+        return np.maximum(np.sum(self.rows.residual**2, axis=1), 1e-300)
+
+    def better_than(self, other: "Fitted") -> float:
+        """Growth of twice the log-likelihood over another fit of the same rows."""
+        counts = self.rows.moving.sum(axis=1) * STRIDE / correlation(self.rows)
+        return float(counts @ np.log(other.squares / self.squares))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect that the model lacked.
+
+    Attributes:
+        term: In the model.
+        likelihood: What twice the log-likelihood falls by without it.
+        dimensions: Coefficients.
+        tests: Trials that competed.
+        rivals: Names and joints of effects that do as well in its place.
+    """
+
+    term: Term
+    likelihood: float
+    dimensions: int
+    tests: int
+    rivals: tuple[tuple[str, tuple[int, ...]], ...] = ()
+
+    @property
+    def p_value(self) -> float:
+        """Of the likelihood, all trials together."""
+        return float(min(1.0, self.tests * chi2.sf(self.likelihood, self.dimensions)))
+
+
+def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
+    """All parameters of a model, fitted to a bench within their bounds; inertial ones freely where they are unknown."""
+    found = rows(bench.prepared, model, bench.identify)
+    for _ in range(steps):
+        weights = found.deviation() ** -2
+        matrix, right = normal_equations(found, weights)
+        values = _values(model)
+        low, high = bounds(model.terms)
+        size = len(values)
+        free = np.full(matrix.shape[0] - size, np.inf)
+        step = box_step(matrix, right, np.concatenate([low - values, -free]), np.concatenate([high - values, free]))
+        cost = float(weights @ np.sum(found.residual**2, axis=1))
+        for share in (1.0, 0.4, 0.1):
+            there = _moved(model, values + share * step[:size], share * step[size:])
+            tried = rows(bench.prepared, there, bench.identify)
+            after = float(weights @ np.sum(tried.residual**2, axis=1))
+            if after < cost:
+                break
+        else:
+            break
+        model, found = there, tried
+        if after > cost * (1 - TOLERANCE):
+            break
+    return Fitted(model, found)
+
+
+def search(
+    bench: Bench, model: CalibratedModel, report: Callable[[str], None] = lambda _: None
+) -> tuple[Fitted, list[Finding]]:
+    """The model with the effects that the recordings hold beyond chance, and what speaks for each, most important first."""
+    base = len(model.terms)
+    fitted = refit(bench, model)
+    plain = fitted
+    first = evidence = gathered(bench, fitted.model)
+    while len(fitted.model.terms) - base < MOST:
+        chosen = _next(bench, evidence, fitted, report)
+        if chosen is None:
+            break
+        fitted = _pruned(bench, chosen, base, report)
+        evidence = gathered(bench, fitted.model)
+    return _contested(bench, plain, fitted, base, first, report)
+
+
+def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
+    """The evidence for every trial at a model."""
+    seen = view(bench.prepared, model)
+    return Evidence.gather(bench, model, trials(seen, model.torque))
+
+
+def _next(bench: Bench, evidence: Evidence, fitted: Fitted, report) -> Fitted | None:
+    """The model with the best further effect; None where nothing is beyond chance."""
+    best = None
+    for candidate in contenders(evidence, fitted.model):
+        tried = refit(bench, extended(fitted.model, candidate))
+        score = tried.better_than(fitted) - candidate.penalty
+        if score > 0 and (best is None or score > best[0]):
+            best = (score, tried, candidate)
+    if best is None:
+        return None
+    report(f"{described(best[2], fitted.model)}: evidence {best[0]:.0f}")
+    return best[1]
+
+
+def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
+    """The candidates worth an exact fit: beyond chance, robustly so, near the best; of each effect at its joints the best."""
+    numbers = {id(t): k for k, t in enumerate(evidence.table.trials)}
+    tests = len(numbers)
+    result: list[Candidate] = []
+    for candidate in evidence.candidates():
+        if candidate.score <= 0 or (result and (len(result) >= TRIED or candidate.score < CLOSE * result[0].score)):
+            break
+        same = any(_key(c) == _key(candidate) for c in result)
+        if same or _present(candidate, model):
+            continue
+        if robust_p(evidence, numbers[id(candidate.trial)], candidate) * tests < DOUBT:
+            result.append(candidate)
+    return result
+
+
+def _key(candidate: Candidate):
+    effect = candidate.trial.effect
+    return effect.name, effect.joints, candidate.scope is None
+
+
+def _present(candidate: Candidate, model: CalibratedModel) -> bool:
+    """Whether the model has the effect there already; more orders of a ripple are more effects."""
+    effect, scope = candidate.trial.effect, candidate.scope
+    if effect.name == "torque_ripple":
+        return False
+    return any(
+        t.effect.name == effect.name
+        and t.effect.joints == effect.joints
+        and (not t.groups or scope is None or set(scope) & set(t.groups))
+        for t in model.terms
+    )
+
+
+def extended(model: CalibratedModel, candidate: Candidate) -> CalibratedModel:
+    """The model with a candidate's effect."""
+    return replace(model, terms=(*model.terms, term(candidate)))
+
+
+def term(candidate: Candidate) -> Term:
+    """A candidate as a term."""
+    trial = candidate.trial
+    theta = trial.effect.combined(trial.points, candidate.coefficients)
+    estimates = tuple(Estimate(float(theta[p.name])) for p in trial.effect.parameters)
+    if candidate.scope is None:
+        return Term(trial.effect, estimates, trial.width)
+    return Term(trial.effect, estimates, trial.width, recordings=(), groups=candidate.scope)
+
+
+def described(candidate: Candidate, model: CalibratedModel) -> str:
+    """Name, joints and groups, for people."""
+    joints = ", ".join(model.joints[j] for j in candidate.trial.effect.joints)
+    return (
+        candidate.trial.effect.name
+        + (f" of {joints}" if joints else "")
+        + ("" if candidate.scope is None else f" in {candidate.scope}")
+    )
+
+
+def without(model: CalibratedModel, i: int) -> CalibratedModel:
+    """The model less one term."""
+    return replace(model, terms=(*model.terms[:i], *model.terms[i + 1 :]))
+
+
+def cost_of(bench: Bench, term: Term, tests: int) -> float:
+    """What chance gives a term: as `Candidate.penalty`."""
+    count = sum(np.diff(bench.edges)) * STRIDE / 0.2
+    cost = len(term.estimates) * np.log(max(count, 2.0)) + 2 * np.log(max(tests, 2))
+    return float(cost)
+
+
+def _pruned(bench: Bench, fitted: Fitted, base: int, report) -> Fitted:
+    """The model without those earlier effects that the newest made superfluous."""
+    i = base
+    while i < len(fitted.model.terms) - 1:
+        less = refit(bench, without(fitted.model, i))
+        if fitted.better_than(less) < cost_of(bench, fitted.model.terms[i], 50):
+            report(f"{fitted.model.terms[i].effect.name} is superfluous")
+            fitted = less
+        else:
+            i += 1
+    return fitted
+
+
+def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Evidence, report) -> tuple[Fitted, list[Finding]]:
+    """Each effect against all others in its place: the better ones take it, the equal ones are named."""
+    findings = []
+    for i in range(base, len(fitted.model.terms)):
+        alone = len(fitted.model.terms) == base + 1
+        less = plain if alone else refit(bench, without(fitted.model, i))
+        evidence = first if alone else gathered(bench, less.model)
+        own = fitted.model.terms[i]
+        rivals, best = [], None
+        for candidate in _rivals(evidence, less.model, fitted.better_than(less), own):
+            tried = refit(bench, extended(less.model, candidate))
+            lead = tried.better_than(fitted) - (len(candidate.trial.effect.parameters) - len(own.estimates)) * np.log(1000.0)
+            if lead > 0 and tried.better_than(fitted) > SAME and (best is None or lead > best[0]):
+                best = (lead, tried)
+            elif tried.better_than(fitted) > -SAME:
+                rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
+        if best is not None:
+            report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
+            terms = list(best[1].model.terms)
+            terms.insert(i, terms.pop())
+            fitted = Fitted(replace(best[1].model, terms=tuple(terms)), best[1].rows)
+            fitted = refit(bench, fitted.model)
+        dimensions = len(fitted.model.terms[i].effect.amplitudes)
+        findings.append(
+            Finding(
+                fitted.model.terms[i],
+                fitted.better_than(less),
+                dimensions,
+                len(evidence.table.trials),
+                tuple(dict.fromkeys(rivals)),
+            )
+        )
+    order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
+    return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
+
+
+def _rivals(evidence: Evidence, model: CalibratedModel, likelihood: float, own: Term) -> list[Candidate]:
+    """The best candidates in an effect's place other than itself, one for each effect at its joints."""
+    result: list[Candidate] = []
+    for candidate in evidence.candidates():
+        effect = candidate.trial.effect
+        itself = (effect.name, effect.joints) == (own.effect.name, own.effect.joints)
+        if itself or any(_key(c)[:2] == _key(candidate)[:2] for c in result) or _present(candidate, model):
+            continue
+        if candidate.likelihood < 0.5 * likelihood or len(result) >= 6:
+            break
+        result.append(candidate)
+    return result
+
+
+def _values(model: CalibratedModel) -> np.ndarray:
+    return np.concatenate([np.zeros(0), *(t.values for t in model.terms)])
+
+
+def _moved(model: CalibratedModel, values: np.ndarray, inertial: np.ndarray) -> CalibratedModel:
+    numbers = iter(values.tolist())
+    terms = tuple(t.with_values(np.array([next(numbers) for _ in t.estimates])) for t in model.terms)
+    if not len(inertial):
+        return replace(model, terms=terms)
+    robot = replace(model.robot, inertial=model.robot.inertial + inertial.reshape(model.robot.n, 10).T)
+    return replace(model, terms=terms, robot=robot)

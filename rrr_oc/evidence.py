@@ -1,0 +1,315 @@
+"""Evidence that recordings hold for effects that a model lacks: linear algebra on residuals and signatures.
+
+For every trial, coefficients are fitted together with all parameters that the model has, on all recordings or on the groups of
+them that have the effect; evidence is the growth of the log-likelihood, with each joint's noise re-estimated, less what chance
+would give for the number of coefficients and of trials. Where residuals are autocorrelated, samples count for less.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.effects import Trial
+from rrr_oc.regression import STRIDE, Prepared, Rows, kept_rows, rows
+from rrr_oc.signatures import Table, context, table
+
+LONGEST = 0.6  # [s], of the lags over which residuals are correlated
+WHITE = 0.11  # [s], over which the common filter correlates white noise
+NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
+BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
+FIRST = 60  # trials, by quadratic gain, whose likelihood is worked out
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Recordings made ready for comparing models.
+
+    Attributes:
+        prepared: The recordings.
+        edges: First row of each recording, and the end.
+        groups: Physical set-up of each recording, in their order.
+        identify: Whether the links' inertial parameters are unknown.
+    """
+
+    prepared: tuple[Prepared, ...]
+    edges: np.ndarray
+    groups: tuple[str, ...]
+    identify: bool
+
+    @classmethod
+    def of(cls, prepared: Sequence[Prepared], identify: bool) -> "Bench":
+        """The bench of prepared recordings."""
+        counts = [len(kept_rows(p.recording)[0]) for p in prepared]
+        return cls(
+            tuple(prepared),
+            np.concatenate([[0], np.cumsum(counts)]).astype(int),
+            tuple(p.recording.group for p in prepared),
+            identify,
+        )
+
+    def without(self, number: int) -> "Bench":
+        """The bench less one recording."""
+        keep = [i for i in range(len(self.prepared)) if i != number]
+        counts = np.diff(self.edges)[keep]
+        return Bench(
+            tuple(self.prepared[i] for i in keep),
+            np.concatenate([[0], np.cumsum(counts)]).astype(int),
+            tuple(self.groups[i] for i in keep),
+            self.identify,
+        )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The groups, each once."""
+        return tuple(dict.fromkeys(self.groups))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A trial with what speaks for it.
+
+    Attributes:
+        trial: The trial.
+        scope: Groups that have the effect; None for all.
+        coefficients: Fitted with all parameters of the model, (m,).
+        likelihood: Growth of twice the log-likelihood.
+        dimensions: Coefficients that the recordings tell apart.
+        penalty: What chance gives.
+    """
+
+    trial: Trial
+    scope: tuple[str, ...] | None
+    coefficients: np.ndarray
+    likelihood: float
+    dimensions: int
+    penalty: float
+
+    @property
+    def score(self) -> float:
+        """Evidence beyond chance."""
+        return self.likelihood - self.penalty
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A model at a bench, with the signatures of trials.
+
+    Attributes:
+        bench, model: As given.
+        rows: Residuals and derivatives by the parameters of the model.
+        table: Signatures.
+        weights: 1/variance of each joint's residual, times the share of independent rows, (n,).
+        counts: Independent rows of each joint, (n,).
+        products: Products of (derivatives, signatures, residual) for each recording, weighted, (R, D, D).
+    """
+
+    bench: Bench
+    model: CalibratedModel
+    rows: Rows
+    table: Table
+    weights: np.ndarray
+    counts: np.ndarray
+    products: np.ndarray
+
+    @classmethod
+    def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
+        """Work out signatures and products."""
+        found = rows(bench.prepared, model, bench.identify)
+        signatures = table([context(p, model) for p in bench.prepared], every)
+        counts = found.moving.sum(axis=1) * STRIDE / correlation(found)
+        weights = counts / np.maximum(found.moving.sum(axis=1), 1) / found.deviation() ** 2
+        size = found.jacobian.shape[2] + int(signatures.start[-1]) + 1
+        products = np.zeros((len(bench.prepared), size, size))
+        for j, weight in enumerate(weights):
+            used, stack = _stack(found, signatures, j)
+            for r in range(len(products)):
+                part = stack[bench.edges[r] : bench.edges[r + 1]]
+                products[r][np.ix_(used, used)] += weight * (part.T @ part)
+        return cls(bench, model, found, signatures, weights, np.maximum(counts, 1.0), products)
+
+    @property
+    def size(self) -> int:
+        """Parameters of the model."""
+        return self.rows.jacobian.shape[2]
+
+    def candidates(self, scoped: bool = True) -> list[Candidate]:
+        """The trials that explain most, best first, each where it explains most."""
+        total = self.products.sum(axis=0)
+        inverse = pseudo_inverse(total[: self.size, : self.size])
+        left = total - total[:, : self.size] @ inverse @ total[: self.size]
+        found = []
+        for k, trial in enumerate(self.table.trials):
+            c = self._columns(k)
+            options = [(None, *_solve(left[np.ix_(c, c)], left[c, -1], np.diag(total)[c]))]
+            if scoped and trial.effect.local and len(self.bench.labels) > 1:
+                options += self._scopes(c, total, inverse, options[0][1])
+            for scope, gain, coefficients, dimensions in options:
+                if dimensions and gain > 0:
+                    found.append((gain - 2 * dimensions, k, scope, coefficients, dimensions))
+        found.sort(key=lambda one: -one[0])
+        tests = max(len({(t.effect.name, t.effect.joints) for t in self.table.trials}), 2)
+        result = [self._judged(inverse, total, tests, *one[1:]) for one in found[:FIRST]]
+        return sorted((r for r in result if r is not None), key=lambda r: -r.score)
+
+    def _columns(self, k: int) -> np.ndarray:
+        return self.size + np.arange(self.table.start[k], self.table.start[k + 1])
+
+    def _scopes(self, c: np.ndarray, total: np.ndarray, inverse: np.ndarray, whole: float) -> list:
+        """The best set of groups of each size, found by adding one at a time."""
+        labels = self.bench.labels
+        member = np.array([[g == label for g in self.bench.groups] for label in labels], float)  # (groups, R)
+        own = np.einsum("gr,rab->gab", member, self.products[:, c][:, :, c])
+        cross = np.einsum("gr,rab->gab", member, self.products[:, c][:, :, : self.size])
+        right = np.einsum("gr,ra->ga", member, self.products[:, c, -1])
+        base = inverse @ total[: self.size, -1]
+        if _apart(own, cross, right, inverse, base) - whole < scope_cost(len(labels), 1):
+            return []  # coefficients of their own for each group explain no more
+        chosen: list[int] = []
+        result = []
+        for _ in range(len(labels) - 1):
+            best = None
+            for g in range(len(labels)):
+                if g in chosen:
+                    continue
+                at = [*chosen, g]
+                x = cross[at].sum(axis=0)
+                matrix, target = own[at].sum(axis=0) - x @ inverse @ x.T, right[at].sum(axis=0) - x @ base
+                solved = _solve(matrix, target, np.diag(own[at].sum(axis=0)))
+                if best is None or solved[0] > best[1][0]:
+                    best = (g, solved)
+            assert best is not None
+            chosen.append(best[0])
+            result.append((tuple(labels[i] for i in sorted(chosen)), *best[1]))
+        return result
+
+    def _judged(self, inverse, total, tests: int, k: int, scope, coefficients, dimensions: int) -> Candidate | None:
+        """The candidate with its likelihood; None where its parameters are impossible."""
+        trial = self.table.trials[k]
+        theta = trial.effect.combined(trial.points, coefficients)
+        if any(not p.lower <= theta[p.name] <= p.upper for p in trial.effect.parameters if p.name in theta):
+            return None
+        after = np.sum(self.residual(k, coefficients, scope, inverse) ** 2, axis=1)
+        before = np.sum(self.residual(None, coefficients, scope, inverse) ** 2, axis=1)
+        ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
+        shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
+        penalty = (dimensions + shape) * np.log(self.counts.sum()) + 2 * np.log(tests)
+        if scope is not None:
+            penalty += scope_cost(len(self.bench.labels), len(scope))
+        return Candidate(trial, scope, coefficients, float(self.counts @ ratio), dimensions, float(penalty))
+
+    def residual(self, k: int | None, coefficients, scope, inverse) -> np.ndarray:
+        """Residuals after the parameters and a trial are fitted, (n, M)."""
+        total = self.products.sum(axis=0)[: self.size]
+        change = np.zeros_like(self.rows.residual) if k is None else self.signature(k, scope) @ coefficients
+        if k is None:
+            shift = inverse @ total[:, -1]
+        else:
+            within = self._within(scope)
+            cross = np.einsum("r,rab->ab", within, self.products[:, : self.size][:, :, self._columns(k)])
+            shift = inverse @ (total[:, -1] - cross @ coefficients)
+        return self.rows.residual - self.rows.jacobian @ shift - change
+
+    def signature(self, k: int, scope) -> np.ndarray:
+        """Columns of a trial at all rows, (n, M, m)."""
+        c, result = np.arange(self.table.start[k], self.table.start[k + 1]), []
+        for values, used in zip(self.table.values, self.table.used, strict=True):
+            columns = np.zeros((len(values), len(c)))
+            for i, column in enumerate(c):
+                at = np.searchsorted(used, column)
+                if at < len(used) and used[at] == column:
+                    columns[:, i] = values[:, at]
+            result.append(columns)
+        whole = np.array(result)
+        if scope is not None:
+            for r, inside in enumerate(self._within(scope)):
+                whole[:, self.bench.edges[r] : self.bench.edges[r + 1]] *= inside
+        return whole
+
+    def _within(self, scope) -> np.ndarray:
+        return np.array([1.0 if scope is None or g in scope else 0.0 for g in self.bench.groups])
+
+
+def scope_cost(groups: int, size: int) -> float:
+    """What choosing so many of the groups costs: twice the logarithm of the number of choices."""
+    choices = float(np.prod([(groups - i) / (i + 1) for i in range(size)]))
+    return 2 * np.log(max(choices, 1.0) * groups)
+
+
+def correlation(found: Rows, residual: np.ndarray | None = None) -> np.ndarray:
+    """Time over which each joint's residuals are correlated, (n,) [s]; never less than the filter makes it."""
+    lags, result = int(LONGEST / STRIDE), []
+    for r in found.residual if residual is None else residual:
+        r = np.asarray(r)
+        pieces = [r[s] for s in found.stretches]
+        power = sum(float(p @ p) for p in pieces) or 1.0
+        rho = [sum(float(p[k:] @ p[:-k]) for p in pieces if len(p) > k) / power for k in range(1, lags)]
+        ends = next((i for i, x in enumerate(rho) if x <= 0.05), len(rho))  # beyond, it is noise
+        result.append(max(WHITE, STRIDE * (1 + 2 * sum(rho[:ends]))))
+    return np.array(result)
+
+
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a normal matrix, with columns scaled and null directions left out."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
+
+
+def robust_p(evidence: Evidence, k: int, candidate: Candidate) -> float:
+    """P-value of a trial that holds up where residuals are autocorrelated and of unequal variance: scores by block of time."""
+    inverse = pseudo_inverse(evidence.products.sum(axis=0)[: evidence.size, : evidence.size])
+    after = evidence.residual(k, candidate.coefficients, candidate.scope, inverse)
+    whole = evidence.signature(k, candidate.scope)
+    cross = np.einsum("jka,j,jkb->ab", evidence.rows.jacobian, evidence.weights, whole)
+    clean = whole - evidence.rows.jacobian @ (inverse @ cross)
+    scores = np.einsum("jkm,jk,j->km", clean, after, evidence.weights)
+    matrix = np.einsum("jka,j,jkb->ab", clean, evidence.weights, clean)
+    step = max(1, round(BLOCK / STRIDE))
+    edges = evidence.bench.edges
+    starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(edges)])
+    blocks = np.add.reduceat(scores, starts, axis=0)
+    spread = blocks.T @ blocks
+    gain = matrix @ candidate.coefficients
+    statistic = float(gain @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ gain)
+    return float(chi2.sf(statistic, candidate.dimensions))
+
+
+def _stack(found: Rows, signatures: Table, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of one joint that are not 0, and their numbers."""
+    size, total = found.jacobian.shape[2], int(signatures.start[-1])
+    live = np.flatnonzero(np.any(found.jacobian[j] != 0, axis=0))
+    used = np.concatenate([live, size + signatures.used[j], [size + total]])
+    return used, np.concatenate([found.jacobian[j][:, live], signatures.values[j], found.residual[j][:, None]], axis=1)
+
+
+def _apart(own: np.ndarray, cross: np.ndarray, right: np.ndarray, inverse: np.ndarray, base: np.ndarray) -> float:
+    """Gain of a trial with coefficients of their own for each group."""
+    groups, m = right.shape
+    flat = cross.reshape(groups * m, -1)
+    matrix = -flat @ inverse @ flat.T
+    for g in range(groups):
+        at = slice(g * m, (g + 1) * m)
+        matrix[at, at] += own[g]
+    return _solve(matrix, right.ravel() - flat @ base, np.einsum("gaa->ga", own).ravel())[0]
+
+
+def _solve(matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[float, np.ndarray, int]:
+    """Gain, coefficients and dimensions of a quadratic; directions that the parameters can mimic are left out."""
+    live = raw > 1e-12 * max(raw.max(initial=0.0), 1e-300)
+    coefficients = np.zeros(len(right))
+    if not live.any() or raw.max() <= 0:
+        return 0.0, coefficients, 0
+    scale = np.sqrt(raw[live])
+    if live.sum() == 1:
+        share = matrix[live][0, live][0] / raw[live][0]
+        if share < NULL:
+            return 0.0, coefficients, 0
+        coefficients[live] = right[live] / matrix[live][0, live]
+        return float(right @ coefficients), coefficients, 1
+    values, vectors = np.linalg.eigh(matrix[np.ix_(live, live)] / np.outer(scale, scale))
+    known = values > NULL * 10
+    coefficients[live] = vectors[:, known] @ ((vectors[:, known].T @ (right[live] / scale)) / values[known]) / scale
+    return float(right @ coefficients), coefficients, int(known.sum())
