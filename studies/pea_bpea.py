@@ -27,15 +27,17 @@ from rrr_oc import __version__
 from rrr_oc.actuator import load_actuators
 from rrr_oc.catalogue import METHODS, CatalogueResult, load_catalogue, search_catalogue
 from rrr_oc.certificate import certify
+from rrr_oc.calibrated import CalibratedModel, load_model
 from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.errors import UserError
 from rrr_oc.figures import draw_all
 from rrr_oc.files import write_json, write_npz, write_text
-from rrr_oc.outcome import describe, describe_simulation, sample_motion
+from rrr_oc.outcome import Motion, describe, describe_simulation, sample_motion
 from rrr_oc.report import published_springs, report
 from rrr_oc.search import SearchOptions, SearchResult, Start, search
 from rrr_oc.solve import Refinement, SolverFailure
 from rrr_oc.task import PHASES, PRESETS, Task, load_task, tool_height
+from rrr_oc.transfer import check_transfer, describe_transfer, transfer_table
 
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
 console = Console()
@@ -57,6 +59,9 @@ def main(
     ] = "prototype",
     catalogue_search: Annotated[str, typer.Option(help="for BPEA*: " + " or ".join(METHODS))] = "exhaustive",
     tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
+    model: Annotated[
+        Path | None, typer.Option(help="model.json of `rrr-oc calibrate`: every optimum is tracked in it too")
+    ] = None,
     jobs: Annotated[int, typer.Option(help="processes; -1 for all cores")] = -1,
 ) -> None:
     """Co-design for each configuration; writes tables, figures, summary.json and one npz a configuration."""
@@ -70,6 +75,9 @@ def main(
         raise UserError(f"--out {out} is a file; give a folder")
     drives = load_actuators(task.joints, actuators) if cost != "load" else None
     designs = {name: CoDesign(task, spring_bounds(task, name), cost, drives) for name in names}
+    calibrated = None if model is None else load_model(model)
+    if calibrated is not None:
+        check_transfer(next(iter(designs.values())), calibrated)
     shop = None if catalogue == "none" else load_catalogue(catalogue)
     if catalogue_search not in METHODS:
         raise UserError(f"--catalogue-search is {catalogue_search!r}; allowed are {', '.join(METHODS)}")
@@ -87,6 +95,10 @@ def main(
         found |= _once(
             out, name, asked, lambda name=name, design=design: _solve(name, design, options, shop, catalogue_search, out)
         )
+    for name, c in found.items():
+        c["calibrated"] = (
+            None if calibrated is None else plain(_transferred(out, name, c, designs[name.rstrip("*")], calibrated))
+        )
     summary = {
         "preset": task.name,
         "cost": {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}[cost],
@@ -100,7 +112,7 @@ def main(
         ),
     }
     write_json(out / "summary.json", summary)
-    text = report(summary)
+    text = report(summary) + transfer_table(summary["configurations"])
     write_text(out / "report.md", text)
     draw_all(out, task)
     console.print(Markdown(text.split("## Certificates")[0]))
@@ -225,6 +237,13 @@ def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions
         described["E1"] = solution.cost
     write_npz(out / f"{name}.npz", vars(motion) | {"joints": np.array(design.task.joints)})
     return plain(described | {"wall_s": time.perf_counter() - began})
+
+
+def _transferred(out: Path, name: str, found: dict[str, Any], design: CoDesign, calibrated: CalibratedModel) -> dict[str, Any]:
+    """A saved optimum in the calibrated twin."""
+    saved = {key: value for key, value in np.load(out / f"{name}.npz").items() if key != "joints"}
+    theta = design.model.theta(found["parameters"])
+    return describe_transfer(design, Motion(**saved), theta, calibrated, load_actuators(design.task.joints))
 
 
 def _published(name: str, design: CoDesign, options: SearchOptions) -> float | None:

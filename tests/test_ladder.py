@@ -34,7 +34,7 @@ LADDER = (
     ("simulation", ("native",)),
     ("simulation", ("simulate",)),
     ("results", ("outcome", "replay")),
-    ("results", ("report", "figures", "evaluate", "calibrate_simulated")),
+    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer")),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}

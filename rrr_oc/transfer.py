@@ -1,0 +1,97 @@
+"""An optimum in the twin that was calibrated on recordings: what its motion and springs ask of drives with friction."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rrr_oc import simulate
+from rrr_oc.actuator import Actuators
+from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.codesign import CoDesign
+from rrr_oc.errors import UserError
+from rrr_oc.metrics import measure
+from rrr_oc.model import Model
+from rrr_oc.outcome import Motion, describe
+from rrr_oc.task import PHASES
+
+
+def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
+    """Raise `UserError` where a calibrated model is of other joints, or has terms that no simulation of a task can have."""
+    if calibrated.joints != design.task.robot.joints:
+        raise UserError(
+            f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(design.task.robot.joints)}"
+        )
+    some = [term.effect.name for term in calibrated.terms if term.recordings != "all"]
+    if some:
+        raise UserError(f"the model's {some[0]} holds for single recordings only; a model whose terms hold for all is needed")
+    simulate.twin(*_parts(design, calibrated, np.zeros(len(design.model.parameters))), settings=simulate.Settings("native"))
+
+
+def describe_transfer(
+    design: CoDesign, motion: Motion, theta: np.ndarray, calibrated: CalibratedModel, drives: Actuators
+) -> dict[str, Any]:
+    """The paper's metrics of an optimum tracked in the calibrated twin, by both routes to the load torque.
+
+    The robot and its payload's point are the calibrated model's, the springs and the motion the optimum's. What the model predicts
+    as motor torque is fed forward, the paper's P-controllers do the rest.
+
+    Returns:
+        "engine": from M ddq + C dq + G − tau_spring of the engine's motion; "eq10": from the controllers' torque through Eq. 10,
+        each as `describe` gives it; "motor": the same of the motor torque itself; "tracking_error_rad"; "saturated": whether a
+        controller ran into its limit.
+    """
+    task, model, theta = design.task, *_parts(design, calibrated, theta)
+    widths = np.array([w for e in design.model.effects if e.width for w in [e.width.nominal]] + _drive_widths(calibrated))
+    references = []
+    for i, k in enumerate(motion.phases()):
+        q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
+        t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
+        motor, _ = model.motor_inverse(q, dq, ddq, t[None], payload, theta, widths, model.robot.inertial)
+        references.append(simulate.ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
+    tracked = simulate.track(model, references, theta, settings=simulate.Settings(effects="native"), widths=widths)
+    rows = [task.robot.index(joint) for joint in drives.joints]
+    by_eq10 = [np.array(drives.load_from_motor(p.dq[rows], p.ddq[rows], p.tau_motor[rows])[0]) for p in tracked.phases]
+    return {
+        "engine": describe(design, tracked.metrics, task.moving),
+        "eq10": describe(design, measure([(p.t, tau) for p, tau in zip(tracked.phases, by_eq10, strict=True)])),
+        "motor": describe(design, measure([(p.t, p.tau_motor) for p in tracked.phases]), task.moving),
+        "tracking_error_rad": float(max(np.abs(p.error).max() for p in tracked.phases)),
+        "saturated": bool(np.any(tracked.saturated)),
+    }
+
+
+def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:
+    """Decrease against stiff actuation of E1 in the calibrated twin, by both routes, in Markdown; "" where nothing was transferred."""
+    known = {name: c["calibrated"] for name, c in configurations.items() if c.get("calibrated")}
+    if not known:
+        return ""
+    stiff = known.get("SA")
+    lines = [
+        "\n## In the twin calibrated on recordings\n",
+        "Each optimum tracked by P-controllers helped by the model's own torque; E1 [N²m²s], and its decrease against SA, of the load "
+        "torque that the engine gives, and of the controllers' torque through Eq. 10.\n",
+        "|  | engine | decrease | Eq. 10 | decrease | RMS motor torque [Nm] | tracking [rad] | at its limit |",
+        "| --- " * 8 + "|",
+    ]
+    for name, c in known.items():
+        cells = []
+        for route in ("engine", "eq10"):
+            less = "" if stiff is None or name == "SA" else f"{100 * (1 - c[route]['E1'] / stiff[route]['E1']):.1f} %"
+            cells += [f"{c[route]['E1']:.2f}", less]
+        rms = ", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values())
+        limit = "yes" if c["saturated"] else "no"
+        lines.append(f"| {name} | {' | '.join(cells)} | {rms} | {c['tracking_error_rad']:.4f} | {limit} |")
+    return "\n".join(lines) + "\n"
+
+
+def _parts(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> tuple[Model, np.ndarray]:
+    """The calibrated robot with the optimum's springs and the calibrated terms, and all their parameters."""
+    effects = (*design.model.effects, *(term.effect for term in calibrated.terms))
+    return Model(calibrated.robot, calibrated.tool, effects), np.concatenate(
+        [theta, *(term.values for term in calibrated.terms)]
+    )
+
+
+def _drive_widths(calibrated: CalibratedModel) -> list[float]:
+    return [term.width for term in calibrated.terms if term.width is not None]
