@@ -25,9 +25,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rrr_oc import __version__
 from rrr_oc.actuator import load_actuators
+from rrr_oc.calibrated import CalibratedModel, load_model
 from rrr_oc.catalogue import METHODS, CatalogueResult, load_catalogue, search_catalogue
 from rrr_oc.certificate import certify
-from rrr_oc.calibrated import CalibratedModel, load_model
 from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.errors import UserError
 from rrr_oc.figures import draw_all
