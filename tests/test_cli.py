@@ -1,0 +1,131 @@
+"""The command line: what it prints and writes, and that a mistake is one sentence, exit status 2 and no file."""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+
+from rrr_oc import cli
+from rrr_oc.recordings import save_recordings
+
+TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
+SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder with a recording set `set` and the model that the command made of it, `out/model.json`."""
+    folder, plant, rng = tmp_path_factory.mktemp("cli"), Plant("rrr", *TRUTH), np.random.default_rng(0)
+    save_recordings(as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(2)]), folder / "set")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["rrr-oc", "calibrate", str(folder / "set"), "--out", str(folder / "out")])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    assert ended.value.code == 0
+    return folder
+
+
+def run(monkeypatch, *arguments) -> int:
+    """Exit status of the command."""
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def files(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_calibrate_writes_a_model(folder):
+    content = json.loads((folder / "out" / "model.json").read_text())
+    assert content["format"] == "rrr_oc-model/1"
+    found = [p["value"] for e in content["effects"] for p in e["parameters"].values()]
+    np.testing.assert_allclose(found, TRUTH.T.ravel(), rtol=0.15)  # twelve seconds
+    assert {p["unit"] for e in content["effects"] for p in e["parameters"].values()} == {"Nm", "Nm s/rad", "kg m²"}
+    assert list((folder / "out").iterdir()) == [folder / "out" / "model.json"]
+
+
+def test_evaluate_prints_json_alone(folder, monkeypatch, capsys):
+    assert run(monkeypatch, "evaluate", folder / "out" / "model.json", folder / "set") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"inverse", "simulated", "mean"}
+    assert set(result["inverse"]["0.csv"]["joint2"]) == {"nrmse", "rmse"}
+    assert result["simulated"] == {}
+    assert 0 < result["mean"]["inverse"]["joint1"]["nrmse"] < 0.03
+
+
+def test_evaluate_writes_all_that_is_asked_for(folder, monkeypatch, tmp_path, capsys):
+    arguments = ["--simulate", "--out", tmp_path / "deep" / "e.json", "--predictions", tmp_path / "p", "--window", "0.3"]
+    assert run(monkeypatch, "evaluate", folder / "out" / "model.json", folder / "set", *arguments) == 0
+    result = json.loads((tmp_path / "deep" / "e.json").read_text())
+    assert set(result["simulated"]["1.csv"]["joint3"]) == {"q", "dq", "ddq", "tau_motor", "tau_load"}
+    assert sorted(p.name for p in (tmp_path / "p").iterdir()) == ["0.csv", "1.csv"]
+    rows = (tmp_path / "p" / "0.csv").read_text().splitlines()
+    assert len(rows) == len((folder / "set" / "0.csv").read_text().splitlines())
+    assert "mean NRMSE" in capsys.readouterr().out
+
+
+MISTAKES = {
+    "no such set": (["calibrate", "{0}/nowhere", "--out", "{1}/o"], "nowhere"),
+    "truncated header": (["calibrate", "{1}/truncated", "--out", "{1}/o"], "recordings.json"),
+    "out is a file": (["calibrate", "{0}/set", "--out", "{0}/set/0.csv"], "0.csv"),
+    "no such model": (["evaluate", "{0}/nowhere.json", "{0}/set"], "nowhere.json"),
+    "no model": (["evaluate", "{0}/set/recordings.json", "{0}/set", "--predictions", "{1}/p"], "recordings.json"),
+    "other torque": (["evaluate", "{0}/out/model.json", "{1}/load", "--predictions", "{1}/p"], "'load'"),
+    "window": (["evaluate", "{0}/out/model.json", "{0}/set", "--window", "-1"], "--window is -1 s"),
+    "window nan": (["evaluate", "{0}/out/model.json", "{0}/set", "--window", "nan"], "--window is nan s"),
+    "column": (["calibrate", "{1}/column", "--out", "{1}/o"], "tau_joint2"),
+    "folder taken": (["import", "prototype", "{1}/raw", "{0}/set"], "raw"),
+    "mcap": (["import", "mcap", "{1}/truncated/recordings.json", "--robot", "rrr", "--out", "{1}/m"], "MCAP"),
+    "constants": (
+        ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a:3"],
+        "--torque-constant is 'a:3'",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, folder, monkeypatch, tmp_path, capsys):
+    text, table = (folder / "set" / "recordings.json").read_text(), (folder / "set" / "0.csv").read_text()
+    for name, header, rows in (
+        ("truncated", text[: len(text) // 2], table),
+        ("load", text.replace('"motor"', '"load"'), table),
+        ("column", text, table.replace("tau_joint2", "tau_j2")),
+    ):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "recordings.json").write_text(header)
+        for file in ("0.csv", "1.csv"):
+            (tmp_path / name / file).write_text(rows)
+    arguments, said = MISTAKES[mistake]
+    before = files(folder) | files(tmp_path)
+    assert run(monkeypatch, *(a.format(folder, tmp_path) for a in arguments)) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("Error: ")
+    assert printed.err.count("\n") == 1
+    assert said in printed.err
+    assert "Traceback" not in printed.err
+    assert files(folder) | files(tmp_path) == before
+
+
+def test_unknown_options_and_commands_end_with_status_2(monkeypatch, capsys):
+    for arguments in (["calibrate"], ["fly"], ["calibrate", "x", "--out", "y", "--way", "magic"]):
+        assert run(monkeypatch, *arguments) == 2
+        assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["xl330_pendulum", "staubli_tx40"])
+def test_real_sets_pass_through_calibrate_and_evaluate(name, monkeypatch, tmp_path, capsys):
+    dataset = SHARED / "recordings" / name
+    if not dataset.is_dir():
+        pytest.skip(f"{dataset} is not there; set RRR_OC_SHARED")
+    assert run(monkeypatch, "calibrate", dataset, "--out", tmp_path) == 0
+    capsys.readouterr()
+    assert run(monkeypatch, "evaluate", tmp_path / "model.json", dataset) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert all(e["nrmse"] is not None and e["nrmse"] < 0.6 for e in result["mean"]["inverse"].values())
