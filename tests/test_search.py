@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rrr_oc.codesign import CoDesign, motion_guess, spring_bounds
+from rrr_oc.errors import UserError
 from rrr_oc.search import SearchOptions, SearchResult, Start, decode, dimensions, same, search
 from rrr_oc.solve import Refinement, SolverFailure
 from rrr_oc.task import Task, load_task
@@ -138,6 +139,14 @@ def test_an_infeasible_task_names_the_constraint():
         search(design_of("SA", task), replace(OPTIONS, starts=2))
     assert failure.value.violation > 1
     assert failure.value.status != "Solve_Succeeded"
+
+
+def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(UserError, match="needs a C compiler, but none of cc, gcc, clang is on PATH"):
+        search(design_of("SA"), replace(OPTIONS, starts=1))
 
 
 def stopping_after(number: int) -> Callable[[Start], None]:
