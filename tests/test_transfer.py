@@ -1,0 +1,106 @@
+"""Optima in a calibrated twin: without friction the engine gives the motion's own cost, with it both routes mean what they say."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+
+from rrr_oc.actuator import load_actuators
+from rrr_oc.calibrate import plain_model
+from rrr_oc.codesign import CoDesign, spring_bounds
+from rrr_oc.errors import UserError
+from rrr_oc.outcome import Motion
+from rrr_oc.task import load_task
+from rrr_oc.transfer import check_transfer, describe_transfer, transfer_table
+
+
+def calibrated(dry=0.0, viscous=0.0, armature=0.0):
+    """A calibrated model of the paper's arm with these parameters in every joint."""
+    plant = Plant("rrr", np.zeros(3), np.zeros(3), np.zeros(3))
+    start = plain_model(as_set(plant, [record(plant, "a.csv", np.random.default_rng(0), 1.0)]))
+    return replace(
+        start, terms=tuple(t.with_values(np.array([v])) for t, v in zip(start.terms, (dry, viscous, armature) * 3, strict=True))
+    )
+
+
+@pytest.fixture(scope="module")
+def moved() -> tuple[CoDesign, Motion, np.ndarray]:
+    """Polynomials from start to release and back with springs of the paper's size; no optimum, but smooth and at rest at the ends."""
+    task = load_task("paper")
+    design = CoDesign(task, spring_bounds(task, "PEA"))
+    theta = design.model.theta(
+        {
+            "parallel_spring[joint2]": {"stiffness": 8.0, "equilibrium": 2.0},
+            "parallel_spring[joint3]": {"stiffness": 0.7, "equilibrium": 2.3},
+        }
+    )
+    a, b = np.radians([[75.52], [-151.04]]), np.radians([[48.19], [-96.38]])
+    parts = []
+    for i, (one, two) in enumerate(((a, b), (b, a))):
+        s, period = np.linspace(0, 1, 400), 2.0
+        q = one + (two - one) * (10 * s**3 - 15 * s**4 + 6 * s**5)
+        dq = (two - one) * (30 * s**2 - 60 * s**3 + 30 * s**4) / period
+        ddq = (two - one) * (60 * s - 180 * s**2 + 120 * s**3) / period**2
+        payload = task.payloads[i]
+        tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, theta, design.model.widths))
+        parts.append((s * period + i * period, q, dq, ddq, tau, spring, np.full(400, i), np.full(400, payload)))
+    return design, Motion(*[np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)]), theta
+
+
+def test_without_friction_the_engine_gives_the_motions_own_cost(moved):
+    design, motion, theta = moved
+    found = describe_transfer(design, motion, theta, calibrated(), load_actuators(design.task.joints))
+    expected = motion.metrics()
+    # the engine's springs are exact, the motion's rounded over their width: 1e-3 of their torque
+    assert found["engine"]["E1"] == pytest.approx(expected.E1_total, rel=3e-3)
+    assert found["motor"]["E1"] == pytest.approx(expected.E1_total, rel=3e-3)
+    assert found["tracking_error_rad"] < 1e-3
+    assert not found["saturated"]
+
+
+def test_friction_stands_in_the_motors_and_not_in_the_engines_load(moved):
+    design, motion, theta = moved
+    drives = load_actuators(design.task.joints)
+    found = describe_transfer(design, motion, theta, calibrated(5.0, 10.0, 0.2), drives)
+    assert found["engine"]["E1"] == pytest.approx(motion.metrics().E1_total, rel=0.02)  # the motion is the same
+    drive = 5.0 * np.sign(motion.dq) + 10.0 * motion.dq + 0.2 * motion.ddq
+    motor = motion.tau_load + drive
+    expected = sum(np.trapezoid(np.sum(motor[:, k] ** 2, axis=0), motion.t[k]) for k in motion.phases())
+    assert found["motor"]["E1"] == pytest.approx(expected, rel=0.02)
+    by_eq10 = np.array(drives.load_from_motor(motion.dq, motion.ddq, motor)[0])
+    expected = sum(np.trapezoid(np.sum(by_eq10[:, k] ** 2, axis=0), motion.t[k]) for k in motion.phases())
+    assert found["eq10"]["E1"] == pytest.approx(expected, rel=0.05)  # Eq. 10 divides small differences
+
+
+def test_eq_10_turns_motor_torque_back_into_load(moved):
+    _, motion, _ = moved
+    drives, symbols = load_actuators(("joint2", "joint3")), [ca.SX.sym(name, 2) for name in ("dq", "ddq", "load")]
+    forth = ca.Function("forth", symbols, [drives.motor_torque(*symbols)])
+    motor = np.array(forth(motion.dq, motion.ddq, motion.tau_load))
+    load, slope = (np.array(x) for x in drives.load_from_motor(motion.dq, motion.ddq, motor))
+    np.testing.assert_allclose(load, motion.tau_load, atol=0.02)  # |tau| is rounded over 0.05 Nm
+    step = np.array(drives.load_from_motor(motion.dq, motion.ddq, motor + 1e-6)[0])
+    np.testing.assert_allclose(slope, (step - load) / 1e-6, rtol=1e-6)
+
+
+def test_models_that_cannot_serve_are_refused(moved):
+    design = moved[0]
+    model = calibrated()
+    check_transfer(design, model)
+    with pytest.raises(UserError, match="the model has the joints a, b, c"):
+        check_transfer(design, replace(model, robot=replace(model.robot, joints=("a", "b", "c"))))
+    with pytest.raises(UserError, match="holds for single recordings only"):
+        check_transfer(design, replace(model, terms=(replace(model.terms[0], recordings=("a.csv",)),)))
+
+
+def test_the_table_has_a_row_per_transferred_optimum(moved):
+    design, motion, theta = moved
+    one = describe_transfer(design, motion, theta, calibrated(1.0), load_actuators(design.task.joints))
+    half = {**one, "engine": {**one["engine"], "E1": one["engine"]["E1"] / 2}}
+    text = transfer_table({"SA": {"calibrated": one}, "PEA": {"calibrated": half}, "BPEA": {"calibrated": None}})
+    assert "| PEA | " in text
+    assert "50.0 %" in text
+    assert "BPEA" not in text
+    assert transfer_table({"SA": {"calibrated": None}}) == ""
