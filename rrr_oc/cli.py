@@ -17,6 +17,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.files import write_json
 from rrr_oc.importers import import_mcap, import_prototype
+from rrr_oc.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.savitzky_golay import WINDOW
 
@@ -99,9 +100,12 @@ def prototype(
         Path, typer.Argument(help="folder with data_file_M_ExpN.txt, of github.com/Co-Evolve/elastic-actuation-arm")
     ],
     out: Annotated[Path, typer.Argument(help="folder to make")],
+    payload_at: Annotated[
+        float, typer.Option(help="where the payload is held along link 3 [m]; the recordings themselves say 0.355")
+    ] = PAYLOAD_AT,
 ) -> None:
     """The public recordings of the paper's own arm."""
-    _show_set(import_prototype(folder, out))
+    _show_set(import_prototype(folder, out, payload_at))
 
 
 @importers.command()

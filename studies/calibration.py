@@ -44,6 +44,8 @@ ENDS = ((0.15, 0.1), (3.0, 5.0))  # window and time dropped at both ends [s]: th
 NEAR = np.radians([5.0, 5.0])  # a motion is covered where a recorded (q, dq) lies within 5° and 5 °/s
 EQUAL = 1.01  # objectives within 1 % count as equal
 console = Console()
+if not console.is_terminal:
+    console.width = 160  # a log's lines may be longer than the 80 columns that are assumed of it
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,9 @@ def test_prototype_units_signs_and_times(tmp_path):
     effect, theta = found.recordings[1].springs[1]
     assert effect == ParallelSpring((2,), active="below")
     assert theta == {"stiffness": 1.318, "equilibrium": pytest.approx(np.radians(140))}
+    np.testing.assert_allclose(found.tool.position, found.robot.tool.position)  # 0.310 m, the bundled model's
+    moved = import_prototype(tmp_path / "raw", tmp_path / "moved", 0.355)
+    np.testing.assert_allclose(moved.tool.position, [0.355, 0, 0])
     recording = found.recordings[0]
     t = recording.t
     assert (t[0], t[-1]) == pytest.approx((0.010, 0.004 + 0.006 * 198))  # within what all three motors cover
@@ -56,6 +59,8 @@ def test_prototype_refuses(tmp_path):
     with pytest.raises(UserError, match="holds no file data_file_M_ExpN"):
         import_prototype(tmp_path, tmp_path / "out")
     raw = write_prototype(tmp_path / "raw", [3])
+    with pytest.raises(UserError, match="payload's point is nan m"):
+        import_prototype(raw, tmp_path / "out", float("nan"))
     (raw / "data_file_2_Exp3.txt").unlink()
     with pytest.raises(UserError, match=r"data_file_2_Exp3\.txt is missing"):
         import_prototype(raw, tmp_path / "out")

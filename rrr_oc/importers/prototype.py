@@ -13,6 +13,7 @@ JOINTS = ("joint1", "joint2", "joint3")
 SIGNS = (1.0, 1.0, -1.0)  # the files' elbow turns the other way
 COLUMNS = 7  # time [s], position [°], speed [°/s], acceleration [°/s²], zero, motor torque [Nm], the controller's own signal
 PAYLOAD = 5.0  # [kg]
+PAYLOAD_AT = 0.310  # [m] along link 3, as in the authors' code; fitted to their recordings, the point lies at 0.355 m
 WITH_PAYLOAD = (1, 3, 7, 9)  # experiments
 WITH_SPRINGS = (1, 4, 7, 10)
 SPRINGS = {
@@ -23,8 +24,10 @@ SPRINGS = {
 }
 
 
-def import_prototype(folder: str | Path, out: str | Path) -> RecordingSet:
+def import_prototype(folder: str | Path, out: str | Path, payload_at: float = PAYLOAD_AT) -> RecordingSet:
     """Write the experiments of a folder of `data_file_M_ExpN.txt` (motor M of 1…3, experiment N) as a new recording set.
+
+    The payload is held at `payload_at` [m] along link 3.
 
     The motors are polled one after the other, 2 ms apart; positions, speeds and torques of motors 1 and 3 are interpolated to
     the times of motor 2, within the time that all three cover. Linearly: over steps of 6 ms the error, ddq step²/8 below
@@ -34,8 +37,10 @@ def import_prototype(folder: str | Path, out: str | Path) -> RecordingSet:
     (experiments 7 to 12) to 57 % (1 to 6) too small. The reader differentiates the recorded speed instead.
 
     Raises:
-        UserError: A file is missing or not in this layout, or `out` exists.
+        UserError: A file is missing or not in this layout, `out` exists, or `payload_at` is no length.
     """
+    if not 0 <= payload_at < 10:
+        raise UserError(f"the payload's point is {payload_at:g} m along link 3; 0 m to 10 m are allowed")
     folder = Path(folder)
     experiments = _experiments(folder)
     tables = {_name(number): _columns([_motor(folder / file) for file in files]) for number, files in experiments.items()}
@@ -43,6 +48,7 @@ def import_prototype(folder: str | Path, out: str | Path) -> RecordingSet:
         "description": "Arm of the authors of the paper, from github.com/Co-Evolve/elastic-actuation-arm",
         "joints": list(JOINTS),
         "torque": "motor",
+        "tool": {"link": "link3", "position": [payload_at, 0.0, 0.0]},
         "recordings": [_entry(number) for number in experiments],
     }
     return write_set(out, "rrr_prototype", header, tables)
