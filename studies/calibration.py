@@ -30,7 +30,7 @@ from rrr_oc.files import write_json, write_text
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet, load_recordings
 from rrr_oc.replay import Replayed, replay, tracking_controller
-from rrr_oc.savitzky_golay import smooth
+from rrr_oc.savitzky_golay import smooth, split
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -99,6 +99,19 @@ def left_out(recordings: RecordingSet, drives: Actuators, timestep: float) -> li
         runs.append(follow(model, recordings, r, drives))
         console.print(f"left out {r.file}", highlight=False)
     return runs
+
+
+def piece(recordings: RecordingSet, seconds: float) -> RecordingSet:
+    """The middle of every recording, so long [s]; the whole where that is 0."""
+    if seconds == 0:
+        return recordings
+    return replace(recordings, recordings=tuple(_middle(r, seconds) for r in recordings.recordings))
+
+
+def _middle(r: Recording, seconds: float) -> Recording:
+    kept = np.abs(r.t - (r.t[0] + r.t[-1]) / 2) <= seconds / 2
+    arrays = {name: getattr(r, name)[..., kept] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    return replace(r, **arrays, segments=split(arrays["t"]))
 
 
 def race(gradient: CalibratedModel, evolution: CalibratedModel) -> dict[str, Any]:
@@ -225,6 +238,10 @@ def main(
         Path | None, typer.Option(help="folder of studies/pea_bpea.py, whose motions are held against them")
     ] = None,
     generations: Annotated[int, typer.Option(min=0, help=f"of CMA-ES, {POPULATION} candidates each; 0 leaves it out")] = 40,
+    race_seconds: Annotated[
+        float,
+        typer.Option(min=0, help="CMA-ES, and the gradient way beside it, get the middle of each recording, so long; 0: all"),
+    ] = 15.0,
     timestep: Annotated[float, typer.Option(help="of the engine while calibrating [s]")] = 4e-3,
     seed: Annotated[int, typer.Option(min=0, help="of CMA-ES")] = 0,
     joints: Annotated[str, typer.Option(help="whose load torques are compared")] = "joint2,joint3",
@@ -235,8 +252,11 @@ def main(
         raise UserError(f"--tasks {tasks}: holds no npz; the folder of a run of studies/pea_bpea.py is required")
     models = {"gradient": calibrate_response(recordings, drives, timestep=timestep)}
     console.print(f"gradient: {models['gradient'].report['objective']:.4f} in {models['gradient'].report['wall_s']:.1f} s")
+    raced = None
     if generations:
-        models["evolution"] = calibrate_evolution(recordings, drives, generations, seed, timestep=timestep)
+        some = piece(recordings, race_seconds)
+        raced = calibrate_response(some, drives, timestep=timestep)
+        models["evolution"] = calibrate_evolution(some, drives, generations, seed, timestep=timestep)
         console.print(
             f"evolution: {models['evolution'].report['objective']:.4f} in {models['evolution'].report['wall_s']:.1f} s"
         )
@@ -261,7 +281,7 @@ def main(
             }
             for i, (name, g) in enumerate(zip(labels(models["gradient"]), estimates["gradient"], strict=True))
         },
-        "race": race(models["gradient"], models["evolution"]) if generations else None,
+        "race": race(raced, models["evolution"]) | {"seconds_of_each": race_seconds} if raced else None,
         "outside": shares,
     }
     save_model(models["gradient"], out / "model.json")

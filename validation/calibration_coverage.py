@@ -59,14 +59,16 @@ def noise(shape: tuple[int, int], deviation: np.ndarray, rng: np.random.Generato
     return deviation[:, None] * (np.sqrt(2 / 3) * rng.standard_normal(shape) + np.sqrt(1 / 3) * slow)
 
 
-def record(model: pin.Model, truth: np.ndarray, seconds: float, name: str, rng: np.random.Generator) -> Recording:
-    """One recording: `truth` (3, n) holds dry friction, viscous friction and armature."""
+def record(
+    model: pin.Model, truth: np.ndarray, seconds: float, name: str, rng: np.random.Generator, width: float = WIDTH
+) -> Recording:
+    """One recording: `truth` (3, n) holds dry friction, viscous friction and armature; `width` [rad/s] is of the dry friction."""
     t = np.arange(round(seconds / STEP)) * STEP + rng.uniform(-0.15, 0.15, round(seconds / STEP)) * STEP
     t = t[rng.random(t.size) > 0.02]
     q, dq, ddq = motion(model.nq, t, rng)
     data = model.createData()
     tau = np.array([pin.rnea(model, data, *x) for x in zip(q.T, dq.T, ddq.T, strict=True)]).T  # pyright: ignore
-    tau = tau + truth[0, :, None] * np.tanh(dq / WIDTH) + truth[1, :, None] * dq + truth[2, :, None] * ddq
+    tau = tau + truth[0, :, None] * np.tanh(dq / width) + truth[1, :, None] * dq + truth[2, :, None] * ddq
     tau += noise(tau.shape, 0.02 * tau.std(axis=1), rng)
     count = 2 * np.pi / 2**18
     seen = count * np.round((q + 1e-5 * rng.standard_normal(q.shape)) / count)
@@ -80,7 +82,7 @@ def repetition(seed: int, urdf: str, count: int, seconds: float) -> dict[str, tu
     """By parameter: truth, estimate and interval."""
     rng = np.random.default_rng(seed)
     robot: Robot = load_robot(urdf)
-    model = pin.buildModelFromUrdf(str(Path(__file__).parents[1] / "models" / "urdf" / f"{urdf}.urdf"))
+    model = pin.buildModelFromUrdf(str(Path(__file__).parents[1] / "rrr_oc" / "urdf" / f"{urdf}.urdf"))
     truth = rng.uniform([[2], [2], [0.05]], [[6], [20], [0.4]], (3, robot.n))
     recordings = tuple(record(model, truth, seconds, f"{i}.csv", rng) for i in range(count))
     whole = RecordingSet(robot, urdf, "motor", "nominal", robot.tool, (None,) * robot.n, recordings, Path())
