@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 
 import matplotlib
@@ -215,7 +216,10 @@ def main() -> None:
             "load": os.getloadavg()[0],
             "python": platform.python_version(),
         }
-        rows = [asdict(measure(joints, intervals, arguments.repeats)) for joints in JOINTS for intervals in INTERVALS]
+        rows = []
+        for joints, intervals in product(JOINTS, INTERVALS):
+            rows.append(asdict(measure(joints, intervals, arguments.repeats)))
+            print(f"{joints} joints, {intervals} intervals: {rows[-1]['solve']:.2f} s", flush=True)
         versions = {package: version(package) for package in ("casadi", "pin", "numpy")}
         results = {
             "machine": machine,
