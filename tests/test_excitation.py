@@ -15,10 +15,7 @@ from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.excitation import (
     INERTIAL,
-    PROTOTYPE_SPRINGS,
-    PROTOTYPE_SWEEP,
     Limits,
-    PlannedRecording,
     Question,
     Rig,
     Search,
@@ -27,15 +24,13 @@ from rrr_oc.excitation import (
     excite,
     information,
     model_sensitivity,
-    protocol,
     robot_limits,
     sensitivity,
-    sweep,
-    write_trajectory,
 )
 from rrr_oc.importers.prototype import import_prototype
 from rrr_oc.model import Model
 from rrr_oc.robot import Robot, load_robot
+from rrr_oc.sweeps import PROTOTYPE_SPRINGS, PROTOTYPE_SWEEP, PlannedRecording, protocol, sweep, write_trajectory
 
 RAW = Path(__file__).resolve().parents[2] / "shared/recordings/rrr_prototype"
 FRICTION = ("viscous_friction", "dry_friction")

@@ -27,7 +27,7 @@ LADDER = (
     ("recordings", ("recording_header", "plausibility")),
     ("recordings", ("recordings",)),
     ("recordings", ("importers.*", "calibrated")),
-    ("recordings", ("importers", "regression")),
+    ("recordings", ("importers", "regression", "sweeps")),
     ("recordings", ("inference", "excitation", "signatures")),
     ("recordings", ("calibrate", "evidence")),
     ("recordings", ("diagnose",)),
