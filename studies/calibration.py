@@ -162,7 +162,7 @@ def draw_coverage(recordings: RecordingSet, motions: dict[str, dict[str, np.ndar
                 label = f"{name}: {shares[name][joint]:.0%} outside"
                 axis.plot(*np.degrees(by_joint[joint][:2]), lw=1.5, color=colours[k % 10], label=label)
         axis.set(title=joint, xlabel="position [°]", ylabel="speed [°/s]")
-        axis.legend(fontsize=8, markerscale=8)
+        axis.legend(fontsize=8, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     return figure
 
 
