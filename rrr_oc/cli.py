@@ -13,6 +13,9 @@ from rich.table import Table
 from rrr_oc.calibrate import calibrate as calibrate_inverse
 from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, load_model, save_model
+from rrr_oc.diagnosis import diagnose as diagnose_recordings
+from rrr_oc.diagnosis import to_json
+from rrr_oc.diagnosis_report import write_diagnosis
 from rrr_oc.errors import UserError
 from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.files import write_json
@@ -67,6 +70,22 @@ def calibrate(
     save_model(model, out / "model.json")
     _show_model(model)
     console.print(f"{out / 'model.json'} holds the model.", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def diagnose(
+    dataset: Dataset,
+    out: Annotated[Path, typer.Option(help="folder for diagnosis.json, model.json, report.html and figures")],
+    jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
+) -> None:
+    """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
+    recordings = load_recordings(dataset)
+    with console.status("reading") as status:
+        found = diagnose_recordings(recordings, lambda line: status.update(line), jobs)
+        status.update("writing the report")
+        write_diagnosis(found, out)
+    _show_diagnosis(to_json(found))
+    console.print(f"{out} holds diagnosis.json, model.json and report.html.", highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -169,6 +188,34 @@ def _show_model(model: CalibratedModel) -> None:
     base = model.report.get("base_parameters", [])
     if base:
         console.print(f"{len(base)} base inertial parameters were identified; model.json lists them with their intervals.")
+
+
+def _show_diagnosis(found: dict[str, Any]) -> None:
+    console.print(f"Verdict: {found['verdict']}")
+    table = Table("effect", "joint", "recordings", "parameters", "share of error", "as good")
+    for effect in found["effects"]:
+        values = ", ".join(f"{k} = {_value(v['value'])} {v['unit']}".strip() for k, v in effect["parameters"].items())
+        joint, files = effect["joint"], effect["recordings"]
+        table.add_row(
+            effect["effect"],
+            "" if joint is None else joint if isinstance(joint, str) else ", ".join(joint),
+            files if isinstance(files, str) else ", ".join(files),
+            values,
+            f"{effect['share_of_error']:.2f}",
+            ", ".join(effect["indistinguishable_from"]),
+        )
+    if found["effects"]:
+        console.print(table)
+    for other in found["unexplained"]:
+        console.print(f"Unexplained: {other['description']}.", soft_wrap=True)
+    errors = Table("joint", "NRMSE held out, before", "after")
+    for joint, before in found["nrmse"]["held_out"]["before"].items():
+        errors.add_row(joint, _shown(before), _shown(found["nrmse"]["held_out"]["after"][joint]))
+    console.print(errors)
+
+
+def _value(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _show_errors(result: dict[str, Any]) -> None:

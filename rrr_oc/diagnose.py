@@ -5,7 +5,7 @@ superfluous leaves again, until nothing is left beyond chance. Then each effect 
 that do as well are its rivals.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,16 +13,21 @@ from scipy.stats import chi2
 
 from rrr_oc.calibrate import bounds
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
+from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench, Candidate, Evidence, correlation, robust_p
 from rrr_oc.inference import box_step, normal_equations
-from rrr_oc.regression import STRIDE, Rows, rows
+from rrr_oc.regression import STRIDE, Rows, noise, rows
 from rrr_oc.signatures import trials, view
 
 MOST = 8  # effects
 TRIED = 4  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 1e-3  # p-value of the robust test, all trials together
+LEAST_SHARE = 0.01  # of the squared residual of a joint before any effect is added, for an effect to be named
+FLOOR = 1.1  # of the deviation that the noise accounts for
+MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
+ROUNDING = 1e-10  # Nm
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
 
 
@@ -77,6 +82,7 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
     """All parameters of a model, fitted to a bench within their bounds; inertial ones freely where they are unknown."""
     found = rows(bench.prepared, model, bench.identify)
     for _ in range(steps):
+        found = _without_rounding(found, model)
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
         values = _values(model)
@@ -99,21 +105,47 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
     return Fitted(model, found)
 
 
+def _without_rounding(found: Rows, model: CalibratedModel) -> Rows:
+    """The rows without derivatives that are nothing but rounding, as those by a mass that no motion shows."""
+    values = np.ones(found.jacobian.shape[2])
+    values[: len(_values(model))] = np.maximum(np.abs(_values(model)), 1.0)
+    nothing = np.max(np.abs(found.jacobian), axis=(0, 1)) * values < ROUNDING
+    return replace(found, jacobian=np.where(nothing, 0.0, found.jacobian)) if nothing.any() else found
+
+
 def search(
-    bench: Bench, model: CalibratedModel, report: Callable[[str], None] = lambda _: None
+    bench: Bench,
+    model: CalibratedModel,
+    report: Callable[[str], None] = lambda _: None,
+    contest: bool = True,
+    unnamed_too: bool = True,
 ) -> tuple[Fitted, list[Finding]]:
-    """The model with the effects that the recordings hold beyond chance, and what speaks for each, most important first."""
+    """The model with the effects that the recordings hold beyond chance, and what speaks for each, most important first.
+
+    Args:
+        report: Is told what happens, a line at a time.
+        contest: Whether each effect must hold against others in its place in the end.
+        unnamed_too: Whether torques that no law of the catalogue describes are looked for.
+    """
     base = len(model.terms)
     fitted = refit(bench, model)
     plain = fitted
     first = evidence = gathered(bench, fitted.model)
     while len(fitted.model.terms) - base < MOST:
-        chosen = _next(bench, evidence, fitted, report)
+        chosen = _next(bench, evidence, plain, fitted, unnamed_too, report)
         if chosen is None:
             break
         fitted = _pruned(bench, chosen, base, report)
         evidence = gathered(bench, fitted.model)
-    return _contested(bench, plain, fitted, base, first, report)
+    return _contested(bench, plain, fitted, base, first, report) if contest else (fitted, [])
+
+
+def unnamed(bench: Bench, model: CalibratedModel, joints: Sequence[int]) -> Evidence:
+    """The evidence for torques on these joints that no law of the catalogue describes."""
+    seen = view(bench.prepared, model)
+    loads = np.concatenate([model.torques(p.recording)[1] for p in bench.prepared], axis=1)
+    load = np.quantile(loads, 0.002, axis=1), np.quantile(loads, 0.998, axis=1)
+    return Evidence.gather(bench, model, [t for j in joints for t in Empirical.surfaces(seen, j, load)])
 
 
 def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
@@ -122,18 +154,48 @@ def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
     return Evidence.gather(bench, model, trials(seen, model.torque))
 
 
-def _next(bench: Bench, evidence: Evidence, fitted: Fitted, report) -> Fitted | None:
-    """The model with the best further effect; None where nothing is beyond chance."""
+def _next(bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, unnamed_too: bool, report) -> Fitted | None:
+    """The model with the best further effect, or empirical term where no effect comes near it; None where all is chance."""
+    named = _best(bench, contenders(evidence, fitted.model), plain, fitted)
+    joints = () if not unnamed_too else _noisy(bench, fitted) if named is None else _joints(evidence, named[2])
+    surfaces = [c for j in joints for c in contenders(unnamed(bench, fitted.model, [j]), fitted.model)[:2]]
+    other = _best(bench, surfaces, plain, fitted)
+    if named is None and other is None:
+        return None
+    chosen = other if named is None or (other is not None and other[0] > MARGIN * named[0] + SAME) else named
+    assert chosen is not None
+    report(f"{described(chosen[2], fitted.model)}: evidence {chosen[0]:.0f}")
+    return chosen[1]
+
+
+def _best(
+    bench: Bench, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted
+) -> tuple[float, Fitted, Candidate] | None:
+    """Score, fit and candidate of the best that is beyond chance and explains a share of the error worth a name."""
     best = None
-    for candidate in contenders(evidence, fitted.model):
+    for candidate in candidates:
         tried = refit(bench, extended(fitted.model, candidate))
         score = tried.better_than(fitted) - candidate.penalty
-        if score > 0 and (best is None or score > best[0]):
+        share = np.max((fitted.squares - tried.squares) / plain.squares)
+        if score > 0 and share > LEAST_SHARE and (best is None or score > best[0]):
             best = (score, tried, candidate)
-    if best is None:
-        return None
-    report(f"{described(best[2], fitted.model)}: evidence {best[0]:.0f}")
-    return best[1]
+    return best
+
+
+def _noisy(bench: Bench, fitted: Fitted) -> list[int]:
+    """The joints with more residual than the noise of single samples accounts for."""
+    passed = np.sqrt(
+        np.mean(np.concatenate([np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]))
+    )
+    floor = noise(bench.prepared, fitted.model) * passed
+    return np.flatnonzero(fitted.rows.deviation() > FLOOR * floor).tolist()
+
+
+def _joints(evidence: Evidence, candidate: Candidate) -> list[int]:
+    """The joint on which a candidate explains most."""
+    k = next(k for k, t in enumerate(evidence.table.trials) if t is candidate.trial)
+    change = evidence.signature(k, candidate.scope) @ candidate.coefficients
+    return [int(np.argmax(evidence.weights * np.sum(change**2, axis=1)))]
 
 
 def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
@@ -229,14 +291,19 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
         evidence = first if alone else gathered(bench, less.model)
         own = fitted.model.terms[i]
         rivals, best = [], None
-        for candidate in _rivals(evidence, less.model, fitted.better_than(less), own):
+        for candidate in _rivals(evidence, less.model, own):
             tried = refit(bench, extended(less.model, candidate))
-            lead = tried.better_than(fitted) - (len(candidate.trial.effect.parameters) - len(own.estimates)) * np.log(1000.0)
-            if lead > 0 and tried.better_than(fitted) > SAME and (best is None or lead > best[0]):
-                best = (lead, tried)
-            elif tried.better_than(fitted) > -SAME:
+            better = tried.better_than(fitted)
+            simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
+            lead = better + simpler * SAME
+            if lead > (0 if simpler > 0 else SAME) and better > -SAME and (best is None or lead > best[0]):
+                best = (lead, tried, candidate)
+            if better > -SAME:
                 rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
         if best is not None:
+            ousted = (own.effect.name, own.effect.joints)
+            taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
+            rivals = [r for r in rivals if r != taker] + ([ousted] if fitted.better_than(best[1]) > -SAME else [])
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
             terms = list(best[1].model.terms)
             terms.insert(i, terms.pop())
@@ -256,15 +323,17 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
 
 
-def _rivals(evidence: Evidence, model: CalibratedModel, likelihood: float, own: Term) -> list[Candidate]:
+def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candidate]:
     """The best candidates in an effect's place other than itself, one for each effect at its joints."""
     result: list[Candidate] = []
-    for candidate in evidence.candidates():
+    every = evidence.candidates()
+    most = max((c.likelihood for c in every), default=0.0)
+    for candidate in every:
         effect = candidate.trial.effect
         itself = (effect.name, effect.joints) == (own.effect.name, own.effect.joints)
         if itself or any(_key(c)[:2] == _key(candidate)[:2] for c in result) or _present(candidate, model):
             continue
-        if candidate.likelihood < 0.5 * likelihood or len(result) >= 6:
+        if candidate.likelihood < 0.6 * most or len(result) >= 5:
             break
         result.append(candidate)
     return result

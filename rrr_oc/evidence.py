@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Trial
+from rrr_oc.effects.empirical import Empirical
 from rrr_oc.regression import STRIDE, Prepared, Rows, kept_rows, rows
 from rrr_oc.signatures import Table, context, table
 
@@ -21,7 +22,7 @@ LONGEST = 0.6  # [s], of the lags over which residuals are correlated
 WHITE = 0.11  # [s], over which the common filter correlates white noise
 NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
 BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
-FIRST = 60  # trials, by quadratic gain, whose likelihood is worked out
+FIRST = 40  # effects, by quadratic gain, whose likelihood is worked out
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,8 @@ class Bench:
             identify,
         )
 
-    def without(self, number: int) -> "Bench":
-        """The bench less one recording."""
-        keep = [i for i in range(len(self.prepared)) if i != number]
+    def part(self, keep: Sequence[int]) -> "Bench":
+        """The bench of some of the recordings."""
         counts = np.diff(self.edges)[keep]
         return Bench(
             tuple(self.prepared[i] for i in keep),
@@ -61,6 +61,11 @@ class Bench:
             tuple(self.groups[i] for i in keep),
             self.identify,
         )
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.prepared[0].measured)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -141,19 +146,28 @@ class Evidence:
         total = self.products.sum(axis=0)
         inverse = pseudo_inverse(total[: self.size, : self.size])
         left = total - total[:, : self.size] @ inverse @ total[: self.size]
-        found = []
+        best: dict[tuple, tuple] = {}  # of each effect at its joints, everywhere and in some groups
         for k, trial in enumerate(self.table.trials):
             c = self._columns(k)
             options = [(None, *_solve(left[np.ix_(c, c)], left[c, -1], np.diag(total)[c]))]
             if scoped and trial.effect.local and len(self.bench.labels) > 1:
                 options += self._scopes(c, total, inverse, options[0][1])
             for scope, gain, coefficients, dimensions in options:
-                if dimensions and gain > 0:
-                    found.append((gain - 2 * dimensions, k, scope, coefficients, dimensions))
-        found.sort(key=lambda one: -one[0])
+                cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))
+                kind = (trial.effect if isinstance(trial.effect, Empirical) else trial.effect.name), trial.effect.joints
+                key = (*kind, scope is None)
+                if dimensions and gain > 0 and self._possible(k, coefficients) and gain - cost > best.get(key, (0.0,))[0]:
+                    best[key] = (gain - cost, k, scope, coefficients, dimensions)
+        found = sorted(best.values(), key=lambda one: -one[0])
         tests = max(len({(t.effect.name, t.effect.joints) for t in self.table.trials}), 2)
-        result = [self._judged(inverse, total, tests, *one[1:]) for one in found[:FIRST]]
-        return sorted((r for r in result if r is not None), key=lambda r: -r.score)
+        result = [self._judged(inverse, tests, *one[1:]) for one in found[:FIRST]]
+        return sorted(result, key=lambda r: -r.score)
+
+    def _possible(self, k: int, coefficients: np.ndarray) -> bool:
+        """Whether the parameters lie within their bounds."""
+        trial = self.table.trials[k]
+        theta = trial.effect.combined(trial.points, coefficients)
+        return all(p.lower <= theta[p.name] <= p.upper for p in trial.effect.parameters)
 
     def _columns(self, k: int) -> np.ndarray:
         return self.size + np.arange(self.table.start[k], self.table.start[k + 1])
@@ -186,12 +200,9 @@ class Evidence:
             result.append((tuple(labels[i] for i in sorted(chosen)), *best[1]))
         return result
 
-    def _judged(self, inverse, total, tests: int, k: int, scope, coefficients, dimensions: int) -> Candidate | None:
-        """The candidate with its likelihood; None where its parameters are impossible."""
+    def _judged(self, inverse, tests: int, k: int, scope, coefficients, dimensions: int) -> Candidate:
+        """The candidate with its likelihood."""
         trial = self.table.trials[k]
-        theta = trial.effect.combined(trial.points, coefficients)
-        if any(not p.lower <= theta[p.name] <= p.upper for p in trial.effect.parameters if p.name in theta):
-            return None
         after = np.sum(self.residual(k, coefficients, scope, inverse) ** 2, axis=1)
         before = np.sum(self.residual(None, coefficients, scope, inverse) ** 2, axis=1)
         ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))

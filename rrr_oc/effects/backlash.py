@@ -1,6 +1,6 @@
 """Play between motor and link."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,6 +16,9 @@ class Backlash(Effect):
 
     Pressed to an end of the gap, q_link = theta − (gap/2) sgn(tau_l). Between the ends the drive transmits nothing and the link moves
     by itself, M x'' = −(tau_rigid + K x) with x = q_link − theta, until it meets the other end, where it stays.
+
+    Attributes:
+        impacts: Whether what it takes to speed up the link in the gap, and to stop it, counts; of a wide gap it cannot be foretold.
     """
 
     name = "backlash"
@@ -24,6 +27,8 @@ class Backlash(Effect):
     amplitudes = ("gap",)
     side = "motion"
     simulated = True
+
+    impacts: bool = field(default=True)
 
     def torque(self, signals, theta, width):
         return (0 * signals.q[self.joints[0]],)
@@ -43,10 +48,12 @@ class Backlash(Effect):
                 if x >= half or x <= -half:
                     x, v = (half if x > 0 else -half), 0.0
             result[2, k] = (v - before) / h
-        return result
+        return result * np.array([[1.0], [self.impacts], [self.impacts]])
 
     @classmethod
     def trials(cls, view):
         for j in range(view.n):
             for gap in (0.002, 0.006, 0.02, 0.05, 0.11, 0.2):
-                yield Trial(cls((j,)), ({"gap": gap},), gap)
+                for impacts in (True, False):
+                    if gap > 0.01 or impacts:
+                        yield Trial(cls((j,), impacts), ({"gap": gap},), gap)

@@ -53,14 +53,13 @@ class Empirical(Effect):
         for (kind, j), low, high in zip(self.variables, self.low, self.high, strict=True):
             x = signals.time if kind == "time" else getattr(signals, kind)[j]
             scaled.append(fmin(fmax((x - low) / (high - low), 0.0), 1.0))
-        waves = [[cos(np.pi * k * x) for k in range(o + 1)] for x, o in zip(scaled, self.orders, strict=True)]
         total = 0.0
         for name, powers in zip(self.amplitudes, self.powers, strict=True):
             value = theta[name]
             if isinstance(value, float) and value == 0.0:
                 continue
-            for wave, k in zip(waves, powers, strict=True):
-                value = value * wave[k]
+            for x, k in zip(scaled, powers, strict=True):
+                value = value * cos(np.pi * k * x) if k else value
             total = total + value
         if self.signed:
             total = total * sign(signals.dq[self.joints[0]], width)
@@ -95,7 +94,7 @@ class Empirical(Effect):
             return Trial(effect, tuple(zero | {a: 1.0} for a in effect.amplitudes), width=effect.sign_width(view))
 
         for v in ranges:
-            for order in (3, 8, 20) if v[0] == "q" else (3, 8):
+            for order in (3, 8, 20, 45) if v == ("q", j) else (3, 8):
                 for signed in (False, True):
                     if not (signed and v == ("dq", j)):
                         yield one([v], [order], signed)

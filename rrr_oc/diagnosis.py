@@ -1,0 +1,406 @@
+"""The diagnosis of a recording set: where a calibrated model fails, what it lacks, and how well it predicts once that is added."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rrr_oc import parallel
+from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
+from rrr_oc.calibrated import CalibratedModel, Term
+from rrr_oc.diagnose import Finding, Fitted, refit, search
+from rrr_oc.effects.empirical import Empirical
+from rrr_oc.evidence import Bench
+from rrr_oc.nrmse import error
+from rrr_oc.recordings import RecordingSet
+from rrr_oc.regression import Prepared, prepare, rows, without_spikes
+
+FORMAT = "rrr_oc-diagnosis/1"
+FOLDS = 4  # of the recordings, each held out once
+BLOCKS = 4  # of the only recording
+BINS = 12  # of a variable, when it is asked where the error is
+NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
+VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What each effect is worth on recordings that took part in no fit.
+
+    Attributes:
+        share: Fall of the squared residual with the effect, over what it was before any effect, one an effect.
+        before, after: NRMSE of the effect's joints without and with it, one an effect.
+    """
+
+    share: tuple[float, ...]
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found.
+
+    Attributes:
+        recordings: The set.
+        plain, model: Without and with the effects, both calibrated on all recordings.
+        findings: The effects, most important first; empirical terms among them.
+        shares: As `findings`.
+        calibration: NRMSE of each joint with the plain and the extended model on all recordings, two of (n,).
+        held_out: The same on recordings that took part in no fit and no choice.
+        way: "recordings" or "blocks": what was held out.
+        mismatch: One entry a joint, as in the file.
+    """
+
+    recordings: RecordingSet
+    plain: CalibratedModel
+    model: CalibratedModel
+    findings: tuple[Finding, ...]
+    shares: Shares
+    calibration: tuple[np.ndarray, np.ndarray]
+    held_out: tuple[np.ndarray, np.ndarray]
+    way: str
+    mismatch: tuple[dict[str, Any], ...]
+
+    @property
+    def verdict(self) -> str:
+        """One of `VERDICTS`."""
+        if not self.findings:
+            return "nothing_missing"
+        undecided = all(len(f.rivals) > 3 for f in self.findings if not isinstance(f.term.effect, Empirical))
+        named = any(not isinstance(f.term.effect, Empirical) for f in self.findings)
+        return "cannot_tell" if named and undecided else "missing_physics"
+
+
+def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _: None, jobs: int = -1) -> Diagnosis:
+    """Diagnose a recording set.
+
+    Args:
+        report: Is told what happens, a line at a time.
+        jobs: Processes for the held-out fits (-1: one a core).
+
+    Raises:
+        UserError: The recordings are too short for the filter.
+    """
+    report("calibrating the plain model")
+    prepared = prepare(recordings)
+    start = with_widths(prepared, plain_model(recordings))
+    plain = _final(recordings, prepared, start)
+    prepared = without_spikes(prepared, plain)
+    unknown = recordings.inertial == "identify"
+    bench = Bench.of(prepared, unknown)
+    report("looking for effects")
+    begin = replace(start, robot=plain.robot) if unknown else start
+    fitted, findings = search(bench, begin, report)
+    way, folds = _folds(bench)
+    model, shares = plain, Shares((), (), ())
+    empirical = any(isinstance(f.term.effect, Empirical) for f in findings)
+    held = [(bench, begin, fold, bool(findings), empirical) for bench, fold in folds]
+    report("fitting without the recordings that are held out")
+    outcomes = parallel.ordered(_held_out, held, 1 if not findings else jobs)
+    held_out = _mean([o[0] for o in outcomes]), _mean([o[1] for o in outcomes])
+    if findings:
+        report("what each effect is worth on recordings held out")
+        ordered = replace(fitted.model, terms=(*start.terms, *(f.term for f in findings)))
+        shares = _shares(folds, ordered, len(start.terms))
+        model = _final(recordings, prepared, ordered)
+        findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
+    calibration = _nrmse(bench, plain), _nrmse(bench, model)
+    mismatch = _mismatch(bench, refit(bench, begin), fitted, findings, calibration[0], held_out[0])
+    return Diagnosis(recordings, plain, model, tuple(findings), shares, calibration, held_out, way, mismatch)
+
+
+def _final(recordings: RecordingSet, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
+    """The model with estimates, intervals and report."""
+    way = identify if recordings.inertial == "identify" else fit_terms
+    return way(recordings, prepared, model).model
+
+
+def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
+    """Benches with the numbers of the recordings to hold out; an only recording is cut into blocks."""
+    count = len(bench.prepared)
+    if count == 1:
+        bench, count, way = _blocks(bench), BLOCKS, "blocks"
+    else:
+        way = "recordings"
+    number = min(count, FOLDS)
+    return way, [(bench, [i for i in range(count) if i % number == k]) for k in range(number)]
+
+
+def _blocks(bench: Bench) -> Bench:
+    (only,) = bench.prepared
+    r, pieces = only.recording, []
+    for part in np.array_split(np.arange(len(r.t)), BLOCKS):
+        a, b = int(part[0]), int(part[-1]) + 1
+        arrays = {k: getattr(r, k)[..., a:b] for k in ("t", "q", "dq", "ddq", "tau", "payload")}
+        segments = tuple(
+            slice(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments if min(s.stop, b) - max(s.start, a) > 10
+        )
+        piece = replace(r, **arrays, segments=segments)
+        pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
+    return Bench.of(pieces, bench.identify)
+
+
+def _held_out(
+    bench: Bench, start: CalibratedModel, fold: list[int], look: bool, unnamed_too: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """NRMSE on the fold with the plain and the extended model, fitted to and chosen on the rest, each (recordings, n)."""
+    train = bench.part([i for i in range(len(bench.prepared)) if i not in fold])
+    plain = refit(train, replace(start, compiled={}))
+    after = search(train, plain.model, contest=False, unnamed_too=unnamed_too)[0] if look else plain
+    return _errors(bench.part(fold), plain.model), _errors(bench.part(fold), after.model)
+
+
+def _errors(bench: Bench, model: CalibratedModel) -> np.ndarray:
+    found = []
+    for p in bench.prepared:
+        r = p.recording
+        found.append(error(r.t, p.measured, model.output_torque(r), r.segments)["nrmse"])
+    return np.array(found)
+
+
+def _nrmse(bench: Bench, model: CalibratedModel) -> np.ndarray:
+    return _mean([_errors(bench, model)])
+
+
+def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
+    """Over recordings, where a joint moves; NaN where it never does."""
+    whole = np.concatenate(errors)
+    known = np.isfinite(whole)
+    return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
+def _shares(folds: Sequence[tuple[Bench, list[int]]], model: CalibratedModel, base: int) -> Shares:
+    """Effects are added one after the other, most important first; everything is fitted to the rest of the recordings each time."""
+    count = len(model.terms) - base
+    squares, errors = np.zeros((count + 1, model.robot.n)), []
+    for bench, fold in folds:
+        train, test = bench.part([i for i in range(len(bench.prepared)) if i not in fold]), bench.part(fold)
+        found = []
+        for k in range(count + 1):
+            there = refit(train, replace(model, terms=model.terms[: base + k]), steps=5).model
+            squares[k] += np.sum(rows(test.prepared, there).residual ** 2, axis=1)
+            found.append(_errors(test, there))
+        errors.append(found)
+    nrmse = np.array([_mean([e[k] for e in errors]) for k in range(count + 1)])
+    total = np.sum(squares / squares[-1], axis=1)  # joints weigh by the noise that is left
+    joints = [list(t.effect.joints) or list(range(model.robot.n)) for t in model.terms[base:]]
+    return Shares(
+        tuple(float((total[k] - total[k + 1]) / total[0]) for k in range(count)),
+        tuple(float(np.nanmean(nrmse[k][j])) for k, j in enumerate(joints)),
+        tuple(float(np.nanmean(nrmse[k + 1][j])) for k, j in enumerate(joints)),
+    )
+
+
+def _mismatch(
+    bench: Bench, plain: Fitted, fitted: Fitted, findings: Sequence[Finding], calibration: np.ndarray, held_out: np.ndarray
+) -> tuple[dict[str, Any], ...]:
+    """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end."""
+    result, joints = [], plain.model.joints
+    growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)
+    variables = _variables(bench, plain.model)
+    for j, joint in enumerate(joints):
+        own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
+        p = min((f.p_value for f in own), default=1.0)
+        significant = bool(p < 1e-3 and growth[j] > 0.01)
+        if not significant and findings and growth[j] > 0.1:  # an effect elsewhere shows here too
+            significant, p = True, min(f.p_value for f in findings)
+        moving = plain.rows.moving[j]
+        error = (plain.rows.residual[j] ** 2) * moving
+        left = np.array([float(np.mean(e)) for e in np.split(error, bench.edges[1:-1])])
+        floor = float(np.mean((fitted.rows.residual[j] ** 2) * moving))
+        files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor]
+        result.append(
+            {
+                "joint": joint,
+                "significant": significant,
+                "p_value": p,
+                "nrmse": {"calibration": _number(calibration[j]), "held_out": _number(held_out[j])},
+                "where": _where(error, moving, j, joint, variables) if significant else [],
+                "recordings": list(dict.fromkeys(files)) if significant else [],
+            }
+        )
+    return tuple(result)
+
+
+def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
+    """What error may depend on, at the rows kept: (n, M) by name, with units."""
+    parts: dict[str, list[np.ndarray]] = {}
+    units = {
+        "q": "rad",
+        "dq": "rad/s",
+        "ddq": "rad/s²",
+        "load_torque": "Nm",
+        "time": "s",
+        "payload": "kg",
+        "spring_torque": "Nm",
+    }
+    for p in bench.prepared:
+        r, n = p.recording, model.robot.n
+        load = model.torques(r)[1]
+        springs = replace(model, terms=())
+        without = replace(r, springs=())
+        pull = springs.torques(without)[1] - springs.torques(r)[1] if r.springs else np.zeros_like(load)
+        values = {
+            "q": r.q,
+            "dq": r.dq,
+            "ddq": r.ddq,
+            "load_torque": load,
+            "time": np.tile(r.t - r.t[0], (n, 1)),
+            "payload": np.tile(r.payload, (n, 1)),
+            "spring_torque": pull,
+        }
+        for name, value in values.items():
+            parts.setdefault(name, []).append((p.matrix @ value.T).T)
+    return {name: (np.concatenate(found, axis=1), units[name]) for name, found in parts.items()}
+
+
+def _where(
+    error: np.ndarray, moving: np.ndarray, j: int, joint: str, variables: Mapping[str, tuple[np.ndarray, str]]
+) -> list[dict[str, Any]]:
+    """The ranges of up to three variables in which the error is densest: half of it and more, in the least time."""
+    found = []
+    total = float(error.sum()) or 1.0
+    for name, (values, unit) in variables.items():
+        x = values[j][moving]
+        if not len(x) or np.ptp(x) <= 1e-9:
+            continue
+        edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+        bins = np.clip(np.searchsorted(edges, values[j], side="right") - 1, 0, len(edges) - 2)
+        power = np.bincount(bins, weights=error, minlength=len(edges) - 1) / total
+        time = np.bincount(bins, weights=moving, minlength=len(edges) - 1) / max(moving.sum(), 1)
+        best = None
+        for a in range(len(power)):
+            for b in range(a + 1, len(power) + 1):
+                inside, lasting = float(power[a:b].sum()), float(time[a:b].sum())
+                if inside >= 0.5 and lasting > 0 and (best is None or inside - lasting > best[0]):
+                    best = (inside - lasting, a, b, inside, lasting)
+        if best is not None and best[0] > 0.05:
+            label = f"{name}_{joint}" if name in ("q", "dq", "ddq") else name
+            found.append((best[0], {
+                "variable": label, "range": [float(edges[best[1]]), float(edges[best[2]])], "unit": unit,
+                "share_of_error": best[3], "share_of_time": best[4],
+            }))  # fmt: skip
+    return [entry for _, entry in sorted(found, key=lambda one: -one[0])[:3]]
+
+
+def to_json(diagnosis: Diagnosis, suggestions: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+    """The content of `diagnosis.json`."""
+    model, joints = diagnosis.model, diagnosis.model.joints
+    effects, unexplained = [], []
+    for i, finding in enumerate(diagnosis.findings):
+        if isinstance(finding.term.effect, Empirical):
+            unexplained.append(_unexplained(diagnosis, i))
+        else:
+            effects.append(_effect(diagnosis, i))
+    by_joint = {
+        key: {
+            when: dict(zip(joints, map(_number, values), strict=True))
+            for when, values in zip(("before", "after"), pair, strict=True)
+        }
+        for key, pair in (("calibration", diagnosis.calibration), ("held_out", diagnosis.held_out))
+    }
+    return {
+        "format": FORMAT,
+        "verdict": diagnosis.verdict,
+        "held_out": diagnosis.way,
+        "mismatch": list(diagnosis.mismatch),
+        "effects": effects,
+        "unexplained": unexplained,
+        "suggested_recordings": list(suggestions),
+        "nrmse": by_joint,
+        "versions": dict(model.versions),
+    }
+
+
+def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
+    finding, shares = diagnosis.findings[i], diagnosis.shares
+    return {
+        "effect": finding.term.effect.name,
+        "joint": _joint(finding.term, diagnosis.model.joints),
+        "recordings": files_of(finding.term, diagnosis.recordings),
+        "equation": finding.term.effect.equation,
+        "parameters": _parameters(finding.term),
+        "share_of_error": shares.share[i],
+        "p_value": finding.p_value,
+        "nrmse": {"held_out_before": _number(shares.before[i]), "held_out_after": _number(shares.after[i])},
+        "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
+        "rivals": [{"effect": name, "joint": _names(j, diagnosis.model.joints)} for name, j in finding.rivals],
+    }
+
+
+def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
+    finding, joints = diagnosis.findings[i], diagnosis.model.joints
+    effect = finding.term.effect
+    assert isinstance(effect, Empirical)
+    named = [_variable(kind, j, joints) for kind, j in effect.depends_on]
+    validity = [
+        {"variable": _variable(kind, j, joints), "range": [low, high]}
+        for (kind, j), low, high in zip(effect.variables, effect.low, effect.high, strict=True)
+    ]
+    joint = joints[effect.joints[0]]
+    return {
+        "joint": joint,
+        "depends_on": named,
+        "recordings": files_of(finding.term, diagnosis.recordings),
+        "share_of_error": diagnosis.shares.share[i],
+        "p_value": finding.p_value,
+        "validity": validity,
+        "description": f"a torque on {joint} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
+        f"the model carries it as a sum of {len(effect.amplitudes)} cosines, valid in the ranges given",
+    }
+
+
+def _variable(kind: str, j: int, joints: Sequence[str]) -> str:
+    if kind == "load":
+        return "load_torque"
+    if kind == "time":
+        return "time"
+    return f"sign(dq_{joints[j]})" if kind == "sign" else f"{kind}_{joints[j]}"
+
+
+def files_of(term: Term, recordings: RecordingSet) -> str | list[str]:
+    """The recordings that have an effect, as in the file."""
+    if term.recordings == "all":
+        return "all"
+    return [r.file for r in recordings.recordings if term.holds_for(r)]
+
+
+def _parameters(term: Term) -> dict[str, Any]:
+    """Values with standard errors and intervals; the components of a vector or matrix under one name."""
+    if term.effect.name == "link_inertial":
+        e = term.estimates
+        order = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
+        std = [x.std for x in e]
+        return {
+            "mass": {"value": e[0].value, "std": std[0], "unit": "kg"},
+            "first_moment": {"value": [x.value for x in e[1:4]], "std": std[1:4], "unit": "kg m"},
+            "inertia": {
+                "value": [[e[k].value for k in row] for row in order],
+                "std": [[std[k] for k in row] for row in order],
+                "unit": "kg m²",
+            },
+        }
+    result: dict[str, Any] = {}
+    for p, e in zip(term.effect.parameters, term.estimates, strict=True):
+        interval = None if e.interval is None else list(e.interval)
+        result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": interval}
+    for option in ("active", "winding", "form"):
+        if hasattr(term.effect, option):
+            value = getattr(term.effect, option)
+            result[option] = {"value": list(value) if isinstance(value, tuple) else value, "std": None, "unit": ""}
+    return result
+
+
+def _joint(term: Term, joints: Sequence[str]) -> Any:
+    return _names(term.effect.joints, joints)
+
+
+def _names(numbers: Sequence[int], joints: Sequence[str]) -> Any:
+    named = [joints[j] for j in numbers]
+    return None if not named else named[0] if len(named) == 1 else named
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
