@@ -13,7 +13,7 @@ import numpy as np
 from rrr_oc.effects import CATALOGUE, Effect, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.files import write_json
-from rrr_oc.model import Model
+from rrr_oc.model import Model, along
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.robot import BUNDLED, Robot, ToolPoint, load_robot
 
@@ -100,12 +100,11 @@ class Physics:
         values = (self.theta, self.widths, self.inertial)
         moving = any(effect.side == "motion" for effect in self.model.effects)
         if not moving and not len(states):
-            motor, load = self.model.motor_inverse(*inputs, *values)
-            return np.array(motor), np.array(load)
+            motor, load = along(self.model.motor_inverse, *inputs, *values)
+            return motor, load
         motor = load = np.zeros_like(recording.q)
         for _ in range(PASSES if moving else 1):  # the shift depends on the load, and the load on the shift
-            found = self.model.recorded_inverse(*inputs, *values, self.shift(recording, load), states)
-            motor, load = np.array(found[0]), np.array(found[1])
+            motor, load = along(self.model.recorded_inverse, *inputs, *values, self.shift(recording, load), states)
         return motor, load
 
     def shift(self, recording: Recording, load: np.ndarray) -> np.ndarray:
@@ -125,8 +124,8 @@ class Physics:
             shift[:] = 0.0
             if row is not None:
                 shift[row] = step
-            torque = self.model.recorded_inverse(*inputs, self.theta, self.widths, self.inertial, shift, states)[1]
-            found.append((np.array(torque)[j], step))
+            torque = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, shift, states)[1]
+            found.append((torque[j], step))
         return (found[1][0] - found[0][0]) / 1e-4, found[2][0] - found[0][0]
 
     def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
@@ -145,7 +144,9 @@ class Physics:
         for effect, theta, width in self.named():
             if effect.states:
                 found.append(
-                    along(recording, effect, lambda z, e=effect, t=theta, w=width: e.rate(replace(signals, states=z), t, w))
+                    states_along(
+                        recording, effect, lambda z, e=effect, t=theta, w=width: e.rate(replace(signals, states=z), t, w)
+                    )
                 )
         return np.concatenate([*found, np.zeros((0, len(recording.t)))])
 
@@ -191,7 +192,7 @@ def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
     return result
 
 
-def along(recording: Recording, effect: Effect, rate: Any) -> np.ndarray:
+def states_along(recording: Recording, effect: Effect, rate: Any) -> np.ndarray:
     """States (number, K) of rates that are affine in them, each in its own, exactly over every sample's step.
 
     Args:

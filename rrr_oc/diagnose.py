@@ -20,7 +20,7 @@ from rrr_oc.regression import STRIDE, Rows, noise, rows
 from rrr_oc.signatures import trials, view
 
 MOST = 8  # effects
-TRIED = 4  # candidates that are fitted exactly in each round
+TRIED = 5  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 1e-3  # p-value of the robust test, all trials together
 LEAST_SHARE = 0.01  # of the squared residual of a joint before any effect is added, for an effect to be named
@@ -91,6 +91,8 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
         free = np.full(matrix.shape[0] - size, np.inf)
         step = box_step(matrix, right, np.concatenate([low - values, -free]), np.concatenate([high - values, free]))
         cost = float(weights @ np.sum(found.residual**2, axis=1))
+        if step @ (2 * right - matrix @ step) < TOLERANCE * cost:
+            break  # what is to be gained is nothing beside what is left
         for share in (1.0, 0.4, 0.1):
             there = _moved(model, values + share * step[:size], share * step[size:])
             tried = rows(bench.prepared, there, bench.identify)
@@ -156,25 +158,37 @@ def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
 
 def _next(bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, unnamed_too: bool, report) -> Fitted | None:
     """The model with the best further effect, or empirical term where no effect comes near it; None where all is chance."""
-    named = _best(bench, contenders(evidence, fitted.model), plain, fitted)
+    named = _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
     joints = () if not unnamed_too else _noisy(bench, fitted) if named is None else _joints(evidence, named[2])
-    surfaces = [c for j in joints for c in contenders(unnamed(bench, fitted.model, [j]), fitted.model)[:2]]
-    other = _best(bench, surfaces, plain, fitted)
+    others = []
+    for j in joints:
+        surfaces = unnamed(bench, fitted.model, [j])
+        others.append(_best(bench, surfaces, contenders(surfaces, fitted.model)[:2], plain, fitted))
+    other = max((o for o in others if o is not None), key=lambda o: o[0], default=None)
     if named is None and other is None:
         return None
     chosen = other if named is None or (other is not None and other[0] > MARGIN * named[0] + SAME) else named
     assert chosen is not None
     report(f"{described(chosen[2], fitted.model)}: evidence {chosen[0]:.0f}")
-    return chosen[1]
+    return refit(bench, chosen[1].model)
+
+
+def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> Fitted:
+    """The model with a candidate, fitted; where all is linear, as the evidence has it already."""
+    model, effect = extended(fitted.model, candidate), candidate.trial.effect
+    straight = len(effect.parameters) == len(effect.amplitudes) and effect.side in ("link", "drive", "sensor")
+    if not straight or effect.load_dependent or effect.name == "cable_harness":
+        return refit(bench, model)
+    return Fitted(model, replace(fitted.rows, residual=evidence.left_by(candidate)))
 
 
 def _best(
-    bench: Bench, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted
+    bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted
 ) -> tuple[float, Fitted, Candidate] | None:
     """Score, fit and candidate of the best that is beyond chance and explains a share of the error worth a name."""
     best = None
     for candidate in candidates:
-        tried = refit(bench, extended(fitted.model, candidate))
+        tried = fit_of(bench, evidence, fitted, candidate)
         score = tried.better_than(fitted) - candidate.penalty
         share = np.max((fitted.squares - tried.squares) / plain.squares)
         if score > 0 and share > LEAST_SHARE and (best is None or score > best[0]):
@@ -216,7 +230,7 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
 
 def _key(candidate: Candidate):
     effect = candidate.trial.effect
-    return effect.name, effect.joints, candidate.scope is None
+    return effect.name, effect.joints
 
 
 def _present(candidate: Candidate, model: CalibratedModel) -> bool:
@@ -292,7 +306,7 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
         own = fitted.model.terms[i]
         rivals, best = [], None
         for candidate in _rivals(evidence, less.model, own):
-            tried = refit(bench, extended(less.model, candidate))
+            tried = fit_of(bench, evidence, less, candidate)
             better = tried.better_than(fitted)
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
             lead = better + simpler * SAME
@@ -307,8 +321,7 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
             terms = list(best[1].model.terms)
             terms.insert(i, terms.pop())
-            fitted = Fitted(replace(best[1].model, terms=tuple(terms)), best[1].rows)
-            fitted = refit(bench, fitted.model)
+            fitted = refit(bench, replace(best[1].model, terms=tuple(terms)))
         dimensions = len(fitted.model.terms[i].effect.amplitudes)
         findings.append(
             Finding(
@@ -331,7 +344,7 @@ def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candi
     for candidate in every:
         effect = candidate.trial.effect
         itself = (effect.name, effect.joints) == (own.effect.name, own.effect.joints)
-        if itself or any(_key(c)[:2] == _key(candidate)[:2] for c in result) or _present(candidate, model):
+        if itself or any(_key(c) == _key(candidate) for c in result) or _present(candidate, model):
             continue
         if candidate.likelihood < 0.6 * most or len(result) >= 5:
             break

@@ -224,6 +224,12 @@ class Evidence:
             shift = inverse @ (total[:, -1] - cross @ coefficients)
         return self.rows.residual - self.rows.jacobian @ shift - change
 
+    def left_by(self, candidate: Candidate) -> np.ndarray:
+        """Residuals after the parameters and a candidate are fitted, (n, M)."""
+        k = next(k for k, t in enumerate(self.table.trials) if t is candidate.trial)
+        inverse = pseudo_inverse(self.products.sum(axis=0)[: self.size, : self.size])
+        return self.residual(k, candidate.coefficients, candidate.scope, inverse)
+
     def signature(self, k: int, scope) -> np.ndarray:
         """Columns of a trial at all rows, (n, M, m)."""
         c, result = np.arange(self.table.start[k], self.table.start[k + 1]), []

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import casadi as ca
@@ -16,6 +16,32 @@ from rrr_oc.robot import Robot, ToolPoint
 
 CHAIN = ("q", "dq", "ddq", "time", "payload", "theta", "widths", "inertial")  # arguments of `Model.motor_inverse`
 LISTED = ("parallel_spring", "biarticular_spring")  # what recordings may list
+
+
+def along(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
+    """Outputs of a Function at K instants, without casadi's copies; each (rows, columns · K), the instants side by side.
+
+    Args:
+        arguments: (rows, columns · K) each, or (rows, columns) for what is the same at all instants.
+    """
+    arrays = [np.asfortranarray(np.reshape(a, (len(a), -1)) if np.ndim(a) < 2 else a, float) for a in arguments]
+    counts = [a.shape[1] // max(function.size2_in(i), 1) for i, a in enumerate(arrays)]
+    count = max(counts)
+    mapped = _mapped(function, count, tuple(i for i, c in enumerate(counts) if c != count))
+    results = [np.empty(mapped.size_out(i), order="F") for i in range(mapped.n_out())]
+    buffer, evaluate = mapped.buffer()
+    for i, a in enumerate(arrays):
+        buffer.set_arg(i, memoryview(a.reshape(-1, order="F")))
+    for i, a in enumerate(results):
+        buffer.set_res(i, memoryview(a.reshape(-1, order="F")))
+    evaluate()
+    return results
+
+
+@lru_cache(maxsize=2000)
+def _mapped(function: ca.Function, count: int, same: tuple[int, ...]) -> ca.Function:
+    """The Function at so many instants, to which these arguments are common."""
+    return function.map("along", "serial", count, list(same), [])
 
 
 @dataclass(frozen=True)

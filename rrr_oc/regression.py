@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.sparse import csr_matrix
 
 from rrr_oc.calibrated import CalibratedModel, Physics
-from rrr_oc.model import CHAIN, Model
+from rrr_oc.model import CHAIN, Model, along
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
 
@@ -293,5 +293,5 @@ def _sensitivity(physics: Physics, recording: Recording, torque: str, by) -> np.
     columns = function.size2_out(0)
     if columns == 0:
         return np.zeros((model.robot.n, len(recording.t), 0))
-    found = function(*physics.inputs(recording), physics.theta, physics.widths, physics.inertial)
-    return np.array(found).reshape(model.robot.n, len(recording.t), columns)
+    (found,) = along(function, *physics.inputs(recording), physics.theta, physics.widths, physics.inertial)
+    return found.reshape(model.robot.n, len(recording.t), columns)

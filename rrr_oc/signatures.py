@@ -11,9 +11,10 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rrr_oc.calibrated import CalibratedModel, Physics, along, later, moved
+from rrr_oc.calibrated import CalibratedModel, Physics, later, moved, states_along
 from rrr_oc.effects import CATALOGUE, Body, Signals, Trial, View
 from rrr_oc.effects.dry_friction import DryFriction
+from rrr_oc.model import along
 from rrr_oc.recordings import Recording
 from rrr_oc.regression import Prepared, kept_rows
 from rrr_oc.rigid_body import with_payload
@@ -121,8 +122,8 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
     parts = []
     for k, link in enumerate(links):
         at = np.flatnonzero(which == k)
-        found = chain.load_partials(*(x[:, at] for x in motion), np.tile(link, len(at)), gravity, physics.theta, physics.widths)
-        parts.append((at, [np.array(x) for x in found[1:]]))
+        moving = [x[:, at] for x in motion]
+        parts.append((at, along(chain.load_partials, *moving, link, gravity, physics.theta, physics.widths)[1:]))
     widths_of = (n, n, n, 10 * n, 3)
     partials = tuple(np.empty((n, width, len(r.t))) for width in widths_of)
     for at, found in parts:
@@ -189,7 +190,9 @@ def _with_states(at: Context, trial: Trial, theta) -> Signals:
     if not trial.effect.states:
         return at.signals
     signals = at.signals
-    states = along(at.recording, trial.effect, lambda z: trial.effect.rate(replace(signals, states=z), theta, trial.width))
+    states = states_along(
+        at.recording, trial.effect, lambda z: trial.effect.rate(replace(signals, states=z), theta, trial.width)
+    )
     return replace(signals, states=list(states))
 
 

@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -35,16 +36,16 @@ class Empirical(Effect):
     orders: tuple[int, ...] = field(default=())
     signed: bool = field(default=False)
 
-    @property
+    @cached_property
     def powers(self) -> list[tuple[int, ...]]:
         """(k,) or (k, l) of each coefficient; the constant is no effect of a variable unless it turns with the direction."""
         return [p for p in itertools.product(*(range(o + 1) for o in self.orders)) if any(p)]
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return tuple(Parameter("c_" + "_".join(map(str, p)), "Nm", 0.0) for p in self.powers)
 
-    @property
+    @cached_property
     def amplitudes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return tuple(p.name for p in self.parameters)
 
