@@ -98,21 +98,23 @@ class Physics:
         """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
         inputs, states = self.inputs(recording), self.states(recording)
         values = (self.theta, self.widths, self.inertial)
-        moving = any(effect.side == "motion" for effect in self.model.effects)
-        if not moving and not len(states):
+        if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
             motor, load = along(self.model.motor_inverse, *inputs, *values)
             return motor, load
-        motor = load = np.zeros_like(recording.q)
-        for _ in range(PASSES if moving else 1):  # the shift depends on the load, and the load on the shift
-            motor, load = along(self.model.recorded_inverse, *inputs, *values, self.shift(recording, load), states)
+        motor, load = along(self.model.recorded_inverse, *inputs, *values, self.shift(recording), states)
         return motor, load
 
-    def shift(self, recording: Recording, load: np.ndarray) -> np.ndarray:
-        """What the links move otherwise than the recorded motion at a load torque: q, dq, ddq, one below the other, (3 n, K)."""
+    def shift(self, recording: Recording) -> np.ndarray:
+        """What the links move otherwise than the recorded motion: q, dq, ddq, one below the other, (3 n, K)."""
         total = np.zeros((3 * len(recording.q), len(recording.t)))
-        for effect, theta, width in self.named():
-            if effect.side == "motion":
-                total += moved(recording, effect, theta, width, load, self.reaction)
+        motion = [one for one in self.named() if one[0].side == "motion"]
+        inputs, states = self.inputs(recording), np.zeros((len(self.model.states), len(recording.t)))
+        for kind in (False, True):  # what a link does in its gap follows from the motion that all else makes
+            effects = [one for one in motion if one[0].simulated == kind]
+            base = total
+            for _ in range(PASSES if effects and not kind else len(effects[:1])):  # the shift depends on the load, and back
+                load = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, total, states)[1]
+                total = base + sum(moved(recording, *effect, load, self.reaction) for effect in effects)
         return total
 
     def reaction(self, recording: Recording, load: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ superfluous leaves again, until nothing is left beyond chance. Then each effect 
 that do as well are its rivals.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ from scipy.stats import chi2
 from rrr_oc.calibrate import bounds
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects.empirical import Empirical
-from rrr_oc.evidence import Bench, Candidate, Evidence, correlation, robust_p
+from rrr_oc.evidence import BLOCK, Bench, Candidate, Evidence, correlation, robust_p
 from rrr_oc.inference import box_step, normal_equations
 from rrr_oc.regression import STRIDE, Rows, noise, rows
 from rrr_oc.signatures import trials, view
@@ -23,6 +24,7 @@ MOST = 8  # effects
 TRIED = 5  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 1e-3  # p-value of the robust test, all trials together
+STEADY = 3.0  # standard errors by which a fit must be better
 LEAST_SHARE = 0.01  # of the squared residual of a joint before any effect is added, for an effect to be named
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
@@ -137,7 +139,7 @@ def search(
         chosen = _next(bench, evidence, plain, fitted, unnamed_too, report)
         if chosen is None:
             break
-        fitted = _pruned(bench, chosen, base, report)
+        fitted = _pruned(bench, plain, chosen, base, report)
         evidence = gathered(bench, fitted.model)
     return _contested(bench, plain, fitted, base, first, report) if contest else (fitted, [])
 
@@ -176,8 +178,9 @@ def _next(bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, unnam
 def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> Fitted:
     """The model with a candidate, fitted; where all is linear, as the evidence has it already."""
     model, effect = extended(fitted.model, candidate), candidate.trial.effect
-    straight = len(effect.parameters) == len(effect.amplitudes) and effect.side in ("link", "drive", "sensor")
-    if not straight or effect.load_dependent or effect.name == "cable_harness":
+    if effect.simulated:  # the prediction is no smooth function of its parameter, so that several starts are tried
+        return min((refit(bench, m, 3) for m in _variants(model)), key=lambda f: float(np.sum(np.log(f.squares))))
+    if not _straight(candidate):
         return refit(bench, model)
     return Fitted(model, replace(fitted.rows, residual=evidence.left_by(candidate)))
 
@@ -191,7 +194,8 @@ def _best(
         tried = fit_of(bench, evidence, fitted, candidate)
         score = tried.better_than(fitted) - candidate.penalty
         share = np.max((fitted.squares - tried.squares) / plain.squares)
-        if score > 0 and share > LEAST_SHARE and (best is None or score > best[0]):
+        steady = _straight(candidate) or steadily_better(bench, tried, fitted)
+        if score > 0 and share > LEAST_SHARE and steady and (best is None or score > best[0]):
             best = (score, tried, candidate)
     return best
 
@@ -223,9 +227,37 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         same = any(_key(c) == _key(candidate) for c in result)
         if same or _present(candidate, model):
             continue
-        if robust_p(evidence, numbers[id(candidate.trial)], candidate) * tests < DOUBT:
+        if not _straight(candidate) or robust_p(evidence, numbers[id(candidate.trial)], candidate) * tests < DOUBT:
             result.append(candidate)
     return result
+
+
+def _variants(model: CalibratedModel) -> list[CalibratedModel]:
+    """The model with other forms and values of its last term."""
+    last = model.terms[-1]
+    return [
+        replace(model, terms=(*model.terms[:-1], replace(last, effect=effect).with_values(share * last.values)))
+        for effect in last.effect.forms()
+        for share in (0.8, 1.0, 1.2)
+    ]
+
+
+def _straight(candidate: Candidate) -> bool:
+    """Whether the prediction is linear in all of the effect's parameters, so that its evidence is exact."""
+    effect = candidate.trial.effect
+    if effect.load_dependent or effect.name == "cable_harness":
+        return False
+    return len(effect.parameters) == len(effect.amplitudes) and effect.side in ("link", "drive", "sensor")
+
+
+def steadily_better(bench: Bench, one: Fitted, other: Fitted) -> bool:
+    """Whether the fit is better all along, not by luck in a few places: differences of squares by block of time."""
+    weights = one.rows.deviation() ** -2
+    fall = weights @ (other.rows.residual**2 - one.rows.residual**2)
+    step = max(1, round(BLOCK / STRIDE))
+    starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(bench.edges)])
+    blocks = np.add.reduceat(fall, starts)
+    return bool(blocks.sum() > STEADY * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
 
 
 def _key(candidate: Candidate):
@@ -283,12 +315,13 @@ def cost_of(bench: Bench, term: Term, tests: int) -> float:
     return float(cost)
 
 
-def _pruned(bench: Bench, fitted: Fitted, base: int, report) -> Fitted:
+def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, report) -> Fitted:
     """The model without those earlier effects that the newest made superfluous."""
     i = base
     while i < len(fitted.model.terms) - 1:
         less = refit(bench, without(fitted.model, i))
-        if fitted.better_than(less) < cost_of(bench, fitted.model.terms[i], 50):
+        share = np.max((less.squares - fitted.squares) / plain.squares)
+        if share < LEAST_SHARE or fitted.better_than(less) < cost_of(bench, fitted.model.terms[i], 50):
             report(f"{fitted.model.terms[i].effect.name} is superfluous")
             fitted = less
         else:

@@ -103,11 +103,11 @@ class Model:
 
     def effect_torques(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> list[ca.SX]:
         """For each effect its torque on all joints [Nm], each (n,); `signals` must hold what the effects depend on."""
-        return [self._on_joints(*one) for one in self._with_signals(signals, theta, widths)]
+        return [self._on_joints(*one) for one in self.with_signals(signals, theta, widths)]
 
     def side_torque(self, side: str, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
         """Torque of all effects that act on one side, of `effects.effect.SIDES`, on all joints (n,) [Nm]."""
-        torques = [self._on_joints(*one) for one in self._with_signals(signals, theta, widths) if one[0].side == side]
+        torques = [self._on_joints(*one) for one in self.with_signals(signals, theta, widths) if one[0].side == side]
         return sum(torques, ca.SX.zeros(self.robot.n))
 
     def stored_energy(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
@@ -234,7 +234,7 @@ class Model:
         motor = load - self.side_torque("drive", replace(signals, load=load), theta, widths)
         return arguments, motor, load
 
-    def _with_signals(self, signals: Signals, theta, widths):
+    def with_signals(self, signals: Signals, theta, widths):
         """Effects with what each may depend on: its own states, the plain friction, the springs listed."""
         unpacked = list(self._unpacked(theta, widths))
         springs = {e.joints: (e, named, width) for e, named, width in reversed(unpacked) if e.name in LISTED}

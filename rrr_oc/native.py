@@ -1,8 +1,13 @@
 """Effects as C inside MuJoCo: code that casadi generates from the effects' own expressions, run as its passive callback.
 
-One library serves every model with the same effects on the same joints. The values (theta, widths) stand in the mjModel
+One library serves every model with the same effects on the same joints. The values (theta, widths, …) stand in the mjModel
 itself, in a custom numeric field whose name is the library's marker, and the payload is the mass of its body `PAYLOAD`; so
 models with different values run side by side, in any number of threads. A model without the marker is left alone.
+
+The callback runs at every evaluation of the dynamics, so at every stage of RK4, before the engine knows accelerations. What
+depends on the load torque needs them: the code solves the equations of motion for them, with the actuators' torque, and the
+friction and armature of the joints, as the engine will have them. Internal states are activations of actuators without force,
+whose controls, the states' rates, the callback sets.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -10,9 +15,9 @@ models with different values run side by side, in any number of threads. A model
 
 import ctypes
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,6 +32,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.model import Model
 
 PAYLOAD = "rrr_oc:payload"
+STEPS = 4  # of Newton's method for the load torque
 _WRAPPER = """
 #include <string.h>
 #include <mujoco/mjdata.h>
@@ -42,16 +48,25 @@ static int find(const mjModel* m, const int* address, int count, const char* nam
 }}
 
 static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
+  const mjtNum *widths = values + {n_theta}, *held = widths + {n_widths}, *inertial = held + 1;
   int body = find(m, m->name_bodyadr, (int)m->nbody, "{payload}");
-  mjtNum payload = body < 0 ? 0 : m->body_mass[body], tau[{n}], w[{sz_w}];
+  mjtNum payload = body < 0 ? 0 : m->body_mass[body] - *held, motor[{n}], link[{n}], drive[{n}], rate[{n_states} + 1], w[{sz_w}];
   long long iw[{sz_iw}];
-  const mjtNum* arg[{sz_arg}] = {{d->qpos, d->qvel, &d->time, &payload, values, values + {n_theta}}};
-  mjtNum* res[{sz_res}] = {{tau}};
+  for (int i = 0; i < {n}; i++) {{  /* simulate.py's actuators: activation, position and speed feedback, limits */
+    const mjtNum *bias = m->actuator_biasprm + i * mjNBIAS, *range = m->actuator_forcerange + 2 * i;
+    motor[i] = d->act[i] + bias[1] * d->qpos[i] + bias[2] * d->qvel[i];
+    if (m->actuator_forcelimited[i]) motor[i] = motor[i] < range[0] ? range[0] : motor[i] > range[1] ? range[1] : motor[i];
+  }}
+  const mjtNum* arg[{sz_arg}] = {{d->qpos, d->qvel, &d->time, &payload, motor, d->act + {n}, m->dof_damping, m->dof_armature,
+                                m->dof_frictionloss, values, widths, inertial}};
+  mjtNum* res[{sz_res}] = {{link, drive, rate}};
   effects(arg, res, iw, w, 0);
   for (int i = 0; i < {n}; i++) {{
-    d->qfrc_spring[i] += tau[i];
-    d->qfrc_passive[i] += tau[i];
+    d->qfrc_spring[i] += link[i];
+    d->qfrc_damper[i] += drive[i];
+    d->qfrc_passive[i] += link[i] + drive[i];
   }}
+  for (int i = 0; i < {n_states}; i++) d->ctrl[{n} + i] = rate[i];
 }}
 
 __attribute__((visibility("default"))) void rrr_oc_passive(const mjModel* m, mjData* d) {{
@@ -75,15 +90,19 @@ class Native:
     library: ctypes.CDLL
 
 
-def compile_effects(model: Model) -> Native:
-    """The link-side effects of a model as a library, from the cache where it has been compiled before.
+def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> Native:
+    """Effects of a model as a library, from the cache where it has been compiled before.
 
-    The smoothed law, with q, dq and time from mjData. The torques are added to qfrc_passive and to qfrc_spring.
+    The smoothed laws, with q, dq and time from mjData. Torques on the links are added to qfrc_passive and qfrc_spring, those in
+    the drives to qfrc_passive and qfrc_damper.
+
+    Args:
+        inside: Which of the effects, of the sides "link" and "drive", the library has. Default: those on the links.
 
     Raises:
         UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written.
     """
-    function = _torque(model)
+    function = law(model, [e.side == "link" for e in model.effects] if inside is None else inside)
     generator = ca.CodeGenerator("effects", {"with_header": False})
     generator.add(function)
     code = generator.dump()
@@ -91,7 +110,8 @@ def compile_effects(model: Model) -> Native:
     name = digest(code, _WRAPPER, mujoco.__version__, *flags)
     marker = f"rrr_oc:{name}"
     sizes = {k: max(1, getattr(function, k)()) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
-    wrapper = _WRAPPER.format(marker=marker, payload=PAYLOAD, n=model.robot.n, n_theta=len(model.parameters), **sizes)
+    sizes |= {"n_theta": len(model.parameters), "n_widths": len(model.widths), "n_states": len(model.states)}
+    wrapper = _WRAPPER.format(marker=marker, payload=PAYLOAD, n=model.robot.n, **sizes)
     return Native(marker, _load(library(f"effects-{name}", code + wrapper, flags, " or use effects='native'")))
 
 
@@ -148,14 +168,71 @@ def _set_next(native: Native, function: Any) -> None:
     ctypes.c_void_p.in_dll(native.library, "rrr_oc_next").value = address
 
 
-def _torque(model: Model) -> ca.Function:
-    """(q, dq, time, payload, theta, widths) -> torque of all link-side effects (n,) [Nm], dense."""
+def law(model: Model, inside: Sequence[bool]) -> ca.Function:
+    """What the library works out, dense.
+
+    (q, dq, time, payload, motor, states, damping, armature, frictionloss, theta, widths, inertial) -> (link, drive, rates): torque
+    of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is the actuators'
+    torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,).
+    """
     n = model.robot.n
-    q, dq, time, payload = ca.SX.sym("q", n), ca.SX.sym("dq", n), ca.SX.sym("time"), ca.SX.sym("payload")
+    q, dq, motor, damping, armature, dry = (
+        ca.SX.sym(k, n) for k in ("q", "dq", "motor", "damping", "armature", "frictionloss")
+    )
+    time, payload, states = ca.SX.sym("time"), ca.SX.sym("payload"), ca.SX.sym("states", len(model.states))
     theta, widths = ca.SX.sym("theta", len(model.parameters)), ca.SX.sym("widths", len(model.widths))
-    torques = model.effect_torques(Signals(q, dq, time=time, payload=payload), theta, widths)
-    total = sum((t for e, t in zip(model.effects, torques, strict=True) if e.side == "link"), ca.SX.zeros(n))
-    return ca.Function("effects", [q, dq, time, payload, theta, widths], [ca.densify(total)])
+    inertial, ddq, load = ca.SX.sym("inertial", 10, n), ca.SX.sym("ddq", n), ca.SX.sym("load", n)
+    signals = Signals(q, dq, ddq, load=load, time=time, payload=payload, states=states)
+    links = replace(signals, q=q + shift(model, theta))
+
+    def total(side: str, at: Signals, chosen: Sequence[bool]) -> ca.SX:
+        torques = zip(model.effects, chosen, model.effect_torques(at, theta, widths), strict=True)
+        return sum((t for e, yes, t in torques if yes and e.side == side), ca.SX.zeros(n))
+
+    link, drive = total("link", links, inside), total("drive", signals, inside)
+    if any(chosen and e.load_dependent for e, chosen in zip(model.effects, inside, strict=True)):
+        carried, gravity = model.rigid(inertial, payload, theta, widths)
+        bias = model.body.inverse_dynamics(links.q, dq, ca.SX.zeros(n), carried, gravity)
+        own = -damping * dq - dry * ca.sign(dq) - armature * ddq
+        mass = model.body.mass_matrix(links.q, carried)
+        extra = bias - total("link", links, [True] * len(inside))  # the engine's own springs too
+        needed = mass @ ddq + extra
+        residual = needed - motor - ca.substitute(drive + own, load, needed)
+        drive = ca.substitute(drive, load, mass @ _root(residual, ddq) + extra)
+    rates = [r for e, s, named, width in model.with_signals(signals, theta, widths) for r in e.rate(s, named, width)]
+    arguments = [q, dq, time, payload, motor, states, damping, armature, dry, theta, widths, inertial]
+    return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(ca.vertcat(*rates))])
+
+
+def _root(residual: ca.SX, x: ca.SX) -> ca.SX:
+    """The x where a residual vanishes, by Newton's method: in one step for friction in |load| once the load's signs are right."""
+    step, found = x - ca.solve(ca.jacobian(residual, x), residual), ca.SX.zeros(x.shape)
+    for _ in range(STEPS):
+        found = ca.substitute(step, x, found)
+    return found
+
+
+def shift(model: Model, theta) -> ca.SX:
+    """By how much the links stand otherwise than their encoders say, (n,) [rad].
+
+    Raises `UserError` for an effect by which that depends on more than its parameters, as where a gear gives: the engine's robot
+    has one coordinate a joint.
+    """
+    result, i = ca.SX.zeros(model.robot.n), 0
+    q, load = ca.SX.sym("q", model.robot.n), ca.SX.sym("load", model.robot.n)
+    for effect in model.effects:
+        named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
+        i += len(effect.parameters)
+        if effect.side != "motion":
+            continue
+        moved = () if effect.simulated else effect.shift(Signals(q, load=load), named, None)
+        if not moved or ca.depends_on(ca.vertcat(*moved), ca.vertcat(q, load)):
+            raise UserError(
+                f"{model.label(effect)} moves the link by itself; the simulation has one coordinate a joint, for motor and link"
+            )
+        for j, value in zip(effect.joints, moved, strict=True):
+            result[j] += value
+    return result
 
 
 @cache
@@ -168,6 +245,6 @@ def _load(path: Path) -> ctypes.CDLL:
     return library
 
 
-def values(theta: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """What the marker's numeric field holds; the last number means nothing, as MuJoCo refuses an empty field."""
-    return np.concatenate([theta, widths, [0.0]])
+def values(theta: np.ndarray, widths: np.ndarray, held: float, inertial: np.ndarray) -> np.ndarray:
+    """What the marker's numeric field holds: `held` is what `PAYLOAD` weighs beyond the payload [kg], `inertial` (10, n)."""
+    return np.concatenate([theta, widths, [held], np.asarray(inertial).reshape(-1, order="F")])

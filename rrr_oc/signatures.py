@@ -117,7 +117,7 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
     body = replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.DM(gravity))
     masses, which = np.unique(payload, return_inverse=True)
     links = [np.array(ca.evalf(with_payload(ca.SX(body.inertial), model.tool.joint, m, body.position))) for m in masses]
-    shift = physics.shift(r, load)
+    shift = physics.shift(r)
     motion = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(shift, 3), strict=True)]
     parts = []
     for k, link in enumerate(links):

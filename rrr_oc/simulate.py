@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
 
+import casadi as ca
 import mujoco
 import numpy as np
 from mujoco import rollout
 from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
 
 from rrr_oc import metrics, native
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Body
 from rrr_oc.errors import UserError
 from rrr_oc.metrics import Metrics
 from rrr_oc.model import Model
@@ -36,8 +37,8 @@ class Settings:
     """How a motion is simulated.
 
     Attributes:
-        effects: "generated": the smoothed law as C generated from the effects' expressions; "native": MuJoCo's own tendons,
-            which follow the exact law.
+        effects: Those on the links: "generated": the smoothed law as C generated from the effects' expressions; "native": MuJoCo's
+            own tendons, which follow the exact law, for those that have such a form.
         timestep: Longest step [s]; a phase is cut into equal steps no longer than this.
         integrator: "rk4" evaluates controller and effects at every stage; the others are first order in `timestep`.
         start: "continue": a phase starts in the state in which the one before ended; "reference": at its own first point.
@@ -131,9 +132,12 @@ class Twin:
     """A model in the engine.
 
     Attributes:
-        mj: The mjModel. Joint i of the robot is coordinate i, and actuator i is its controller: the activation is
-            u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within limits.
-        library: The compiled effects on the links; None where MuJoCo's own do the work, or there are none.
+        mj: The mjModel. Joint i of the robot is coordinate i, as its encoder sees it, and actuator i is its controller: the
+            activation is u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within
+            limits. Then follow actuators without torque whose activations are the effects' internal states.
+        library: The compiled effects; None where MuJoCo's own do the work, or there are none.
+        generated: Which of the effects it has.
+        held: What is held beyond the payload that is listed [kg], as an effect says.
     """
 
     model: Model
@@ -141,29 +145,32 @@ class Twin:
     widths: np.ndarray
     mj: mujoco.MjModel
     library: Native | None
+    generated: tuple[bool, ...] = ()
+    held: float = 0.0
 
     def effects(self) -> AbstractContextManager[None]:
         """The context within which `mj` feels the compiled effects: step, forward and roll out inside it."""
         return nullcontext() if self.library is None else native.installed(self.library)
 
     def grip(self, payload: float) -> None:
-        """Set the payload's mass [kg], 0 to let go. Nothing is compiled anew; states keep their meaning."""
-        self.mj.body(PAYLOAD).mass[0] = payload
+        """Set the payload's listed mass [kg], 0 to let go. Nothing is compiled anew; states keep their meaning."""
+        self.mj.body(PAYLOAD).mass[0] = payload + self.held
         mujoco.mj_setConst(self.mj, mujoco.MjData(self.mj))  # what follows from masses: invweights, subtree masses
 
     def with_theta(self, theta: Sequence[float] | np.ndarray, widths: np.ndarray | None = None) -> "Twin":
         """A copy with other parameters (and widths) of its generated effects; the compiled library is shared.
 
-        Raises `UserError` where there is none, or an effect in a drive, which is the engine's own, is to change.
+        Raises `UserError` where there is none, or another effect, which is the engine's own, is to change.
         """
         if self.library is None:
             raise UserError("only generated effects take new parameters in a compiled model; build another twin")
         theta, widths = _checked(self.model, theta, self.widths if widths is None else widths)
-        old, new = (_side(self.model, "drive", values, widths)[1] for values in (self.theta, theta))
-        if not np.array_equal(old, new):
-            raise UserError("effects in the drives take new parameters only in another twin")
+        free = [inside or e.side == "sensor" for e, inside in zip(self.model.effects, self.generated, strict=True)]
+        fixed = ~np.repeat(free, [len(e.parameters) for e in self.model.effects])
+        if not np.array_equal(self.theta[fixed], theta[fixed]):
+            raise UserError("effects in the drives, or of the body, that are the engine's own change only in another twin")
         mj = copy(self.mj)
-        mj.numeric(self.library.marker).data[:] = native.values(*_side(self.model, "link", theta, widths)[1:])
+        mj.numeric(self.library.marker).data[:] = native.values(theta, widths, self.held, self.model.robot.inertial)
         return replace(self, theta=theta, widths=widths, mj=mj)
 
 
@@ -176,33 +183,54 @@ def twin(
 ) -> Twin:
     """A model compiled for the engine.
 
+    What effects become, by their side: "body": masses, gravity and the payload's point of the compiled model. "link": as
+    `settings.effects` says. "drive": MuJoCo's own form where there is one (dry and viscous friction, armature), else generated; the
+    generated laws do not hold a joint at rest, as dry friction of MuJoCo's does, and what varies with the plain dry friction varies
+    with its smoothed law. "sensor": nothing; recorded torques differ, not the motion. "motion": an offset of an encoder turns
+    the joint's zero.
+
     Args:
         theta: Parameters of the effects, as in `Model.theta`.
         control: Joint controllers. Default: `controller(model)`.
         settings: Which form the effects on the links take, the step, and friction and armature of the joints beside those
-            among the effects. Effects in the drives always take MuJoCo's own form.
+            among the effects.
         widths: Smoothing widths of generated effects; 0 is the exact law. Default: `Model.widths`.
 
     Raises:
-        UserError: An effect has internal states or depends on the load; has no native form where that is asked for or it
-            acts on the drive's side; there is no C compiler where one is needed; the engine refuses the robot.
+        UserError: A gear gives or has play, for which the engine's robot has no coordinate; there is no C compiler where one is
+            needed; the engine refuses the robot.
     """
     theta, widths = _checked(model, theta, widths)
-    spec = build_spec(model.robot, model.tool, controller(model) if control is None else control, settings)
-    for effect in model.effects:
-        _check_supported(effect, model)
-    library, (links, link_theta, link_widths) = None, _side(model, "link", theta, widths)
-    _add_native(spec, *_side(model, "drive", theta, widths)[:2])
-    if settings.effects == "native":
-        _add_native(spec, links, link_theta)
-    elif links.effects:
-        library = native.compile_effects(links)
-        data = native.values(link_theta, link_widths)
+    offset = np.array(ca.evalf(native.shift(model, theta))).reshape(-1)
+    body = _body(model, theta)
+    robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
+    tool = replace(model.tool, position=body.position)
+    spec = build_spec(robot, tool, controller(model) if control is None else control, settings)
+    generated = _add_effects(spec, model, theta, settings.effects == "native" and not offset.any())
+    for joint, zero in zip(robot.joints, offset, strict=True):
+        spec.joint(joint).ref = -zero
+    library = None
+    if any(generated):
+        library = native.compile_effects(model, generated)
+        data = native.values(theta, widths, body.payload, model.robot.inertial)
         spec.add_numeric(name=library.marker, data=data, size=data.size)
     try:
-        return Twin(model, theta, widths, spec.compile(), library)
+        mj = _compiled(spec, robot, estimated=not np.array_equal(robot.inertial, model.robot.inertial))
     except ValueError as error:
         raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {str(error).strip()}") from None
+    engine = Twin(model, theta, widths, mj, library, generated, body.payload)
+    engine.grip(0.0)
+    return engine
+
+
+def _body(model: Model, theta: np.ndarray) -> Body:
+    """The rigid body as the effects of the side "body" make it, in numbers; `payload` is what is held beyond the payload."""
+    robot, numbers = model.robot, iter(theta.tolist())
+    body = Body(robot.inertial, robot.gravity, 0.0, model.tool.position.tolist())
+    for effect in model.effects:
+        body = effect.change(body, {p.name: next(numbers) for p in effect.parameters})
+    inertial = body.inertial if isinstance(body.inertial, np.ndarray) else np.array(ca.evalf(body.inertial))
+    return Body(inertial, np.array(body.gravity, float), float(body.payload), np.array(body.position, float))
 
 
 def _checked(model: Model, theta, widths) -> tuple[np.ndarray, np.ndarray]:
@@ -214,19 +242,11 @@ def _checked(model: Model, theta, widths) -> tuple[np.ndarray, np.ndarray]:
     return theta, widths
 
 
-def _side(model: Model, side: str, theta: np.ndarray, widths: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:
-    """The model with the effects of one side only, their parameters and their widths."""
-    kept = [effect.side == side for effect in model.effects]
-    theta_kept = np.repeat(kept, [len(effect.parameters) for effect in model.effects]).astype(bool)
-    widths_kept = np.array([k for k, effect in zip(kept, model.effects, strict=True) if effect.width is not None], bool)
-    effects = tuple(effect for k, effect in zip(kept, model.effects, strict=True) if k)
-    return replace(model, effects=effects), theta[theta_kept], widths[widths_kept]
-
-
 def build_spec(robot: Robot, tool: ToolPoint, control: Controller, settings: Settings) -> mujoco.MjSpec:
     """A robot in MuJoCo, without contacts and joint limits; the massless body `PAYLOAD` at the tool waits for a load."""
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
+    spec.compiler.degree = False
     spec.option.gravity = robot.gravity
     spec.option.timestep = settings.timestep
     spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{settings.integrator.upper()}")
@@ -258,15 +278,35 @@ def _quaternion(rotation: np.ndarray) -> np.ndarray:
 
 def _inertial(parameters: np.ndarray) -> dict:
     """Mass, centre of mass, principal axes and moments about it, from `Robot.inertial`'s ten numbers."""
-    mass, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[4:]
+    mass = parameters[0]
     if not mass > 0:
         raise UserError(f"a link has mass {mass:g} kg; the simulation needs a mass above 0 (load_robot with inertial=True)")
-    com = parameters[1:4] / mass
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    moments, axes = np.linalg.eigh(about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
-    axes = axes * np.sign(np.linalg.det(axes))
+    com, axes, moments = _principal(parameters)
     moments = np.maximum(moments, INERTIA_FLOOR)
     return {"mass": mass, "ipos": com, "iquat": _quaternion(axes), "inertia": moments, "explicitinertial": True}
+
+
+def _principal(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre of mass [m], principal axes (3, 3) and moments about it [kg m²] of a link's ten numbers."""
+    mass, com, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4] / parameters[0], parameters[4:]
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments, axes = np.linalg.eigh(about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+    return com, axes * np.sign(np.linalg.det(axes)), moments
+
+
+def _compiled(spec: mujoco.MjSpec, robot: Robot, estimated: bool) -> mujoco.MjModel:
+    """The spec compiled; the compiler refuses moments of inertia that no body has, but estimates may be of that kind.
+
+    Recordings tell only some combinations of inertial parameters; the rest of an estimate means nothing and shows in no motion.
+    """
+    if estimated:
+        for link, parameters in zip(robot.links, robot.inertial.T, strict=True):
+            spec.body(link).inertia = np.full(3, max(np.mean(_principal(parameters)[2]), INERTIA_FLOOR))
+    mj = spec.compile()
+    if estimated:
+        for link, parameters in zip(robot.links, robot.inertial.T, strict=True):
+            mj.body(link).inertia[:] = _principal(parameters)[2]
+    return mj
 
 
 def _add_actuator(spec: mujoco.MjSpec, joint: str, k_p: float, k_d: float, limit: float) -> None:
@@ -277,30 +317,26 @@ def _add_actuator(spec: mujoco.MjSpec, joint: str, k_p: float, k_d: float, limit
         actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
 
 
-def _check_supported(effect: Effect, model: Model) -> None:
-    reasons = {
-        "has internal states": bool(effect.states),
-        "depends on the load torque": effect.load_dependent,
-        f"acts on the {effect.side}'s side": effect.side not in ("link", "drive"),
-    }
-    for reason, found in reasons.items():
-        if found:
-            raise UserError(
-                f"{model.label(effect)} {reason}; the simulation supports effects on the links without states, and in the drives "
-                "those that MuJoCo has"
-            )
-
-
-def _add_native(spec: mujoco.MjSpec, model: Model, theta: np.ndarray) -> None:
-    numbers = iter(theta.tolist())
+def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: bool) -> tuple[bool, ...]:
+    """Put MuJoCo's own forms, and actuators for internal states, into a spec; which effects are left to generated code."""
+    numbers, generated = iter(theta.tolist()), []
     for i, effect in enumerate(model.effects):
+        named = {p.name: next(numbers) for p in effect.parameters}
         known = len(spec.tendons)
-        if not effect.native(spec, model.robot.joints, {p.name: next(numbers) for p in effect.parameters}):
-            if effect.side == "drive":
-                raise UserError(f"{model.label(effect)} acts on the drive's side and has no form of its own in MuJoCo")
-            raise UserError(f"{model.label(effect)} has no form of its own in MuJoCo; use effects='generated'")
+        wanted = effect.side == "drive" or (effect.side == "link" and tendons)
+        own = wanted and effect.native(spec, model.robot.joints, named)
         for tendon in spec.tendons[known:]:
             tendon.name = f"{i}_{tendon.name}"  # two springs on one joint would get the same name
+        generated.append(effect.side in ("link", "drive") and not own)
+        for k in range(len(effect.states)):
+            _add_state(spec, f"{i}_{effect.states[k].name}", model.robot.joints[effect.joints[0]])
+    return tuple(generated)
+
+
+def _add_state(spec: mujoco.MjSpec, name: str, joint: str) -> None:
+    """An activation whose rate is its control, and which gives no torque."""
+    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.dyntype, actuator.gainprm[0] = mujoco.mjtDyn.mjDYN_INTEGRATOR, 0.0
 
 
 @dataclass(frozen=True)
@@ -421,6 +457,7 @@ def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, tim
     data = mujoco.MjData(engine.mj)
     data.time, data.qpos[:], data.qvel[:] = t[0], *start
     u = _control_signal(phase, control, t)
+    u = np.vstack([u, *(np.full_like(t, state.nominal) for state in engine.model.states)])  # whose rates the effects set
     data.act[:] = u[:, 0]
     physics = mujoco.mjtState.mjSTATE_FULLPHYSICS
     initial = np.zeros(mujoco.mj_stateSize(engine.mj, physics))
@@ -463,7 +500,7 @@ def _read(engine: Twin, phase: ReferencePhase, t: np.ndarray, states: np.ndarray
         np.zeros(n),
     )
     for k in range(t.size):
-        d.time, d.qpos[:], d.qvel[:], d.act[:] = t[k], *np.split(states[k], 3)
+        d.time, d.qpos[:], d.qvel[:], d.act[:] = t[k], *np.split(states[k], [n, 2 * n])
         mujoco.mj_forward(m, d)
         mujoco.mj_rne(m, d, 1, rne)
         mujoco.mj_energyPos(m, d)
@@ -488,6 +525,7 @@ def _read(engine: Twin, phase: ReferencePhase, t: np.ndarray, states: np.ndarray
 
 
 def _stored(engine: Twin, q: np.ndarray, dq: np.ndarray, payload: float) -> np.ndarray:
+    q = q + np.array(ca.evalf(native.shift(engine.model, engine.theta)))
     return np.asarray(engine.model.energy(q, dq, payload, engine.theta, engine.widths)[2]).reshape(-1)
 
 

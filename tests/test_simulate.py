@@ -10,13 +10,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mujoco import rollout
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
 
 from rrr_oc import c_library, metrics, native
-from rrr_oc.effects import CATALOGUE, Effect
+from rrr_oc.effects import CATALOGUE, Effect, Signals
+from rrr_oc.effects.empirical import Empirical
 from rrr_oc.errors import UserError
 from rrr_oc.model import Model
 from rrr_oc.robot import Robot, ToolPoint, load_robot
-from rrr_oc.simulate import ReferencePhase, Settings, controller, track, twin
+from rrr_oc.simulate import Controller, ReferencePhase, Settings, controller, track, twin
 
 ROOT = Path(__file__).parent
 URDFS = {
@@ -294,23 +297,14 @@ def test_cache(monkeypatch, tmp_path):
         native.compile_effects(model)
 
 
-@pytest.mark.parametrize(
-    ("attributes", "message"),
-    [({"states": (1,)}, "states"), ({"side": "drive"}, "drive's side"), ({"load_dependent": True}, "depends on the load")],
-)
-def test_unsupported_effects(attributes, message):
-    kind = type("Unsupported", (PayloadFan,), attributes)
-    robot = load_robot("rrr")
-    with pytest.raises(UserError, match=message):
-        twin(Model(robot, robot.tool, (kind((1,)),)))
-
-
 def test_unusable_input():
     model, theta = spring_arm()
     with pytest.raises(UserError, match="7 parameters and 3 widths, got 2 and 3"):
         twin(model, theta[:2])
-    with pytest.raises(UserError, match="no form of its own"):
-        twin(Model(model.robot, model.tool, (PayloadFan((1,)),)), settings=NATIVE)
+    with pytest.raises(UserError, match="one coordinate a joint"):
+        twin(Model(model.robot, model.tool, (CATALOGUE["joint_elasticity"]((1,)),)), [500.0])
+    with pytest.raises(UserError, match="one coordinate a joint"):
+        twin(Model(model.robot, model.tool, (CATALOGUE["backlash"]((1,)),)), [0.01])
     with pytest.raises(UserError, match="rk4"):
         Settings(integrator="runge")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="frictionloss"):
@@ -460,3 +454,216 @@ def test_a_point_mass_is_simulated():
     engine = twin(Model(robot, robot.tool))
     expected = 2 * 0.16 * 3.0 + 2 * 9.81 * 0.4 * np.cos(0.3)
     np.testing.assert_allclose(inverse(engine.mj, [0.3], [1.0], [3.0]), expected, atol=ROUNDING)
+
+
+# --- effects that a diagnosis may find ---
+
+UNNAMED = Empirical((2,), (("load", 2), ("q", 1)), (-20.0, -1.0), (20.0, 1.0), (2, 1), True)
+COMPANY = (Parallel((1,)), CATALOGUE["viscous_friction"]((1,)), CATALOGUE["armature"]((1,)), CATALOGUE["armature"]((2,)))
+COMPANY_THETA = [6.0, 0.8, 1.5, 0.2, 0.1]  # a listed spring, and what every calibrated drive has
+
+
+def beside(name: str) -> Effect:
+    """An effect of the catalogue on joints of the paper's arm."""
+    if name == "empirical":
+        return UNNAMED
+    kind = CATALOGUE[name]
+    return kind(() if kind.of_arm else (1, 2) if name in ("biarticular_spring", "coupled_friction") else (1,))
+
+
+def guess(effect: Effect, rng) -> np.ndarray:
+    return np.array([np.clip(rng.uniform(0.1, 0.4) + min(p.nominal, 1), p.lower, p.upper) for p in effect.parameters])
+
+
+def arm_with(effect: Effect, rng, before: tuple[Effect, ...] = COMPANY) -> tuple[Model, np.ndarray]:
+    robot = load_robot("rrr")
+    theta = np.concatenate([COMPANY_THETA if before else [], guess(effect, rng)])
+    return Model(robot, replace(robot.tool, position=np.array([0.3, 0.02, -0.01])), (*before, effect)), theta
+
+
+def load_of(engine, d: mujoco.MjData) -> np.ndarray:
+    """What the drives pass to the links, from the engine's accelerations."""
+    rne = np.zeros(engine.model.robot.n)
+    mujoco.mj_rne(engine.mj, d, 1, rne)
+    return rne - d.qfrc_spring
+
+
+@pytest.mark.parametrize("form", ["native", "generated"])
+@pytest.mark.parametrize("name", [n for n, kind in CATALOGUE.items() if kind.side in ("link", "drive") and n != "dry_friction"])
+def test_each_effect_has_its_torque_in_the_engine(name, form):
+    """The law in numpy, at the load torque that follows from the engine's own accelerations, after one forward pass."""
+    rng = np.random.default_rng(4)
+    model, theta = arm_with(beside(name), rng)
+    effect, values = model.effects[-1], dict(zip([p.name for p in model.effects[-1].parameters], theta[5:], strict=True))
+    engine = twin(model, theta, settings=Settings(effects=form))
+    d, seen = mujoco.MjData(engine.mj), 0.0
+    spring = {p.name: v for p, v in zip(COMPANY[0].parameters, COMPANY_THETA, strict=False)}
+    width = None if effect.width is None else effect.width.nominal
+    for q, dq, _ in states(3, 30, seed=5):
+        payload, time, z = rng.uniform(0, 5), rng.uniform(0, 10), rng.uniform(-1, 1, len(effect.states))
+        engine.grip(payload)
+        d.qpos[:], d.qvel[:], d.time = q, dq * 0.2, time
+        d.act[:] = [*rng.normal(0, 600, 3), *z]
+        with engine.effects():
+            mujoco.mj_forward(engine.mj, d)
+        load, speed = load_of(engine, d), dq * 0.2
+        friction = np.array([0, -1.5 * speed[1], 0])
+        listed = {(1,): (COMPANY[0], spring, 1e-3)}
+        signals = Signals(q, speed, d.qacc, load, time, payload, z, friction, listed)
+        expected = np.zeros((2, 3))
+        expected[0, 1] += max(0.8 - q[1], 0) * 6.0
+        expected[1, 1] += -1.5 * speed[1]
+        if name == "armature":
+            assert engine.mj.dof_armature[1] == pytest.approx(0.2 + theta[-1])
+        else:
+            for j, value in zip(effect.joints, effect.torque(signals, values, width), strict=True):
+                expected[int(effect.side == "drive"), j] += float(value)
+        np.testing.assert_allclose(d.qfrc_spring, expected[0], atol=ROUNDING if abs(q[1] - 0.8) > 1e-3 else 1e-2)
+        np.testing.assert_allclose(d.qfrc_damper, expected[1], atol=ROUNDING)
+        np.testing.assert_allclose(d.qfrc_passive, d.qfrc_spring + d.qfrc_damper, atol=ROUNDING)
+        rates = effect.rate(signals, values, width)
+        np.testing.assert_allclose(d.ctrl[3:], np.array(rates, float).reshape(-1), atol=ROUNDING)
+        seen += np.abs(expected[int(effect.side == "drive")]).sum()
+    assert seen > 1
+
+
+def drives() -> tuple[Model, np.ndarray]:
+    """Seven joints with every drive effect that has no state, on many of them, and a second one that depends on the load."""
+    robot = load_robot(URDFS["chain7"])
+    names = ("stribeck", "load_dependent_friction", "torque_ripple", "friction_drift", "viscous_friction", "armature")
+    effects = [CATALOGUE[name]((j,)) for j in range(7) for name in names]
+    effects += [CATALOGUE["coupled_friction"]((4, 5)), replace(UNNAMED, joints=(3,), variables=(("load", 3), ("q", 1)))]
+    rng = np.random.default_rng(6)
+    theta = np.concatenate([guess(e, rng) for e in effects])
+    return Model(robot, robot.tool, tuple(effects)), theta
+
+
+def test_motor_torque_is_the_inverse_dynamics_of_the_motion():
+    """With loads that depend on friction that depends on loads, on seven joints: `Model.motor_inverse` at the engine's motion."""
+    model, theta = drives()
+    engine, rng = twin(model, theta), np.random.default_rng(7)
+    d = mujoco.MjData(engine.mj)
+    for q, dq, _ in states(7, 20, seed=8):
+        engine.grip(2.0)
+        d.qpos[:], d.qvel[:], d.time = q, 0.3 * dq, 1.7
+        d.act[:] = rng.normal(0, 300, 7)
+        with engine.effects():
+            mujoco.mj_forward(engine.mj, d)
+        values = (theta, model.widths, model.robot.inertial)
+        motor, load = model.motor_inverse(q, 0.3 * dq, d.qacc, 1.7, 2.0, *values)
+        np.testing.assert_allclose(d.qfrc_actuator, np.array(motor).ravel(), atol=1e-8)  # forces of some 1e3 Nm
+        np.testing.assert_allclose(load_of(engine, d), np.array(load).ravel(), atol=1e-8)
+
+
+def test_load_dependent_friction_beside_dry_friction():
+    """The engine's own dry friction is a constraint; while joints slide it is the level that the load's equation takes."""
+    robot = load_robot("rrr")
+    friction, load_friction = CATALOGUE["dry_friction"]((1,)), CATALOGUE["load_dependent_friction"]((1,))
+    model, theta = Model(robot, robot.tool, (friction, load_friction)), np.array([2.0, 0.15])
+    engine = twin(model, theta, Controller(np.zeros(3), np.zeros(3), np.full(3, np.inf)))
+    d = mujoco.MjData(engine.mj)
+    engine.mj.dof_solref[:, 0] = 2 * engine.mj.opt.timestep
+    for q, _, _ in states(3, 10, seed=9):
+        d.qpos[:], d.qvel[:], d.act[:] = q, [0.5, -1.0, 0.7], [1.0, 5.0, -2.0]
+        with engine.effects():
+            mujoco.mj_forward(engine.mj, d)
+        assert d.qfrc_constraint[1] == pytest.approx(2.0)  # it slides
+        assert d.qfrc_damper[1] == pytest.approx(0.15 * abs(load_of(engine, d)[1]), rel=1e-6)  # the solver's own tolerance
+
+
+@pytest.mark.parametrize("name", ["payload_mass", "payload_com", "gravity_tilt", "link_inertial"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_effects_of_the_body_are_compiled_into_it(name, sign):
+    """Against the CasADi inverse dynamics; also with moments of inertia that no body has, as estimates may be."""
+    model, theta = arm_with(beside(name), np.random.default_rng(10), ())
+    theta = sign * theta * 0.3
+    engine, bare = twin(model, theta), twin(replace(model, effects=()))
+    with pytest.raises(UserError, match="only generated effects"):
+        engine.with_theta(theta)
+    for payload in (0.0, 3.0):
+        engine.grip(payload)
+        bare.grip(payload)
+        differs = 0.0
+        for q, dq, ddq in states(3):
+            expected = np.asarray(model.inverse(q, dq, ddq, payload, theta, [])[0]).ravel()
+            found = inverse(engine.mj, q, dq, ddq)
+            np.testing.assert_allclose(found, expected, atol=ROUNDING)
+            differs = max(differs, np.max(np.abs(found - inverse(bare.mj, q, dq, ddq))))
+        assert differs > 0.05 or (name == "payload_com" and payload == 0)
+
+
+def test_payload_that_an_effect_sees_is_the_listed_one():
+    robot = load_robot("rrr")
+    engine = twin(Model(robot, robot.tool, (CATALOGUE["payload_mass"](()), PayloadFan((1,)))), [1.5])
+    engine.grip(3.0)
+    d = mujoco.MjData(engine.mj)
+    d.time, d.qvel[:] = 0.25, [1, 2, 3]
+    with engine.effects():
+        mujoco.mj_forward(engine.mj, d)
+    np.testing.assert_allclose(d.qfrc_spring, [0, 6.25, 0], atol=1e-14)
+    assert engine.mj.body(native.PAYLOAD).mass[0] == 4.5
+    with pytest.raises(UserError, match="only in another twin"):
+        engine.with_theta([1.6])
+
+
+@pytest.mark.parametrize("form", ["native", "generated"])
+def test_an_encoder_offset_turns_the_joints_zero(form):
+    """At recorded positions the engine has the dynamics, springs and load-dependent friction of the true ones, offset less."""
+    robot = load_robot("rrr")
+    effects = (Parallel((1,)), CATALOGUE["load_dependent_friction"]((1,)), CATALOGUE["torque_ripple"]((1,)))
+    true, theta = Model(robot, robot.tool, effects), np.array([6.0, 0.8, 0.2, 1.0, 5.0, 0.3])
+    model = replace(true, effects=(CATALOGUE["encoder_offset"]((1,)), *effects))
+    engine, rng = twin(model, [0.07, *theta], settings=Settings(effects=form)), np.random.default_rng(11)
+    d = mujoco.MjData(engine.mj)
+    for q, dq, _ in states(3, 20, seed=12):
+        d.qpos[:], d.qvel[:], d.act[:] = q, dq, rng.normal(0, 300, 3)
+        with engine.effects():
+            mujoco.mj_forward(engine.mj, d)
+        at = q - [0, 0.07, 0]
+        load = np.asarray(true.inverse(at, dq, d.qacc, 0.0, theta, true.widths)[0]).ravel()
+        friction = -0.2 * np.abs(load[1]) * np.tanh(dq[1] / 0.05)
+        ripple = np.sin(5 * q[1] + 0.3)  # the drive's own angle, which is what the encoder says
+        np.testing.assert_allclose(d.qfrc_actuator, load - [0, friction + ripple, 0], atol=ROUNDING)
+
+
+def test_sensors_change_nothing():
+    model, theta = spring_arm()
+    kinds = [CATALOGUE[k] for k in ("torque_gain", "torque_offset", "time_delay")]
+    more = replace(model, effects=(*model.effects, *(k(() if k.of_arm else (1,)) for k in kinds)))
+    plain = track(model, reference(model, theta, 51), theta, settings=Settings(timestep=4e-3))
+    found = track(more, reference(model, theta, 51), [*theta, 0.2, 1.0, 0.01], settings=Settings(timestep=4e-3))
+    for a, b in zip(plain.phases, found.phases, strict=True):
+        np.testing.assert_allclose(a.q, b.q, atol=1e-12)  # compiled by another name, to the same instructions
+
+
+def test_bristles_along_a_tracked_motion():
+    """The state that the engine integrates against SciPy's integrator on the motion that the engine made."""
+    robot = load_robot("rrr")
+    model = Model(robot, robot.tool, (CATALOGUE["presliding_hysteresis"]((1,)),))
+    theta = np.array([150.0, 3.0])  # Nm/rad, Nm: bent after 20 mrad
+    t = np.linspace(0, 2, 401)
+    q, dq, ddq = np.zeros((3, 3, t.size))
+    a, w = 0.3, 2 * np.pi
+    q[1], dq[1], ddq[1] = 0.8 + a * np.cos(w * t), -a * w * np.sin(w * t), -a * w**2 * np.cos(w * t)
+    load = np.asarray(Model(robot, robot.tool).inverse(q, dq, ddq, 0.0, [], [])[0])
+    (p,) = track(model, [ReferencePhase("swing", t, q, dq, ddq, 0.0, load)], theta).phases
+    speed = CubicHermiteSpline(p.t, p.dq[1], p.ddq[1])
+    z = solve_ivp(
+        lambda s, z: (speed(s) - abs(speed(s)) * z) * 150 / 3, (0, 2), [0.0], t_eval=p.t, rtol=1e-9, atol=1e-9, max_step=2e-3
+    ).y[0]
+    assert z.max() > 0.99  # it slips
+    assert z.min() < -0.99
+    np.testing.assert_allclose(p.tau_motor[1] - p.tau_load[1], 3 * z, atol=3e-4)  # |dq| has kinks, which RK4 steps over
+    assert p.dissipated[-1] > 5
+
+
+def test_values_of_generated_drives_change_without_compiling(monkeypatch):
+    model, theta = drives()
+    first = twin(model, theta)
+    monkeypatch.setattr(c_library, "_compile", lambda *_: pytest.fail("compiled again"))
+    i = [p.name for p in model.parameters].index("mu")
+    second = first.with_theta(np.where(np.arange(theta.size) == i, 0.01, theta))
+    numbers = second.mj.numeric(second.library.marker).data
+    assert numbers[i] == 0.01
+    with pytest.raises(UserError, match="only in another twin"):
+        first.with_theta(theta * 2)

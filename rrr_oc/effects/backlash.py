@@ -50,6 +50,9 @@ class Backlash(Effect):
             result[2, k] = (v - before) / h
         return result * np.array([[1.0], [self.impacts], [self.impacts]])
 
+    def forms(self):
+        return Backlash(self.joints, True), Backlash(self.joints, False)
+
     @classmethod
     def trials(cls, view):
         for j in range(view.n):

@@ -182,6 +182,10 @@ class Effect(ABC):
         """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""
         return False
 
+    def forms(self) -> tuple["Effect", ...]:
+        """The effect on the same joints in all its forms."""
+        return (self,)
+
     @classmethod
     def trials(cls, view: View) -> Iterator[Trial]:
         """The ways in which recordings might hold the effect; none for what a diagnosis does not look for.
