@@ -15,6 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.model import Model
+from rrr_oc.native import installed
 from rrr_oc.recordings import Recording
 from rrr_oc.robot import BUNDLED
 from rrr_oc.savitzky_golay import differentiate
@@ -89,12 +90,15 @@ def follow(
         q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged.
     """
     found = np.full((3, len(engines), *recording.q.shape), np.nan)
-    for piece in pieces(recording):
-        steps = max(2, int(np.ceil((recording.t[piece.stop - 1] - recording.t[piece.start]) / timestep)))
-        size = max(1, CHUNK // (steps * 3 * recording.q.shape[0]))
-        for first in range(0, len(engines), size):
-            some = slice(first, first + size)
-            found[:, some, :, piece] = _follow(engines[some], recording, piece, control, forward[some], expected[some], steps)
+    with installed(*{engine.library for engine in engines if engine.library is not None}):
+        for piece in pieces(recording):
+            steps = max(2, int(np.ceil((recording.t[piece.stop - 1] - recording.t[piece.start]) / timestep)))
+            size = max(1, CHUNK // (steps * 3 * recording.q.shape[0]))
+            for first in range(0, len(engines), size):
+                some = slice(first, first + size)
+                found[:, some, :, piece] = _follow(
+                    engines[some], recording, piece, control, forward[some], expected[some], steps
+                )
     return found[0], found[1], found[2]
 
 
@@ -113,17 +117,18 @@ def _follow(engines, recording: Recording, piece: slice, control: Controller, fo
 
     Over a step the integrator damps with the speed at its end and holds all else of its start. So dq_ref is led by a step, and the
     torque of a step is u − k_p q of its start less k_d dq of its end; otherwise k_d would stand k_d h ddq in the torque, which
-    looks like armature.
+    looks like armature. Internal states of effects start at their nominal values.
     """
-    t = recording.t[piece]
+    t = recording.t[piece] - recording.t[0]  # effects that change with time count it from the start
     fine, h = np.linspace(t[0], t[-1], steps + 1, retstep=True)
     q, dq = recording.q[:, piece], recording.dq[:, piece]
     k_p, k_d = control.k_p[:, None], control.k_d[:, None]
     aim = k_p * CubicHermiteSpline(t, q, dq, axis=1)(fine) + k_d * _linear(fine + h, t, dq)
     u = aim + np.stack([_linear(fine, t, f) for f in forward[:, :, piece]])  # (engines, n, steps + 1)
     start = q[:, 0] - (expected[:, :, piece.start] - forward[:, :, piece.start]) / control.k_p
+    states = np.tile([state.nominal for state in engines[0].model.states], (len(engines), 1))  # (engines, states)
     initial = np.concatenate(
-        [np.full((len(engines), 1), t[0]), start, np.broadcast_to(dq[:, 0], start.shape), u[:, :, 0]], axis=1
+        [np.full((len(engines), 1), t[0]), start, np.broadcast_to(dq[:, 0], start.shape), u[:, :, 0], states], axis=1
     )
     models = []
     for engine in engines:
@@ -134,11 +139,12 @@ def _follow(engines, recording: Recording, piece: slice, control: Controller, fo
     threads = min(len(models), os.cpu_count() or 1)
     data = [mujoco.MjData(models[0]) for _ in range(threads)]
     rates = np.moveaxis(np.diff(u) / h, 1, 2)
+    rates = np.concatenate([rates, np.zeros((*rates.shape[:2], states.shape[1]))], axis=2)  # which the effects set
     with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-        states = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 3 n)
-    states = np.moveaxis(np.concatenate([initial[:, None], states], axis=1), 1, 2)
+        found = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 3 n + states)
+    found = np.moveaxis(np.concatenate([initial[:, None], found], axis=1), 1, 2)
     n = len(q)
-    at, speed, activation = states[:, 1 : n + 1], states[:, n + 1 : 2 * n + 1], states[:, 2 * n + 1 :]
+    at, speed, activation = found[:, 1 : n + 1], found[:, n + 1 : 2 * n + 1], found[:, 2 * n + 1 : 3 * n + 1]
     torque = (activation - k_p * at)[:, :, :-1] - k_d * speed[:, :, 1:]
     torque = np.clip(torque, -control.limit[:, None], control.limit[:, None])
     return np.stack(

@@ -584,13 +584,10 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
         np.testing.assert_allclose(found, plain, atol=1e-7)  # a compliance of 1e-12 times derivatives over samples of 10 ms
 
 
-FLIGHT = pytest.mark.xfail(
-    strict=True, reason="a prediction repeats the link's flight with the load that the flight itself made"
-)
 NESTED = pytest.mark.xfail(strict=True, reason="what an empirical term depends on is read again as lists")
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=FLIGHT) if n == "backlash" else n for n in (*CONTRACT, "empirical")])
+@pytest.mark.parametrize("name", [*CONTRACT, "empirical"])
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
     model, prepared, by_name = arm

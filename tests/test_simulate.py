@@ -576,7 +576,7 @@ def test_load_dependent_friction_beside_dry_friction():
 def test_effects_of_the_body_are_compiled_into_it(name, sign):
     """Against the CasADi inverse dynamics; also with moments of inertia that no body has, as estimates may be."""
     model, theta = arm_with(beside(name), np.random.default_rng(10), ())
-    theta = sign * theta * 0.3
+    theta = sign * theta * (0.05 if name == "link_inertial" else 0.3)  # no more than leaves the mass matrix positive
     engine, bare = twin(model, theta), twin(replace(model, effects=()))
     with pytest.raises(UserError, match="only generated effects"):
         engine.with_theta(theta)
