@@ -1,0 +1,417 @@
+"""Sealed cases of concealed physics: the diagnosis runs blind over them, then they are opened and it is scored.
+
+    python validation/concealed/make_cases.py --out cases
+    python studies/concealed_physics.py --cases cases --out results/concealed
+
+The diagnosis of a case is given its `data` folder alone and is written to `out/cases/<id>.json` when it is whole, so that a run
+that was interrupted goes on where it was. `unseen`, recordings of other motions, serve to compare predictions afterwards. The truth
+is opened when no diagnosis is left to do, or with --score-only.
+
+An effect counts as named where name and joint are right of what the diagnosis lists (of a single effect: lists first), or of
+what it says cannot be told from that, or where what it lists is, by the plant's own Jacobian, equal to the truth on these data.
+"""
+
+import json
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import matplotlib
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markdown import Markdown
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import beta
+
+from rrr_oc import parallel
+from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.diagnosis import diagnose, to_json
+from rrr_oc.errors import UserError
+from rrr_oc.evaluate import evaluate_inverse
+from rrr_oc.files import write_json, write_text
+from rrr_oc.recordings import RecordingSet, load_recordings
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+FEW = ("single", "short", "some", "current", "load", "identify", "locked")  # kinds with one effect at most
+SEVERAL = ("pair", "triple", "outside_pair")
+NORMAL = 1.96  # standard errors of a 95 % interval
+NOTHING, UNEXPLAINED, FAILED = "nothing", "unexplained", "failed"
+console = Console()
+if not console.is_terminal:
+    console.width = 160  # a log's lines may be longer than the 80 columns that are assumed of it
+
+
+# --- blind ---
+
+
+def diagnose_case(folder: Path, out: Path) -> str:
+    """Diagnose the `data` of a case, predict its `unseen`, write both to `out`; the case's id. A crash is a result, too."""
+    start = time.perf_counter()
+    try:
+        diagnosis = diagnose(load_recordings(folder / "data"), jobs=1)
+        wall = time.perf_counter() - start
+        unseen = load_recordings(folder / "unseen")
+        errors = {"before": mean_errors(diagnosis.plain, unseen), "after": mean_errors(diagnosis.model, unseen)}
+        found: dict[str, Any] = {"diagnosis": to_json(diagnosis), "unseen": errors}
+    except Exception:
+        wall, found = time.perf_counter() - start, {"failed": traceback.format_exc()}
+    write_json(out / f"{folder.name}.json", without_nan({"case": folder.name, "wall_s": wall, **found}))
+    return folder.name
+
+
+def mean_errors(model: CalibratedModel, unseen: RecordingSet) -> dict[str, float | None]:
+    """NRMSE of the predicted signal, mean over the recordings, by joint."""
+    errors = evaluate_inverse(model, unseen).values()
+    known = {j: [e[j]["nrmse"] for e in errors if e[j]["nrmse"] is not None] for j in model.joints}
+    return {j: float(np.mean(v)) if v else None for j, v in known.items()}
+
+
+def without_nan(x: Any) -> Any:
+    """Plain data with null for what is no finite number."""
+    if isinstance(x, Mapping):
+        return {k: without_nan(v) for k, v in x.items()}
+    if isinstance(x, list | tuple):
+        return [without_nan(v) for v in x]
+    return None if isinstance(x, float) and not np.isfinite(x) else x
+
+
+def run_blind(folders: Sequence[Path], out: Path, jobs: int) -> None:
+    """Diagnose the cases that have no result yet."""
+    todo = [f for f in folders if not (out / f"{f.name}.json").exists()]
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("diagnosing", total=len(folders), completed=len(folders) - len(todo))
+        for case in parallel.unordered(diagnose_case, [(f, out) for f in todo], jobs):
+            progress.update(bar, advance=1, description=f"diagnosed {case}")
+
+
+def chosen(cases: Path, only: str | None, limit: int | None) -> list[Path]:
+    """Folders of the cases, in the order of their ids; `only` picks a kind, of which the diagnosis is told nothing."""
+    folders = sorted(f.parent for f in cases.glob("*/data") if (cases / "sealed" / f"{f.parent.name}.json").is_file())
+    if only:
+        folders = [f for f in folders if read(cases / "sealed" / f"{f.name}.json")["kind"] == only]
+    if not folders:
+        raise UserError(
+            f"{cases}: no cases{f' of the kind {only!r}' if only else ''}; validation/concealed/make_cases.py makes them"
+        )
+    return folders[:limit]
+
+
+def read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+# --- opened ---
+
+
+def place(joint: Any) -> tuple[str, ...]:
+    """A joint, a list of two or null, to compare by."""
+    return () if joint is None else tuple(sorted([joint] if isinstance(joint, str) else joint))
+
+
+def key(entry: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    return entry["effect"], place(entry["joint"])
+
+
+def how_named(truth: Mapping[str, Any], found: Mapping[str, Any]) -> str | None:
+    """In which way an effect of a diagnosis names one of the truth: "itself", "rival", "equal"; None where it does not."""
+    if key(found) == key(truth):
+        return "itself"
+    if key(truth) in [key(r) for r in found.get("rivals", [])]:
+        return "rival"
+    classes = truth.get("equal_effects") or {}
+    same = [key(e) for kind in ("equal", "within_noise") for e in classes.get(kind, [])]
+    return "equal" if key(found) in same else None
+
+
+def outside_named(truth: Mapping[str, Any], unexplained: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether something is called unexplained on the right joint, by a variable that the truth depends on."""
+    joints, variables = place(truth["joint"]), set(truth["depends_on"])
+    return any((not joints or u["joint"] in joints) and variables & set(parts(u["depends_on"])) for u in unexplained)
+
+
+def parts(names: Iterable[str]) -> list[str]:
+    """Names of variables; a product is its factors."""
+    return [part.strip() for name in names for part in name.split("*")]
+
+
+def matched(truths: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]]) -> list[tuple[int, str] | None]:
+    """For each true effect which of the found ones names it, each at most once, and how."""
+    if not truths or not found:
+        return [None] * len(truths)
+    worth = {"itself": 3.0, "rival": 2.0, "equal": 1.9, None: 0.0}
+    ways = [[how_named(t, f) for f in found] for t in truths]
+    rows, columns = linear_sum_assignment([[-worth[w] for w in row] for row in ways])
+    result: list[tuple[int, str] | None] = [None] * len(truths)
+    for i, k in zip(rows, columns, strict=True):
+        way = ways[i][k]
+        if way is not None:
+            result[i] = int(k), way
+    return result
+
+
+def score_case(truth: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:
+    """What became of one case."""
+    diagnosis = result.get("diagnosis") or {"verdict": FAILED, "effects": [], "unexplained": []}
+    effects, unexplained, few = diagnosis["effects"], diagnosis["unexplained"], truth["kind"] in FEW
+    inside = [e for e in truth["effects"] if e["in_catalogue"]]
+    found = matched(inside, effects[:1] if few else effects)
+    seen = [r["file"] for r in truth["recordings"] if not r["unseen"]]
+    entries = []
+    for e, match in zip(inside, found, strict=True):
+        hit = None if match is None else effects[match[0]]
+        entry = {
+            "effect": e["effect"],
+            "ratio": e.get("ratio", {}).get("requested"),
+            "named": match is not None,
+            "how": None if match is None else match[1],
+            "recordings": hit is not None and files(hit["recordings"], seen) == files(e["recordings"], seen),
+            "covered": covered(e, hit) if hit is not None and match is not None and match[1] == "itself" else [],
+        }
+        entries.append(entry)
+    for e in truth["effects"]:
+        if not e["in_catalogue"]:
+            equal = any(how_named(e, f) == "equal" for f in effects)
+            entries.append({
+                "effect": e["effect"], "ratio": e["ratio"]["requested"], "named": outside_named(e, unexplained),
+                "how": "equal" if equal else None, "outside": True, "covered": [],
+            })  # fmt: skip
+    first = effects[0]["effect"] if effects else UNEXPLAINED if unexplained else NOTHING
+    return {
+        "case": truth["case"],
+        "key": truth["key"],
+        "kind": truth["kind"],
+        "robot": truth["robot"],
+        "joints": len(truth["joints"]),
+        "true": entries,
+        "found": [key(e)[0] + "".join(f" {j}" for j in key(e)[1]) for e in effects]
+        + [f"{UNEXPLAINED} {u['joint']}: {', '.join(u['depends_on'])}" for u in unexplained],
+        "first": FAILED if "failed" in result else first,
+        "extra": len(effects) + len(unexplained) - sum(e["named"] for e in entries),
+        "alarm": diagnosis["verdict"] != "nothing_missing",
+        "unseen": mean_over_joints(result.get("unseen")),
+        "wall_s": result["wall_s"],
+    }
+
+
+def files(recordings: Any, seen: Sequence[str]) -> set[str]:
+    """Names of recordings among those that the tool saw."""
+    return set(seen) if recordings == "all" else set(recordings) & set(seen)
+
+
+def covered(truth: Mapping[str, Any], found: Mapping[str, Any]) -> list[bool]:
+    """For each number that both have and the tool gives an interval for, whether that holds the true value."""
+    result = []
+    for name, p in found["parameters"].items():
+        true = truth["parameters"].get(name, {}).get("value")
+        for value, std, interval, t in zip(*map(flat, (p["value"], p["std"])), intervals(p), flat(true), strict=False):
+            if not isinstance(t, float | int) or not isinstance(value, float | int):
+                continue
+            if interval is None and std is None:
+                continue  # the recordings do not decide it
+            low, high = (value - NORMAL * std, value + NORMAL * std) if interval is None else interval
+            turns = 2 * np.pi * np.round((value - t) / (2 * np.pi)) if name == "phase" else 0.0
+            result.append(bool(low <= t + turns <= high))
+    return result
+
+
+def flat(x: Any) -> list[Any]:
+    return [v for y in x for v in flat(y)] if isinstance(x, list) else [x]
+
+
+def intervals(parameter: Mapping[str, Any]) -> list[tuple[float, float] | None]:
+    given = parameter.get("interval")
+    return [None] * len(flat(parameter["value"])) if not given else [(given[0], given[1])]
+
+
+def mean_over_joints(unseen: Mapping[str, Mapping[str, float | None]] | None) -> dict[str, float] | None:
+    if unseen is None:
+        return None
+    return {when: float(np.mean([v for v in by_joint.values() if v is not None])) for when, by_joint in unseen.items()}
+
+
+def share(flags: Sequence[bool]) -> dict[str, Any]:
+    """How many of how many, with the 95 % interval of Clopper and Pearson."""
+    k, n = sum(flags), len(flags)
+    low = float(beta.ppf(0.025, k, n - k + 1)) if k else 0.0
+    high = float(beta.ppf(0.975, k + 1, n - k)) if k < n else 1.0
+    return {"of": n, "count": k, "share": k / n if n else None, "interval": [low, high] if n else None}
+
+
+def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """All numbers of the report."""
+    of = {kind: [s for s in scores if s["kind"] == kind] for kind in sorted({s["kind"] for s in scores})}
+
+    def inside(s: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+        return [e for e in s["true"] if not e.get("outside")]
+
+    strengths = sorted({(k, e["ratio"]) for k in of if k in FEW for s in of[k] for e in inside(s) if e["ratio"]}, reverse=True)
+    named = {
+        f"{kind}, {ratio:g} times the noise": share([e["named"] for s in of[kind] for e in inside(s) if e["ratio"] == ratio])
+        for kind, ratio in strengths
+    }
+    every = {k: share([all(e["named"] for e in inside(s)) for s in of[k] if inside(s)]) for k in SEVERAL if k in of}
+    outside = [(s, e) for s in scores for e in s["true"] if e.get("outside")]
+    clean = [s for s in scores if not s["true"]]
+    before_after = [s["unseen"] for s in scores if s["unseen"] and s["true"]]
+    effects = sorted({e["effect"] for s in scores for e in s["true"]})
+    return {
+        "cases": len(scores),
+        "failed": [s["case"] for s in scores if s["first"] == FAILED],
+        "named": named,
+        "every_effect_named": every,
+        "how": dict(Counter(e["how"] for s in scores for e in inside(s) if e["named"])),
+        "recordings_right": share([e["named"] and e["recordings"] for s in of.get("some", []) for e in inside(s)]),
+        "outside_unexplained": share([e["named"] for _, e in outside]),
+        "outside_or_equal": share([e["named"] or e["how"] == "equal" for _, e in outside]),
+        "false_alarms": share([s["alarm"] for s in clean]),
+        "with_extra_effects": share([s["extra"] > 0 for s in scores if s["true"]]),
+        "coverage": share([c for s in scores for e in s["true"] for c in e["covered"]]),
+        "unseen_nrmse": quartiles(before_after),
+        "seconds": {
+            f"{n} joints": [float(x) for x in np.quantile([s["wall_s"] for s in scores if s["joints"] == n], [0.5, 1.0])]
+            for n in sorted({s["joints"] for s in scores})
+        },
+        "by_effect": {
+            name: {
+                "named": share([e["named"] for s in scores for e in s["true"] if e["effect"] == name]),
+                "coverage": share([c for s in scores for e in s["true"] if e["effect"] == name for c in e["covered"]]),
+            }
+            for name in effects
+        },
+        "scores": list(scores),
+    }
+
+
+def quartiles(pairs: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
+    """Quartiles over cases of the NRMSE with the plain and the repaired model, and of their ratio."""
+    if not pairs:
+        return {}
+    before, after = (np.array([p[k] for p in pairs]) for k in ("before", "after"))
+    rows = {"plain": before, "repaired": after, "repaired / plain": after / before}
+    return {name: [float(x) for x in np.quantile(values, [0.25, 0.5, 0.75])] for name, values in rows.items()}
+
+
+def confusion(scores: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
+    """True effects, answers, and counts, of the cases with one effect; what was named in any way counts as itself."""
+    pairs = []
+    for s in scores:
+        if len(s["true"]) == 1:
+            e = s["true"][0]
+            right = UNEXPLAINED if e.get("outside") else e["effect"]
+            pairs.append((e["effect"], right if e["named"] else s["first"]))
+        elif not s["true"]:
+            pairs.append((NOTHING, s["first"]))
+    rows = sorted({t for t, _ in pairs})
+    columns = [*[r for r in rows if any(f == r for _, f in pairs)], *sorted({f for _, f in pairs} - set(rows))]
+    counts = np.zeros((len(rows), len(columns)), int)
+    for t, f in pairs:
+        counts[rows.index(t), columns.index(f)] += 1
+    return rows, columns, counts
+
+
+def draw_confusion(scores: Sequence[Mapping[str, Any]]) -> Any:
+    """The confusion matrix, shares of each row as colour, counts as numbers."""
+    rows, columns, counts = confusion(scores)
+    figure, axis = plt.subplots(figsize=(2.5 + 0.36 * len(columns), 2.0 + 0.3 * len(rows)))
+    axis.imshow(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    for i, k in np.argwhere(counts):
+        axis.text(k, i, str(counts[i, k]), ha="center", va="center", fontsize=7)
+    axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
+    axis.set_yticks(range(len(rows)), rows, fontsize=8)
+    axis.set(xlabel="answer", ylabel="truth", title="Cases with one effect or none")
+    figure.tight_layout()
+    return figure
+
+
+def report(summary: Mapping[str, Any]) -> str:
+    """The report in Markdown."""
+    rows = [
+        *summary["named"].items(),
+        *((f"{kind}: every effect", s) for kind, s in summary["every_effect_named"].items()),
+        ("effects in some recordings: named, and the recordings right", summary["recordings_right"]),
+        ("outside the catalogue: unexplained, joint and variable right", summary["outside_unexplained"]),
+        ("… or named by an effect that is equal on these data", summary["outside_or_equal"]),
+        ("false alarms where nothing is missing", summary["false_alarms"]),
+        ("cases with an effect in which more was found", summary["with_extra_effects"]),
+        ("95 % intervals that hold the true value", summary["coverage"]),
+    ]
+    lines = ["# Concealed physics", "", f"{summary['cases']} sealed cases, {len(summary['failed'])} of them failed.", ""]
+    lines += ["|  | of | share | its own 95 % interval |", "| --- | --- | --- | --- |", *(row(*r) for r in rows), ""]
+    how = ", ".join(f"{n} as {w}" for w, n in summary["how"].items()) or "none"
+    lines += [f"Named: {how} (`rival`: listed as indistinguishable; `equal`: equal on these data by the plant's Jacobian).", ""]
+    if summary["unseen_nrmse"]:
+        lines += ["NRMSE on recordings of other motions, mean over joints, quartiles over the cases with an effect:", ""]
+        lines += ["|  | 25 % | 50 % | 75 % |", "| --- | --- | --- | --- |"]
+        lines += [f"| {k} | " + " | ".join(f"{x:.3f}" for x in v) + " |" for k, v in summary["unseen_nrmse"].items()] + [""]
+    lines += ["| time per case | median [s] | longest [s] |", "| --- | --- | --- |"]
+    lines += [f"| {k} | {a:.1f} | {b:.1f} |" for k, (a, b) in summary["seconds"].items()]
+    lines += ["", "| effect | of | named | its own 95 % interval | intervals | hold |", "| --- | --- | --- | --- | --- | --- |"]
+    for name, s in summary["by_effect"].items():
+        c = s["coverage"]
+        lines.append(f"{row(name, s['named'])} {c['of']} | {percent(c['share'])} |")
+    missed = [s for s in summary["scores"] if (not s["true"] and s["alarm"]) or not all(e["named"] for e in s["true"])]
+    lines += ["", "## Missed", "", "| case | key | found |", "| --- | --- | --- |"]
+    lines += [f"| {s['case']} | {s['key']} | {'; '.join(s['found']) or s['first']} |" for s in missed]
+    return "\n".join([*lines, "", "![confusion](confusion.png)"]) + "\n"
+
+
+def row(name: str, s: Mapping[str, Any]) -> str:
+    interval = "" if s["interval"] is None else " … ".join(percent(x) for x in s["interval"])
+    return f"| {name} | {s['of']} | {percent(s['share'])} | {interval} |"
+
+
+def percent(x: float | None) -> str:
+    return "" if x is None else f"{100 * x:.1f} %"
+
+
+def open_cases(cases: Path, folders: Sequence[Path], results: Path) -> list[dict[str, Any]]:
+    """The scores of the cases that have a result."""
+    done = [f.name for f in folders if (results / f"{f.name}.json").exists()]
+    return [score_case(read(cases / "sealed" / f"{case}.json"), read(results / f"{case}.json")) for case in done]
+
+
+def main(
+    cases: Annotated[Path, typer.Option(help="a folder that validation/concealed/make_cases.py made")],
+    out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/concealed"),
+    jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
+    limit: Annotated[int | None, typer.Option(min=1, help="only so many cases, the first by id")] = None,
+    only: Annotated[str | None, typer.Option(help="only cases of this kind, as single, clean, pair")] = None,
+    score_only: Annotated[bool, typer.Option("--score-only", help="diagnose nothing more; score what there is")] = False,
+) -> None:
+    """Diagnose sealed cases, then open and score them; writes cases/<id>.json, summary.json, report.md and confusion.png."""
+    folders = chosen(cases, only, limit)
+    if not score_only:
+        run_blind(folders, out / "cases", jobs)
+    scores = open_cases(cases, folders, out / "cases")
+    if not scores:
+        raise UserError(f"{out / 'cases'}: no results of these cases; run without --score-only first")
+    summary = summarise(scores)
+    write_json(out / "summary.json", summary)
+    text = report(summary)
+    write_text(out / "report.md", text)
+    figure = draw_confusion(scores)
+    figure.savefig(out / "confusion.png", dpi=110)
+    plt.close(figure)
+    console.print(Markdown(text))
+    console.print(f"Everything is in {out}.", highlight=False, soft_wrap=True)
+
+
+def run() -> None:
+    """The command line; an error that the user can mend is one sentence and exit status 2."""
+    try:
+        typer.run(main)
+    except UserError as error:
+        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    run()
