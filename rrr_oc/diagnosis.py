@@ -14,7 +14,7 @@ from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import RecordingSet
-from rrr_oc.regression import Prepared, prepare, rows, without_spikes
+from rrr_oc.regression import Prepared, prepare, rows, thinned, without_spikes
 
 FORMAT = "rrr_oc-diagnosis/1"
 FOLDS = 4  # of the recordings, each held out once
@@ -84,10 +84,10 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         UserError: The recordings are too short for the filter.
     """
     report("calibrating the plain model")
-    prepared = prepare(recordings)
+    whole = prepared = prepare(recordings)
     start = with_widths(prepared, plain_model(recordings))
     plain = _final(recordings, prepared, start)
-    prepared = without_spikes(prepared, plain)
+    prepared = thinned(without_spikes(prepared, plain))
     unknown = recordings.inertial == "identify"
     bench = Bench.of(prepared, unknown)
     report("looking for effects")
@@ -104,7 +104,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         report("what each effect is worth on recordings held out")
         ordered = replace(fitted.model, terms=(*start.terms, *(f.term for f in findings)))
         shares = _shares(folds, ordered, len(start.terms))
-        model = _final(recordings, prepared, ordered)
+        model = _final(recordings, whole, ordered)
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     mismatch = _mismatch(bench, refit(bench, begin), fitted, findings, calibration[0], held_out[0])

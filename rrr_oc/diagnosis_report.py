@@ -117,12 +117,11 @@ def _maps(diagnosis: Diagnosis, j: int) -> Any:
     data = [_points(model, recordings, j) for model in (diagnosis.plain, diagnosis.model)]
     limit = max(float(np.quantile(np.abs(data[0]["residual"]), 0.98)), 1e-9)
     for row, points, name in zip(axes, data, ("plain model", "extended model"), strict=True):
-        pairs = (("q", "dq", "position [rad]", "speed [rad/s]"), ("load", "dq", "load torque [Nm]", "speed [rad/s]"))
-        for axis, (x, y, x_label, y_label) in zip(row, pairs, strict=False):
-            shown = axis.scatter(
-                points[x], points[y], c=points["residual"], s=3, cmap="coolwarm", vmin=-limit, vmax=limit, rasterized=True
-            )
-            axis.set(xlabel=x_label, ylabel=y_label)
+        colours = {"c": points["residual"], "s": 3, "cmap": "coolwarm", "vmin": -limit, "vmax": limit, "rasterized": True}
+        row[0].scatter(points["q"], points["dq"], **colours)
+        row[0].set(xlabel="position [rad]", ylabel="speed [rad/s]")
+        shown = row[1].scatter(points["load"], points["dq"], **colours)
+        row[1].set(xlabel="load torque [Nm]", ylabel="speed [rad/s]")
         row[2].scatter(points["time"], points["residual"], s=3, color="0.35", rasterized=True)
         row[2].set(xlabel="time since start [s]", ylabel="residual [Nm]", ylim=(-2 * limit, 2 * limit))
         row[0].set_title(f"{joint}, {name}", loc="left", fontsize=10)

@@ -24,16 +24,16 @@ def along(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
     Args:
         arguments: (rows, columns · K) each, or (rows, columns) for what is the same at all instants.
     """
-    arrays = [np.asfortranarray(np.reshape(a, (len(a), -1)) if np.ndim(a) < 2 else a, float) for a in arguments]
+    arrays = [np.asfortranarray(np.reshape(a, (len(a), 1)) if np.ndim(a) < 2 else a, float) for a in arguments]
     counts = [a.shape[1] // max(function.size2_in(i), 1) for i, a in enumerate(arrays)]
     count = max(counts)
     mapped = _mapped(function, count, tuple(i for i, c in enumerate(counts) if c != count))
     results = [np.empty(mapped.size_out(i), order="F") for i in range(mapped.n_out())]
     buffer, evaluate = mapped.buffer()
     for i, a in enumerate(arrays):
-        buffer.set_arg(i, memoryview(a.reshape(-1, order="F")))
+        buffer.set_arg(i, a.reshape(-1, order="F").data)  # pyright: ignore[reportCallIssue, reportArgumentType]
     for i, a in enumerate(results):
-        buffer.set_res(i, memoryview(a.reshape(-1, order="F")))
+        buffer.set_res(i, a.reshape(-1, order="F").data)  # pyright: ignore[reportCallIssue, reportArgumentType]
     evaluate()
     return results
 

@@ -27,6 +27,7 @@ REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this sp
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
 DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
+THIN = 0.012  # [s] between samples of recordings that were sampled faster, where many models are to be compared
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
 
 
@@ -90,6 +91,32 @@ class Rows:
 def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared, ...]:
     """All recordings of a set made ready for `rows`."""
     return tuple(_prepare(recordings, r, window) for r in recordings.recordings)
+
+
+def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared, ...]:
+    """The recordings with no more samples than one in `step` [s], of which the common filter keeps all it lets through.
+
+    Torque is averaged over what is left out; motion, which was smoothed before, is not.
+    """
+    return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01))) for p in prepared)
+
+
+def _thinned(prepared: Prepared, stride: int) -> Prepared:
+    if stride == 1:
+        return prepared
+    r, measured = prepared.recording, prepared.measured.copy()
+    segments, kept, start = [], [], 0
+    for s in r.segments:
+        count = stride + 1 - stride % 2
+        if s.stop - s.start > count:
+            measured[:, s] = local_polynomial(r.t[s], measured[:, s], 0, 1, count)
+        kept.append(np.arange(s.start, s.stop, stride))
+        segments.append(slice(start, start + len(kept[-1])))
+        start += len(kept[-1])
+    rows = np.concatenate(kept)
+    arrays = {name: getattr(r, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    coarse = replace(r, **arrays, segments=tuple(segments))
+    return replace(prepared, recording=coarse, measured=measured[:, rows], moving=prepared.moving[:, rows])
 
 
 def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False) -> Rows:

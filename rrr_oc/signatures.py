@@ -157,7 +157,8 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
     result = np.zeros((len(trial.points), *r.q.shape))
     if effect.of_spring and effect.joints not in (at.signals.springs or {}):
         return result
-    for change, theta in zip(result, trial.points, strict=True):
+    for k, theta in enumerate(trial.points):
+        change = result[k]
         if effect.side == "sensor":
             true = at.load if at.torque == "load" else at.motor
             if effect.of_arm:
@@ -221,7 +222,7 @@ def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:
 
     shift = moved(at.recording, trial.effect, theta, trial.width, at.load, reaction)
     parts = np.split(shift, 3)
-    return sum(np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], parts, strict=True))
+    return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], parts, strict=True)], axis=0)
 
 
 @dataclass(frozen=True)
@@ -249,7 +250,7 @@ def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
     for at in contexts:
         moving = at.prepared.moving[:, kept_rows(at.recording)[0]]
         raw = np.concatenate([columns(at, t) for t in every]) if every else np.zeros((0, *at.load.shape))
-        parts.append([(at.prepared.matrix @ raw[:, j].T) * moving[j][:, None] for j in range(raw.shape[1])])
+        parts.append([(at.prepared.matrix @ raw[:, j].T) * moving[j][:, None] for j in range(len(at.load))])
     values, used = [], []
     for j in range(len(parts[0])):
         whole = np.concatenate([p[j] for p in parts])

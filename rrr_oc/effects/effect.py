@@ -41,7 +41,7 @@ class Signals:
     payload: Any = None
     states: Any = None
     friction: Any = None
-    springs: Mapping[tuple[int, ...], tuple["Effect", Mapping[str, Any], Any]] | None = None
+    springs: Any = None
 
 
 @dataclass(frozen=True)
