@@ -1,0 +1,80 @@
+"""Diagnosis of recordings that an independent plant made, with an effect concealed in them or with none."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from rrr_oc.calibrated import load_model
+from rrr_oc.cli import app
+from rrr_oc.evaluate import evaluate_inverse
+from rrr_oc.recordings import load_recordings
+from validation.concealed.build import build
+from validation.concealed.cases import Case, Concealed
+from validation.concealed.write import write_case
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder of a short case of the plant, made once for each declaration."""
+    folder, cases = tmp_path_factory.mktemp("cases"), {}
+
+    def make(key: str, robot: str, *concealed: Concealed) -> tuple[Path, dict]:
+        if key not in cases:
+            case = Case(key, "test", 11, robot, concealed, short=True)
+            (folder / "sealed").mkdir(exist_ok=True)
+            write_case(build(case), folder)
+            truth = json.loads((folder / "sealed" / f"{case.id}.json").read_text())
+            cases[key] = (folder / case.id, truth)
+        return cases[key]
+
+    return make
+
+
+def run(*arguments: object) -> None:
+    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+
+
+def diagnosed(case: Path, out: Path) -> dict:
+    run("diagnose", case / "data", "--out", out, "--jobs", 1)
+    assert {p.name for p in out.iterdir()} >= {"diagnosis.json", "model.json", "report.html"}
+    return json.loads((out / "diagnosis.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("robot", "effect"),
+    [("arm2", "load_dependent_friction"), ("arm2", "encoder_offset"), ("arm1", "stribeck"), ("arm2", "torque_gain")],
+)
+def test_names_what_was_concealed(made, tmp_path, robot, effect):
+    case, truth = made(f"{effect}/{robot}", robot, Concealed(effect, 2.0))
+    found = diagnosed(case, tmp_path / "out")
+    (hidden,) = truth["effects"]
+    assert found["format"] == "rrr_oc-diagnosis/1"
+    assert found["verdict"] == "missing_physics"
+    assert [(e["effect"], e["joint"], e["recordings"]) for e in found["effects"]] == [(effect, hidden["joint"], "all")]
+    for name, parameter in found["effects"][0]["parameters"].items():
+        true = hidden["parameters"][name]["value"]
+        assert abs(parameter["value"] - true) < 5 * parameter["std"] + 0.02 * abs(true)  # the plant's law is sampled
+    assert all(m["significant"] == (m["joint"] == hidden["joint"]) for m in found["mismatch"] if m["joint"] == hidden["joint"])
+
+
+def test_repaired_model_predicts_unseen_recordings(made, tmp_path):
+    case, truth = made("load_dependent_friction/arm2", "arm2", Concealed("load_dependent_friction", 2.0))
+    diagnosed(case, tmp_path / "out")
+    run("calibrate", case / "data", "--out", tmp_path / "plain")
+    unseen, joint = load_recordings(case / "unseen"), truth["effects"][0]["joint"]
+    plain, repaired = (evaluate_inverse(load_model(tmp_path / name / "model.json"), unseen) for name in ("plain", "out"))
+    for file in plain:
+        assert repaired[file][joint]["nrmse"] < 0.7 * plain[file][joint]["nrmse"]
+
+
+@pytest.mark.parametrize("robot", ["arm1", "arm3"])
+def test_stays_silent_where_nothing_is_missing(made, tmp_path, robot):
+    case, _ = made(f"clean/{robot}", robot)
+    found = diagnosed(case, tmp_path / "out")
+    assert found["verdict"] == "nothing_missing"
+    assert found["effects"] == []
+    assert found["unexplained"] == []
+    assert not any(m["significant"] for m in found["mismatch"])
