@@ -22,7 +22,7 @@ from validation.concealed.catalogue import CATALOGUE, OUTSIDE, effect_type  # no
 from validation.concealed.effect import Effect  # noqa: E402
 from validation.concealed.effects_friction import Backlash, JointElasticity, LoadDependentFriction  # noqa: E402
 from validation.concealed.plain import calibrate, thinned  # noqa: E402
-from validation.concealed.plant import Plant, Setup, signals  # noqa: E402
+from validation.concealed.plant import Plant, Setup, bodies, signals  # noqa: E402
 from validation.concealed.sensors import sample  # noqa: E402
 from validation.concealed.springs import SpringBank, spring_torque  # noqa: E402
 from validation.concealed.write import write_case  # noqa: E402
@@ -170,6 +170,23 @@ def test_two_inertias_stay_together(kind):
         still = rate < 0.05 * rate.max()  # where the transmission's own damping is small
         assert still.any()
         assert np.abs(twist - h.load[0, j] * strength)[still].max() < 0.03 * np.abs(twist).max()
+
+
+def test_a_payload_hangs_on_its_link_behind_locked_joints():
+    """Its weight as J^T m g at the tool's point of the whole URDF, with all joints."""
+    arm = make_arm(Case("test/locked", "test", 3, "arm2", locked=2))
+    whole = pin.buildModelFromXML(arm.urdf)
+    frame, data, (q1, q2) = whole.getFrameId(arm.tool_link), whole.createData(), (0.4, -0.7)
+    q = pin.neutral(whole)
+    q[:2] = q1, q2
+    jacobian = pin.computeFrameJacobian(whole, data, q, frame, pin.LOCAL)[:, :2]
+    arm_there = pin.SE3(np.eye(3), arm.tool_point).toActionMatrixInverse() @ jacobian
+    rotation = pin.updateFramePlacement(whole, data, frame).rotation
+    expected = -arm_there[:3].T @ rotation.T @ np.array([0, 0, -9.81]) * 3.0
+    loaded, empty = bodies(arm, Setup(np.array([3.0, 0.0]), [{}, {}]), [])
+    weight = [pin.rnea(m, m.createData(), np.array([q1, q2]), np.zeros(2), np.zeros(2)) for m in (loaded, empty)]
+    np.testing.assert_allclose(weight[0] - weight[1], expected, atol=1e-10)
+    assert np.abs(expected).max() > 1
 
 
 def test_springs_are_eq_3_and_eq_5():

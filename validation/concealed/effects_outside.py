@@ -134,12 +134,12 @@ class SloshingPayload(Outside):
 
     @classmethod
     def draw(cls, arm, motion, rng):
-        frame = arm.model.getFrameId(arm.tool_link)
-        joint = arm.model.frames[frame].parentJoint
+        frame = arm.model.frames[arm.model.getFrameId(arm.tool_link)]
+        joint = frame.parentJoint
         shape = {
             "model": arm.model,
             "joint": joint,
-            "point": pin.SE3(np.eye(3), arm.tool_point),
+            "point": frame.placement * pin.SE3(np.eye(3), arm.tool_point),
             "omega": rng.uniform(4.0, 9.0),
             "damping": rng.uniform(0.05, 0.15),
         }

@@ -111,15 +111,20 @@ class Jacobian:
 
     def body_candidates(self) -> Iterator[Candidate]:
         arm = self.arm
-        parent = arm.model.frames[arm.model.getFrameId(arm.tool_link)].parentJoint
+        tool = arm.model.frames[arm.model.getFrameId(arm.tool_link)]
+        parent, point = tool.parentJoint, tool.placement.act(arm.tool_point)
 
         def add(joint: int, mass: float, point: np.ndarray, inertia=None):
             body = pin.Inertia(mass, point, np.zeros((3, 3)) if inertia is None else inertia)
             return lambda m, b: m.appendBodyToJoint(joint, body, pin.SE3.Identity())
 
-        yield Candidate("payload_mass", None, self.edited(add(parent, EPS, arm.tool_point)))
+        yield Candidate("payload_mass", None, self.edited(add(parent, EPS, point)))
         if self.setup.payload.max() > 0:
-            yield Candidate("payload_com", None, np.concatenate([self.edited(self.moved(parent, k)) for k in range(3)], -1))
+            yield Candidate(
+                "payload_com",
+                None,
+                np.concatenate([self.edited(self.moved(parent, point, tool.placement.rotation[:, k])) for k in range(3)], -1),
+            )
         for j, joint in enumerate(arm.joints):
             unit = np.eye(3)
             shift = [self.edited(add(j + 1, EPS, 0.2 * e)) for e in unit]
@@ -134,13 +139,13 @@ class Jacobian:
 
         yield Candidate("gravity_tilt", None, np.concatenate([self.edited(tilt(k)) for k in (0, 1)], -1))
 
-    def moved(self, parent: int, k: int):
-        """Edit that moves the listed payload along axis k: one body more at the new place, one less at the old."""
+    def moved(self, parent: int, point: np.ndarray, axis: np.ndarray):
+        """Edit that moves the listed payload along an axis: one body more at the new place, one less at the old."""
 
         def change(m: pin.Model, b: int) -> None:
             mass = float(self.setup.payload[b])
-            before = pin.Inertia(mass, self.arm.tool_point, np.zeros((3, 3)))
-            after = pin.Inertia(mass, self.arm.tool_point + EPS * np.eye(3)[k], np.zeros((3, 3)))
+            before = pin.Inertia(mass, point, np.zeros((3, 3)))
+            after = pin.Inertia(mass, point + EPS * axis, np.zeros((3, 3)))
             m.inertias[parent] = pin.Inertia.FromDynamicParameters(
                 m.inertias[parent].toDynamicParameters() + after.toDynamicParameters() - before.toDynamicParameters()
             )

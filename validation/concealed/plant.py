@@ -57,7 +57,7 @@ def bodies(arm: Arm, setup: Setup, effects: list[Effect]) -> list[pin.Model]:
         for effect in effects:
             if effect.mask[b] and effect.strength > 0:
                 effect.edit(body)
-        placement = pin.SE3(np.eye(3), body.point)
+        placement = tool.placement * pin.SE3(np.eye(3), body.point)  # locked joints may lie between joint and link
         inertia = pin.Inertia(body.payload, np.zeros(3), np.zeros((3, 3)))
         body.model.appendBodyToJoint(tool.parentJoint, inertia, placement)
         models.append(body.model)
