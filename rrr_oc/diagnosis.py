@@ -15,6 +15,8 @@ from rrr_oc.evidence import Bench
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import RecordingSet
 from rrr_oc.regression import Prepared, prepare, rows, thinned, without_spikes
+from rrr_oc.signatures import view
+from rrr_oc.suggest import Suggestion, suggest
 
 FORMAT = "rrr_oc-diagnosis/1"
 FOLDS = 4  # of the recordings, each held out once
@@ -51,6 +53,7 @@ class Diagnosis:
         held_out: The same on recordings that took part in no fit and no choice.
         way: "recordings" or "blocks": what was held out.
         mismatch: One entry a joint, as in the file.
+        suggestions: Recordings that would decide between effects that these do not tell apart.
     """
 
     recordings: RecordingSet
@@ -62,6 +65,7 @@ class Diagnosis:
     held_out: tuple[np.ndarray, np.ndarray]
     way: str
     mismatch: tuple[dict[str, Any], ...]
+    suggestions: tuple[Suggestion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -108,7 +112,10 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     mismatch = _mismatch(bench, refit(bench, begin), fitted, findings, calibration[0], held_out[0])
-    return Diagnosis(recordings, plain, model, tuple(findings), shares, calibration, held_out, way, mismatch)
+    suggestions = suggest(recordings, plain, findings, view(prepared, plain))
+    return Diagnosis(
+        recordings, plain, model, tuple(findings), shares, calibration, held_out, way, mismatch, tuple(suggestions)
+    )
 
 
 def _final(recordings: RecordingSet, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
@@ -285,7 +292,7 @@ def _where(
     return [entry for _, entry in sorted(found, key=lambda one: -one[0])[:3]]
 
 
-def to_json(diagnosis: Diagnosis, suggestions: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of `diagnosis.json`."""
     model, joints = diagnosis.model, diagnosis.model.joints
     effects, unexplained = [], []
@@ -308,7 +315,10 @@ def to_json(diagnosis: Diagnosis, suggestions: Sequence[Mapping[str, Any]] = ())
         "mismatch": list(diagnosis.mismatch),
         "effects": effects,
         "unexplained": unexplained,
-        "suggested_recordings": list(suggestions),
+        "suggested_recordings": [
+            {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}
+            for k, s in enumerate(diagnosis.suggestions, 1)
+        ],
         "nrmse": by_joint,
         "versions": dict(model.versions),
     }

@@ -20,11 +20,16 @@ table { border-collapse: collapse; margin: 1em 0; } td, th { border-bottom: 1px 
 img { max-width: 100%; }"""
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path, suggestions: list[dict[str, Any]] | None = None) -> None:
+def write_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Write model.json, the figures, report.html and, when all else is there, diagnosis.json."""
-    found = to_json(diagnosis, suggestions or [])
+    found = to_json(diagnosis)
     save_model(diagnosis.model, folder / "model.json")
     figures = [_save(_maps(diagnosis, j), folder / f"residual_{joint}.png") for j, joint in enumerate(diagnosis.model.joints)]
+    for suggestion, entry in zip(diagnosis.suggestions, found["suggested_recordings"], strict=True):
+        header = ",".join(["t", *(f"q_{joint}" for joint in diagnosis.model.joints)])
+        table = np.vstack([suggestion.t, suggestion.q]).T
+        lines = [",".join(f"{value:.6f}" for value in row) for row in table]
+        write_text(folder / entry["trajectory"], "\n".join([header, *lines]) + "\n")
     write_text(folder / "report.html", page(found, [f.name for f in figures]))
     write_json(folder / "diagnosis.json", found)
 

@@ -31,14 +31,16 @@ LADDER = (
     ("recordings", ("inference", "excitation", "signatures")),
     ("recordings", ("calibrate", "evidence")),
     ("recordings", ("diagnose",)),
+    ("recordings", ("suggest",)),
+    ("recordings", ("diagnosis",)),
     ("simulation", ("native",)),
     ("simulation", ("simulate",)),
     ("results", ("outcome", "replay")),
-    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer")),
+    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}
-VISIBLE = {"report", "figures", "cli"}  # the only modules that plot or print
+VISIBLE = {"report", "figures", "diagnosis_report", "cli"}  # the only modules that plot or print
 
 
 def modules() -> dict[str, Path]:
