@@ -24,6 +24,7 @@ MOST = 8  # effects
 TRIED = 5  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 1e-3  # p-value of the robust test, all trials together
+CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 STEADY = 3.0  # standard errors by which a fit must be better
 LEAST_SHARE = 0.01  # of the squared residual of a joint before any effect is added, for an effect to be named
 FLOOR = 1.1  # of the deviation that the noise accounts for
@@ -227,7 +228,9 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         same = any(_key(c) == _key(candidate) for c in result)
         if same or _present(candidate, model):
             continue
-        if not _straight(candidate) or robust_p(evidence, numbers[id(candidate.trial)], candidate) * tests < DOUBT:
+        k = numbers[id(candidate.trial)]
+        beyond_chance = not _straight(candidate) or robust_p(evidence, k, candidate) * tests < DOUBT
+        if beyond_chance and (bench_is_one(evidence) or evidence.confirmed(k, candidate) > CONFIRMED):
             result.append(candidate)
     return result
 
@@ -240,6 +243,11 @@ def _variants(model: CalibratedModel) -> list[CalibratedModel]:
         for effect in last.effect.forms()
         for share in (0.8, 1.0, 1.2)
     ]
+
+
+def bench_is_one(evidence: Evidence) -> bool:
+    """Whether there is no other recording on which a law could be confirmed."""
+    return len(evidence.bench.prepared) == 1
 
 
 def _straight(candidate: Candidate) -> bool:

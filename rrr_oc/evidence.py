@@ -18,7 +18,7 @@ from rrr_oc.effects.empirical import Empirical
 from rrr_oc.regression import STRIDE, Prepared, Rows, kept_rows, rows
 from rrr_oc.signatures import Table, context, table
 
-LONGEST = 0.6  # [s], of the lags over which residuals are correlated
+LONGEST = 2.0  # [s], of the lags over which residuals are correlated
 WHITE = 0.11  # [s], over which the common filter correlates white noise
 NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
 BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
@@ -230,6 +230,23 @@ class Evidence:
         inverse = pseudo_inverse(self.products.sum(axis=0)[: self.size, : self.size])
         return self.residual(k, candidate.coefficients, candidate.scope, inverse)
 
+    def confirmed(self, k: int, candidate: Candidate) -> float:
+        """Fall of the squared residual on recordings left out of the fit, over that on recordings in it; 1 for a law that holds.
+
+        Each recording in turn, with the model's parameters and the candidate's coefficients from the others.
+        """
+        c, within = self._columns(k), self._within(candidate.scope)
+        used = np.concatenate([np.arange(self.size), c, [self.products.shape[1] - 1]])
+        part = self.products[:, used][:, :, used].copy()
+        for r, inside in enumerate(within):
+            part[r, self.size : -1] *= inside
+            part[r, :, self.size : -1] *= inside
+        total, out = part.sum(axis=0), 0.0
+        inside = _fall(total, total, self.size)
+        for r in range(len(part)):
+            out += _fall(total - part[r], part[r], self.size)
+        return out / max(inside, 1e-300)
+
     def signature(self, k: int, scope) -> np.ndarray:
         """Columns of a trial at all rows, (n, M, m)."""
         c, result = np.arange(self.table.start[k], self.table.start[k + 1]), []
@@ -292,6 +309,15 @@ def robust_p(evidence: Evidence, k: int, candidate: Candidate) -> float:
     gain = matrix @ candidate.coefficients
     statistic = float(gain @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ gain)
     return float(chi2.sf(statistic, candidate.dimensions))
+
+
+def _fall(train: np.ndarray, test: np.ndarray, size: int) -> float:
+    """By how much more the squared residual falls on `test` with all columns than with the first `size`, fitted on `train`."""
+    falls = []
+    for count in (size, len(train) - 1):
+        theta = pseudo_inverse(train[:count, :count]) @ train[:count, -1]
+        falls.append(float(2 * theta @ test[:count, -1] - theta @ test[:count, :count] @ theta))
+    return falls[1] - falls[0]
 
 
 def _stack(found: Rows, signatures: Table, j: int) -> tuple[np.ndarray, np.ndarray]:

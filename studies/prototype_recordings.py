@@ -1,0 +1,108 @@
+"""What the plain model of the paper's own arm leaves out, found on its public recordings, as labelled and with labels removed:
+
+python studies/prototype_recordings.py DATASET [--out results/prototype_recordings] [--variant NAME ...]
+
+DATASET is the set that `rrr-oc import prototype` makes. Variants: `labelled` (all labels as they are), `no_payload` (the tool must
+find which recordings carried a payload, and how much), `no_springs` (which had springs, and how stiff), `bare` (the recordings
+without payload and springs: neither may be invented). A variant that is done is not done again.
+"""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from rrr_oc.diagnosis import diagnose, to_json
+from rrr_oc.diagnosis_report import write_diagnosis
+from rrr_oc.errors import UserError
+from rrr_oc.files import write_json, write_text
+from rrr_oc.recordings import RecordingSet, load_recordings
+from rrr_oc.report import markdown
+
+VARIANTS = ("labelled", "no_payload", "no_springs", "bare")
+console = Console()
+
+
+def variant(recordings: RecordingSet, name: str) -> RecordingSet:
+    """The set with the labels that a variant leaves."""
+    every = recordings.recordings
+    if name == "no_payload":
+        every = tuple(replace(r, payload=np.zeros_like(r.payload)) for r in every)
+    if name == "no_springs":
+        every = tuple(replace(r, springs=()) for r in every)
+    if name == "bare":
+        every = tuple(r for r in every if not r.springs and not r.payload.any())
+    return replace(recordings, recordings=every)
+
+
+def run(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:
+    """Diagnose a variant, write its report, return the content of its diagnosis.json."""
+    folder = out / name
+    done = folder / "diagnosis.json"
+    if not done.exists():
+        console.rule(name)
+        found = diagnose(variant(recordings, name), lambda line: console.print(line, highlight=False))
+        write_diagnosis(found, folder)
+        return to_json(found)
+    return json.loads(done.read_text(encoding="utf-8"))
+
+
+def report(recordings: RecordingSet, found: dict[str, dict[str, Any]]) -> str:
+    """Effects and errors of all variants in Markdown."""
+    carried = [r.file for r in recordings.recordings if r.payload.any()]
+    sprung = [r.file for r in recordings.recordings if r.springs]
+    parts = [
+        "# The prototype's recordings diagnosed\n",
+        f"Labels: a payload in {', '.join(carried) or 'none'}; springs in {', '.join(sprung) or 'none'}.\n",
+    ]
+    for name, content in found.items():
+        rows = []
+        for e in content["effects"]:
+            values = ", ".join(f"{k} {_value(v['value'])} {v['unit']}" for k, v in e["parameters"].items())
+            where = e["recordings"] if isinstance(e["recordings"], str) else ", ".join(e["recordings"])
+            rows.append([e["effect"], str(e["joint"]), where, values, f"{e['share_of_error']:.3f}"])
+        for u in content["unexplained"]:
+            rows.append(
+                ["unexplained", u["joint"], str(u["recordings"]), ", ".join(u["depends_on"]), f"{u['share_of_error']:.3f}"]
+            )
+        held = content["nrmse"]["held_out"]
+        errors = [
+            [j, f"{held['before'][j]:.3f}", f"{held['after'][j]:.3f}", f"{held['after'][j] / held['before'][j]:.2f}"]
+            for j in held["before"]
+        ]
+        parts += [
+            f"## {name}\n",
+            markdown(["effect", "joint", "recordings", "parameters", "share of error"], rows),
+            markdown(["joint", "NRMSE held out, plain", "extended", "ratio"], errors),
+        ]
+    return "\n".join(parts)
+
+
+def _value(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("results/prototype_recordings"))
+    parser.add_argument("--variant", nargs="+", choices=VARIANTS, default=list(VARIANTS))
+    options = parser.parse_args()
+    try:
+        recordings = load_recordings(options.dataset)
+        found = {name: run(recordings, name, options.out) for name in options.variant}
+    except UserError as error:
+        console.print(f"Error: {error}", style="red", highlight=False)
+        raise SystemExit(2) from None
+    write_json(options.out / "summary.json", found)
+    text = report(recordings, found)
+    write_text(options.out / "report.md", text)
+    console.print(text, highlight=False, markup=False)
+
+
+if __name__ == "__main__":
+    main()
