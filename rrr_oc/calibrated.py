@@ -18,7 +18,6 @@ from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.robot import BUNDLED, Robot, ToolPoint, load_robot
 
 FORMAT = "rrr_oc-model/1"
-PASSES = 3  # by which load and twist are made to agree
 Kind = Literal["motor", "load", "current"]
 
 
@@ -111,10 +110,9 @@ class Physics:
         inputs, states = self.inputs(recording), np.zeros((len(self.model.states), len(recording.t)))
         for kind in (False, True):  # what a link does in its gap follows from the motion that all else makes
             effects = [one for one in motion if one[0].simulated == kind]
-            base = total
-            for _ in range(PASSES if effects and not kind else len(effects[:1])):  # the shift depends on the load, and back
+            if effects:  # of first order: to let load and shift agree would differentiate noise twice for each time
                 load = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, total, states)[1]
-                total = base + sum(moved(recording, *effect, load, self.reaction) for effect in effects)
+                total = total + sum(moved(recording, *effect, load, self.reaction) for effect in effects)
         return total
 
     def reaction(self, recording: Recording, load: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
@@ -438,7 +436,7 @@ def _term(entry: Mapping[str, Any], robot: Robot) -> Term:
     name = entry["effect"]
     if name not in CATALOGUE:
         raise UserError(f"effects: unknown effect {name!r}; this version knows {', '.join(sorted(CATALOGUE))}")
-    options = {key: tuple(value) if isinstance(value, list) else value for key, value in entry["options"].items()}
+    options = {key: _as_tuples(value) for key, value in entry["options"].items()}
     effect = CATALOGUE[name](tuple(robot.index(joint) for joint in entry["joints"]), **options)
     estimates = tuple(_estimate(entry["parameters"][p.name], f"{name}.{p.name}") for p in effect.parameters)
     width = None
@@ -448,6 +446,10 @@ def _term(entry: Mapping[str, Any], robot: Robot) -> Term:
             raise UserError(f"{name}: width {width} {effect.width.unit}; a finite number of 0 or more is required")
     recordings = entry["recordings"] if entry["recordings"] == "all" else tuple(entry["recordings"])
     return Term(effect, estimates, width, recordings, tuple(entry["groups"]))
+
+
+def _as_tuples(value: Any) -> Any:
+    return tuple(_as_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 def _estimate(entry: Mapping[str, Any], where: str) -> Estimate:

@@ -584,9 +584,6 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
         np.testing.assert_allclose(found, plain, atol=1e-7)  # a compliance of 1e-12 times derivatives over samples of 10 ms
 
 
-NESTED = pytest.mark.xfail(strict=True, reason="what an empirical term depends on is read again as lists")
-
-
 @pytest.mark.parametrize("name", [*CONTRACT, "empirical"])
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
@@ -613,7 +610,7 @@ def test_signatures_are_the_slopes_of_predictions(name, arm):
     assert seen
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=NESTED) if n == "empirical" else n for n in CATALOGUE])
+@pytest.mark.parametrize("name", list(CATALOGUE))
 def test_an_effect_survives_model_json(name, arm, tmp_path):
     rng, effect = np.random.default_rng(21), placed(name)
     estimates = tuple(
