@@ -21,6 +21,7 @@ from rrr_oc.suggest import Suggestion, suggest
 FORMAT = "rrr_oc-diagnosis/1"
 FOLDS = 4  # of the recordings, each held out once
 BLOCKS = 4  # of the only recording
+LEAST_SHARE = 0.002  # of the squared residual on recordings held out, for an effect to stay
 BINS = 12  # of a variable, when it is asked where the error is
 NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
@@ -106,9 +107,13 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     held_out = _mean([o[0] for o in outcomes]), _mean([o[1] for o in outcomes])
     if findings:
         report("what each effect is worth on recordings held out")
-        ordered = replace(fitted.model, terms=(*start.terms, *(f.term for f in findings)))
-        shares = _shares(folds, ordered, len(start.terms))
-        model = _final(recordings, whole, ordered)
+        findings = _ordered(folds, begin, findings)
+        shares = _shares(folds, begin, findings)
+        kept = [k for k, share in enumerate(shares.share) if share > LEAST_SHARE]
+        if len(kept) < len(findings):
+            findings = [findings[k] for k in kept]
+            shares = _shares(folds, begin, findings)
+        model = _final(recordings, whole, _with(start, findings))
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     mismatch = _mismatch(bench, refit(bench, begin), fitted, findings, calibration[0], held_out[0])
@@ -178,9 +183,21 @@ def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
     return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
-def _shares(folds: Sequence[tuple[Bench, list[int]]], model: CalibratedModel, base: int) -> Shares:
-    """Effects are added one after the other, most important first; everything is fitted to the rest of the recordings each time."""
-    count = len(model.terms) - base
+def _with(start: CalibratedModel, findings: Sequence[Finding]) -> CalibratedModel:
+    return replace(start, terms=(*start.terms, *(f.term for f in findings)))
+
+
+def _ordered(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, findings: Sequence[Finding]) -> list[Finding]:
+    """The effects by what each, alone, is worth on recordings held out, most first."""
+    if len(findings) < 2:
+        return list(findings)
+    worth = [_shares(folds, start, [f]).share[0] for f in findings]
+    return [findings[k] for k in np.argsort(worth, kind="stable")[::-1]]
+
+
+def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, findings: Sequence[Finding]) -> Shares:
+    """Effects are added one after the other, in their order; everything is fitted to the rest of the recordings each time."""
+    model, base, count = _with(start, findings), len(start.terms), len(findings)
     squares, errors = np.zeros((count + 1, model.robot.n)), []
     for bench, fold in folds:
         train, test = bench.part([i for i in range(len(bench.prepared)) if i not in fold]), bench.part(fold)
@@ -191,8 +208,8 @@ def _shares(folds: Sequence[tuple[Bench, list[int]]], model: CalibratedModel, ba
             found.append(_errors(test, there))
         errors.append(found)
     nrmse = np.array([_mean([e[k] for e in errors]) for k in range(count + 1)])
-    total = np.sum(squares / squares[-1], axis=1)  # joints weigh by the noise that is left
-    joints = [list(t.effect.joints) or list(range(model.robot.n)) for t in model.terms[base:]]
+    total = np.sum(squares / np.maximum(squares[-1], 1e-300), axis=1)  # joints weigh by the noise that is left
+    joints = [list(f.term.effect.joints) or list(range(model.robot.n)) for f in findings]
     return Shares(
         tuple(float((total[k] - total[k + 1]) / total[0]) for k in range(count)),
         tuple(float(np.nanmean(nrmse[k][j])) for k, j in enumerate(joints)),
