@@ -137,12 +137,13 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel) -> Calibra
 def _best_width(found: Rows, term: Term, column: int, laws: dict[float, np.ndarray]) -> float:
     """Of the widths, each with its filtered law of level 1, the one that leaves least beside all other columns."""
     (j,), own = term.effect.joints, cast(float, term.width)
+    target = found.residual[j] + found.jacobian[j][:, column] * term.values[0]  # as if the joint had no dry friction yet
     others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
     count = found.moving[j].sum() * STRIDE / CORRELATION
 
     def left(law: np.ndarray) -> float:
         columns = np.column_stack([others, law * found.moving[j]])
-        return float(np.sum((found.residual[j] - columns @ np.linalg.lstsq(columns, found.residual[j], rcond=1e-9)[0]) ** 2))
+        return float(np.sum((target - columns @ np.linalg.lstsq(columns, target, rcond=1e-9)[0]) ** 2))
 
     squares = {width: left(law) for width, law in laws.items()}
     best = min(squares, key=lambda width: squares[width])

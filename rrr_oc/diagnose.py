@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from rrr_oc.calibrate import bounds
+from rrr_oc.calibrate import bounds, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import BLOCK, Bench, Candidate, Evidence, correlation, robust_p
@@ -140,9 +140,16 @@ def search(
         chosen = _next(bench, evidence, plain, fitted, unnamed_too, report)
         if chosen is None:
             break
-        fitted = _pruned(bench, plain, chosen, base, report)
+        fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, report))
         evidence = gathered(bench, fitted.model)
     return _contested(bench, plain, fitted, base, first, report) if contest else (fitted, [])
+
+
+def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
+    """The fit with dry friction as abrupt as the new model shows it; what was missing had distorted it."""
+    model = with_widths(bench.prepared, fitted.model)
+    changed = any(a.width != b.width for a, b in zip(model.terms, fitted.model.terms, strict=True))
+    return refit(bench, model) if changed else fitted
 
 
 def unnamed(bench: Bench, model: CalibratedModel, joints: Sequence[int]) -> Evidence:

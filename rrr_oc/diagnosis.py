@@ -107,6 +107,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     held_out = _mean([o[0] for o in outcomes]), _mean([o[1] for o in outcomes])
     if findings:
         report("what each effect is worth on recordings held out")
+        start, begin = (_as_abrupt(model, fitted.model) for model in (start, begin))
         findings = _ordered(folds, begin, findings)
         shares = _shares(folds, begin, findings)
         kept = [k for k, share in enumerate(shares.share) if share > LEAST_SHARE]
@@ -116,7 +117,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         model = _final(recordings, whole, _with(start, findings))
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
-    mismatch = _mismatch(bench, refit(bench, begin), fitted, findings, calibration[0], held_out[0])
+    mismatch = _mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
     suggestions = suggest(recordings, plain, findings, view(prepared, plain))
     return Diagnosis(
         recordings, plain, model, tuple(findings), shares, calibration, held_out, way, mismatch, tuple(suggestions)
@@ -181,6 +182,12 @@ def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
     whole = np.concatenate(errors)
     known = np.isfinite(whole)
     return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
+def _as_abrupt(model: CalibratedModel, like: CalibratedModel) -> CalibratedModel:
+    """The plain model with the widths of dry friction of another that begins with the same terms."""
+    terms = tuple(replace(t, width=other.width) for t, other in zip(model.terms, like.terms, strict=False))
+    return replace(model, terms=terms)
 
 
 def _with(start: CalibratedModel, findings: Sequence[Finding]) -> CalibratedModel:
