@@ -53,7 +53,10 @@ def suggest(
     for finding in contested:
         own = _trial(finding)
         rivals = [[t for t in every if (t.effect.name, t.effect.joints) == rival] for rival in finding.rivals]
-        apart = [min(_difference(m, plain, own, rival) for rival in rivals if rival) for m in motions]
+        rivals = [rival for rival in rivals if rival]  # an empirical term is in no catalogue
+        if not rivals:
+            continue
+        apart = [min(_difference(m, plain, own, rival) for rival in rivals) for m in motions]
         best = int(np.argmax(apart))
         names = (finding.term.effect.name, *dict.fromkeys(name for name, _ in finding.rivals))
         motion = motions[best].recording
