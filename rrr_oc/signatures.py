@@ -40,7 +40,8 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         widths=widths,
         positions=q[:, :: max(1, q.shape[1] // SAMPLE)],
         springs=tuple(sorted(springs)),
-        payload=any(np.any(p.recording.payload > 0) for p in prepared),
+        payload=any(np.any(p.recording.payload > 0) for p in prepared)
+        or any(term.effect.name == "payload_mass" for term in model.terms),
     )
 
 

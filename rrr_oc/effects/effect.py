@@ -72,7 +72,7 @@ class View:
         widths: Speeds over which each joint's dry friction changes sign [rad/s], (n,).
         positions: A sample of joint positions [rad], (n, K).
         springs: Joints of the springs that recordings list.
-        payload: Whether a recording lists a payload.
+        payload: Whether a recording lists a payload, or the model has found one.
     """
 
     low: np.ndarray
