@@ -20,6 +20,8 @@ from rrr_oc.suggest import Suggestion, suggest
 
 FORMAT = "rrr_oc-diagnosis/1"
 FOLDS = 4  # of the recordings, each held out once
+FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
+SMALL = 4
 BLOCKS = 4  # of the only recording
 LEAST_SHARE = 0.002  # of the squared residual on recordings held out, for an effect to stay
 BINS = 12  # of a variable, when it is asked where the error is
@@ -137,7 +139,7 @@ def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
         bench, count, way = _blocks(bench), BLOCKS, "blocks"
     else:
         way = "recordings"
-    number = min(count, FOLDS)
+    number = min(count, FOLDS if bench.n <= SMALL else FEWER)
     return way, [(bench, [i for i in range(count) if i % number == k]) for k in range(number)]
 
 
