@@ -28,6 +28,7 @@ SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
 DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
 THIN = 0.012  # [s] between samples of recordings that were sampled faster, where many models are to be compared
+LONGEST, PIECE = 1200.0, 20.0  # [s]: what many models are compared on at most, and the pieces it is then made of
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
 
 
@@ -96,19 +97,33 @@ def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared,
 def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared, ...]:
     """The recordings with no more samples than one in `step` [s], of which the common filter keeps all it lets through.
 
-    Torque is averaged over what is left out; motion, which was smoothed before, is not.
+    Torque is averaged over what is left out; motion, which was smoothed before, is not. Of more than `LONGEST` seconds, pieces
+    are kept, evenly over the recordings.
     """
-    return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01))) for p in prepared)
+    total = sum(float(np.ptp(p.recording.t)) for p in prepared)
+    share = min(1.0, LONGEST / max(total, 1e-9))
+    return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01)), share) for p in prepared)
 
 
-def _thinned(prepared: Prepared, stride: int) -> Prepared:
-    if stride == 1:
+def _pieces(t: np.ndarray, segments: Sequence[slice], share: float) -> list[slice]:
+    """Pieces of `PIECE` seconds, evenly over the segments, that make up a share of them."""
+    step, pieces = np.median(np.diff(t)), []
+    for s in segments:
+        size = s.stop - s.start
+        length = min(size, max(int(PIECE / step), 1))
+        number = max(1, round(share * size / length))
+        pieces += [slice(a, a + length) for a in np.linspace(s.start, s.stop - length, number).astype(int)]
+    return pieces
+
+
+def _thinned(prepared: Prepared, stride: int, share: float) -> Prepared:
+    if stride == 1 and share == 1.0:
         return prepared
     r, measured = prepared.recording, prepared.measured.copy()
     segments, kept, start = [], [], 0
-    for s in r.segments:
+    for s in r.segments if share == 1.0 else _pieces(r.t, r.segments, share):
         count = stride + 1 - stride % 2
-        if s.stop - s.start > count:
+        if s.stop - s.start > count > 1:
             measured[:, s] = local_polynomial(r.t[s], measured[:, s], 0, 1, count)
         kept.append(np.arange(s.start, s.stop, stride))
         segments.append(slice(start, start + len(kept[-1])))

@@ -250,8 +250,14 @@ def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
     parts: list[list[np.ndarray]] = []
     for at in contexts:
         moving = at.prepared.moving[:, kept_rows(at.recording)[0]]
-        raw = np.concatenate([columns(at, t) for t in every]) if every else np.zeros((0, *at.load.shape))
-        parts.append([(at.prepared.matrix @ raw[:, j].T) * moving[j][:, None] for j in range(len(at.load))])
+        n, count = len(at.load), len(moving[0])
+        found = [np.zeros((count, n, 0))]
+        for trial in every:  # filtered one by one: unfiltered, all of them would fill the memory
+            raw = columns(at, trial)
+            passed = at.prepared.matrix @ raw.reshape(-1, raw.shape[2]).T
+            found.append(passed.reshape(count, len(raw), n).transpose(0, 2, 1))
+        whole = np.concatenate(found, axis=2) * moving.T[:, :, None]
+        parts.append([whole[:, j] for j in range(n)])
     values, used = [], []
     for j in range(len(parts[0])):
         whole = np.concatenate([p[j] for p in parts])

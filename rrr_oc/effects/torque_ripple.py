@@ -31,7 +31,7 @@ class TorqueRipple(Effect):
         """Whole orders of which the recordings see two cycles and more: less is any smooth torque."""
         for j in range(view.n):
             least = int(np.ceil(4 * np.pi / (view.high[j] - view.low[j])))
-            for order in range(max(least, 1), max(MOST_CYCLES, 2 * least)):
+            for order in range(max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0):
                 yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
 
     def combined(self, points, coefficients):
