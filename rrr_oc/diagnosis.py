@@ -140,7 +140,8 @@ def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
     else:
         way = "recordings"
     number = min(count, FOLDS if bench.n <= SMALL else FEWER)
-    return way, [(bench, [i for i in range(count) if i % number == k]) for k in range(number)]
+    by_group = sorted(range(count), key=lambda i: bench.labels.index(bench.groups[i]))  # recordings of a group fall apart
+    return way, [(bench, sorted(by_group[k::number])) for k in range(number)]
 
 
 def _blocks(bench: Bench) -> Bench:

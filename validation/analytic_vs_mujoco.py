@@ -119,9 +119,13 @@ def compare_states() -> list[StateRow]:
         robot = load_robot(name)
         rows.append(_compare_state(Model(robot, robot.tool), "generated", "none (rigid body)"))
         for kind in CATALOGUE.values():
-            effects = _placed(kind, robot.n)
+            effects = None if kind.name in ("empirical", "link_inertial") else _placed(kind, robot.n)
             if effects is None:
-                rows.append(StateRow(name, kind.name, "–", None, 0.0, "not placed: it needs more than joints"))
+                rows.append(
+                    StateRow(
+                        name, kind.name, "–", None, 0.0, "not placed: no torque of the instant, or no values drawn at random"
+                    )
+                )
                 continue
             model = Model(robot, robot.tool, effects)
             forms: tuple[Form, ...] = FORMS if kind.side == "link" else ("native",)
@@ -134,7 +138,13 @@ def compare_states() -> list[StateRow]:
 
 
 def _placed(kind: type[Effect], n: int) -> tuple[Effect, ...] | None:
-    """The effect on all joints, or on neighbouring pairs where it spans two."""
+    """The effect on all joints, on neighbouring pairs where it spans two, or once where it belongs to the arm."""
+    if kind.side in ("motion", "sensor") or kind.states or kind.of_spring:
+        return None
+    if kind.of_arm:
+        return (kind(()),)
+    if kind.name == "coupled_friction":
+        return tuple(kind((j, j + 1)) for j in range(n - 1))
     for places in ([(j,) for j in range(n)], [(j, j + 1) for j in range(n - 1)]):
         try:
             return tuple(kind(place) for place in places)
