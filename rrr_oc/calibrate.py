@@ -2,8 +2,7 @@
 
 The plain model has dry friction, viscous friction and armature in every joint. Its residuals (`regression`) are linear in the
 parameters, so that one Gauss–Newton step solves them; other effects take more. Standard errors are those of `inference`.
-How abruptly dry friction changes sign is a property of the joint too, and is chosen first (`with_widths`): in the recordings of the
-paper's arm 0.01 rad/s and less, five times below the authors' tanh(20 dq), which lowers the NRMSE from 0.19 to 0.12.
+How abruptly dry friction changes sign is a property of the joint too, and is chosen first (`with_widths`).
 """
 
 import platform
@@ -162,7 +161,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
     """
     began = time.perf_counter()
     values, found = _minimised(prepared, start, _checked_rows(recordings, prepared, start))
-    model = replace(start, terms=_with_values(start.terms, values))
+    model = replace(start, terms=with_parameter_values(start.terms, values))
     prepared = without_spikes(prepared, model)
     values, found = _minimised(prepared, model, with_residuals(found, prepared, model))
     weights = found.deviation() ** -2
@@ -175,7 +174,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
 
 def _minimised(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows) -> tuple[np.ndarray, Rows]:
     """Parameters that minimise the weighted squares of the residuals within bounds, and the rows there; Gauss–Newton."""
-    (lower, upper), values, linear = bounds(model.terms), _values(model), is_linear(prepared, model)
+    (lower, upper), values, linear = bounds(model.terms), parameter_values(model), is_linear(prepared, model)
     for _ in range(STEPS):
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
@@ -184,7 +183,7 @@ def _minimised(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows
         if weights @ (np.sum(found.residual**2, axis=1)) * TOLERANCE > step @ (2 * right - matrix @ step):
             break  # what is to be gained is nothing beside what is left
         if linear:  # the rows after the step are known
-            model = replace(model, terms=_with_values(model.terms, values + step))
+            model = replace(model, terms=with_parameter_values(model.terms, values + step))
             found, taken = replace(found, residual=found.residual - found.jacobian @ step), step
         else:
             model, found, taken = _descend(prepared, model, found, values, step)
@@ -203,17 +202,19 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
 
     Raises `UserError` where no row is left.
     """
-    began, robot, size = time.perf_counter(), start.robot, len(_values(start))
+    began, robot, size = time.perf_counter(), start.robot, len(parameter_values(start))
     guess, base = prior(robot), base_parameters(robot)
     xi = guess.centre.copy()
     found = _checked_rows(recordings, prepared, start, inertial=True)
     matrix, _ = normal_equations(found, np.ones(robot.n))
     open_ = _not_in_span(matrix, size)
-    values, model = _values(start), start
+    values, model = parameter_values(start), start
     for cleaned in range(4):  # weights and spikes depend on the residual
         weights = found.deviation() ** -2 * STRIDE / CORRELATION
         values, xi = _consistent(found, weights, values, xi, guess, start.terms, open_)
-        model = replace(start, terms=_with_values(start.terms, values), robot=replace(robot, inertial=_inertial(xi)[0]))
+        model = replace(
+            start, terms=with_parameter_values(start.terms, values), robot=replace(robot, inertial=_inertial(xi)[0])
+        )
         prepared = without_spikes(prepared, model) if cleaned == 1 else prepared
         found = rows(prepared, model, inertial=True)
     weights = found.deviation() ** -2 * STRIDE / CORRELATION
@@ -223,7 +224,7 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
 
 def _identified(recordings, prepared, model, found: Rows, weights, matrix, xi, guess: Prior, base, open_, began) -> Fit:
     """The model with its estimates and report, at the optimum."""
-    size = len(_values(model))
+    size = len(parameter_values(model))
     turn = _turn(_inertial(xi)[1], size)
     precision = np.concatenate([np.where(open_, 1e12, 0.0), guess.std**-2])
     bread = np.linalg.pinv(turn.T @ matrix @ turn + np.diag(precision), hermitian=True)
@@ -231,7 +232,7 @@ def _identified(recordings, prepared, model, found: Rows, weights, matrix, xi, g
     whole = Covariance(whole.matrix + bread @ np.diag(precision) @ bread, whole.freedom)
     spread = Covariance(whole.matrix[:size, :size], whole.freedom[:size])
     lower, upper = bounds(model.terms)
-    values = _values(model)
+    values = parameter_values(model)
     estimates = _described(values, values, spread, (lower, upper), ~open_)
     model = replace(model, terms=_with_estimates(model.terms, estimates))
     report = {"way": "inverse dynamics, inertial parameters identified"} | _report(
@@ -287,11 +288,13 @@ def _checked_rows(recordings: RecordingSet, prepared: Sequence[Prepared], model:
     return found
 
 
-def _values(model: CalibratedModel) -> np.ndarray:
+def parameter_values(model: CalibratedModel) -> np.ndarray:
+    """The parameters of a model's terms, in their order."""
     return np.concatenate([np.zeros(0), *(term.values for term in model.terms)])
 
 
-def _with_values(terms: Sequence[Term], values: np.ndarray) -> tuple[Term, ...]:
+def with_parameter_values(terms: Sequence[Term], values: np.ndarray) -> tuple[Term, ...]:
+    """The terms with other values of their parameters."""
     return _with_estimates(terms, [Estimate(float(v)) for v in values])
 
 
@@ -305,7 +308,7 @@ def _descend(prepared, model: CalibratedModel, found: Rows, values: np.ndarray, 
     weights = found.deviation() ** -2
     cost = _cost(found, weights)
     for fraction in (1.0, 0.5, 0.25, 0.1, 0.02):
-        tried = replace(model, terms=_with_values(model.terms, values + fraction * step))
+        tried = replace(model, terms=with_parameter_values(model.terms, values + fraction * step))
         there = rows(prepared, tried)
         if _cost(there, weights) <= cost * (1 + 1e-9):
             return tried, there, fraction * step

@@ -138,6 +138,12 @@ class Physics:
                     result[j] += more
         return later(recording, result, delay) if delay else result
 
+    def passed_on(self, recording: Recording, change: np.ndarray) -> np.ndarray:
+        """What sensors make of a change (n, K) of the true torque."""
+        if all(effect.side != "sensor" for effect in self.model.effects):
+            return change
+        return self.recorded(recording, change) - self.recorded(recording, np.zeros_like(change))
+
     def states(self, recording: Recording) -> np.ndarray:
         """Internal states of the effects along the recording, (number of states, K)."""
         signals, found = Signals(recording.q, recording.dq, recording.ddq), []
@@ -332,8 +338,8 @@ def to_json(model: CalibratedModel) -> dict[str, Any]:
         "torque_constant": dict(zip(robot.joints, model.torque_constant, strict=True)),
         "inertial": model.inertial,
         "effects": [_term_json(term, robot) for term in model.terms],
-        "noise": {joint: _number(v) for joint, v in zip(robot.joints, model.noise, strict=True)},
-        "nrmse": {joint: _number(v) for joint, v in zip(robot.joints, model.nrmse, strict=True)},
+        "noise": {joint: number(v) for joint, v in zip(robot.joints, model.noise, strict=True)},
+        "nrmse": {joint: number(v) for joint, v in zip(robot.joints, model.nrmse, strict=True)},
         "report": dict(model.report),
     }
 
@@ -353,7 +359,7 @@ def _term_json(term: Term, robot: Robot) -> dict[str, Any]:
             p.name: {
                 "value": e.value,
                 "unit": p.unit,
-                "std": _number(e.std),
+                "std": number(e.std),
                 "interval": None if e.interval is None else list(e.interval),
                 "at_bound": e.at_bound,
             }
@@ -362,7 +368,8 @@ def _term_json(term: Term, robot: Robot) -> dict[str, Any]:
     }
 
 
-def _number(value: float | None) -> float | None:
+def number(value: float | None) -> float | None:
+    """A number for JSON, which has neither NaN nor infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

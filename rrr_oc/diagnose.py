@@ -5,17 +5,16 @@ superfluous leaves again, until nothing is left beyond chance. Then each effect 
 that do as well are its rivals.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
-from rrr_oc.calibrate import bounds, with_widths
+from rrr_oc.calibrate import bounds, parameter_values, with_parameter_values, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects.empirical import Empirical
-from rrr_oc.evidence import BLOCK, Bench, Candidate, Evidence, correlation, robust_p
+from rrr_oc.evidence import Bench, Candidate, Evidence, chance, correlation, robust_p
 from rrr_oc.inference import box_step, normal_equations
 from rrr_oc.regression import STRIDE, Rows, noise, rows
 from rrr_oc.signatures import trials, view
@@ -51,10 +50,14 @@ class Fitted:
         """Sum of squared residuals of each joint (n,)."""
         return np.maximum(np.sum(self.rows.residual**2, axis=1), 1e-300)
 
+    @property
+    def counts(self) -> np.ndarray:
+        """Independent rows of each joint (n,)."""
+        return self.rows.moving.sum(axis=1) * STRIDE / correlation(self.rows)
+
     def better_than(self, other: "Fitted") -> float:
         """Growth of twice the log-likelihood over another fit of the same rows."""
-        counts = self.rows.moving.sum(axis=1) * STRIDE / correlation(self.rows)
-        return float(counts @ np.log(other.squares / self.squares))
+        return float(self.counts @ np.log(other.squares / self.squares))
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
         found = _without_rounding(found, model)
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
-        values = _values(model)
+        values = parameter_values(model)
         low, high = bounds(model.terms)
         size = len(values)
         free = np.full(matrix.shape[0] - size, np.inf)
@@ -113,7 +116,8 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
 def _without_rounding(found: Rows, model: CalibratedModel) -> Rows:
     """The rows without derivatives that are nothing but rounding, as those by a mass that no motion shows."""
     values = np.ones(found.jacobian.shape[2])
-    values[: len(_values(model))] = np.maximum(np.abs(_values(model)), 1.0)
+    own = parameter_values(model)
+    values[: len(own)] = np.maximum(np.abs(own), 1.0)
     nothing = np.max(np.abs(found.jacobian), axis=(0, 1)) * values < ROUNDING
     return replace(found, jacobian=np.where(nothing, 0.0, found.jacobian)) if nothing.any() else found
 
@@ -140,7 +144,7 @@ def search(
         chosen = _next(bench, evidence, plain, fitted, unnamed_too, report)
         if chosen is None:
             break
-        fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, report))
+        fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
         evidence = gathered(bench, fitted.model)
     return _contested(bench, plain, fitted, base, first, report) if contest else (fitted, [])
 
@@ -152,12 +156,12 @@ def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
     return refit(bench, model) if changed else fitted
 
 
-def unnamed(bench: Bench, model: CalibratedModel, joints: Sequence[int]) -> Evidence:
-    """The evidence for torques on these joints that no law of the catalogue describes."""
+def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
+    """The evidence for torques on a joint that no law of the catalogue describes."""
     seen = view(bench.prepared, model)
     loads = np.concatenate([model.torques(p.recording)[1] for p in bench.prepared], axis=1)
     load = np.quantile(loads, 0.002, axis=1), np.quantile(loads, 0.998, axis=1)
-    return Evidence.gather(bench, model, [t for j in joints for t in Empirical.surfaces(seen, j, load)])
+    return Evidence.gather(bench, model, list(Empirical.surfaces(seen, j, load)))
 
 
 def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
@@ -169,11 +173,11 @@ def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
 def _next(bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, unnamed_too: bool, report) -> Fitted | None:
     """The model with the best further effect, or empirical term where no effect comes near it; None where all is chance."""
     named = _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
-    joints = () if not unnamed_too else _noisy(bench, fitted) if named is None else _joints(evidence, named[2])
+    joints = () if not unnamed_too else _noisy(bench, fitted) if named is None else [_joint(evidence, named[2])]
     others = []
     for j in joints:
-        surfaces = unnamed(bench, fitted.model, [j])
-        others.append(_best(bench, surfaces, contenders(surfaces, fitted.model)[:2], plain, fitted))
+        surfaces = unnamed(bench, fitted.model, j)
+        others.append(_best(bench, surfaces, contenders(surfaces, fitted.model), plain, fitted))
     other = max((o for o in others if o is not None), key=lambda o: o[0], default=None)
     if named is None and other is None:
         return None
@@ -188,7 +192,7 @@ def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidat
     model, effect = extended(fitted.model, candidate), candidate.trial.effect
     if effect.simulated:  # the prediction is no smooth function of its parameter, so that several starts are tried
         return min((refit(bench, m, 3) for m in _variants(model)), key=lambda f: float(np.sum(np.log(f.squares))))
-    if not _straight(candidate):
+    if not effect.linear:
         return refit(bench, model)
     return Fitted(model, replace(fitted.rows, residual=evidence.left_by(candidate)))
 
@@ -202,7 +206,7 @@ def _best(
         tried = fit_of(bench, evidence, fitted, candidate)
         score = tried.better_than(fitted) - candidate.penalty
         share = np.max((fitted.squares - tried.squares) / plain.squares)
-        steady = _straight(candidate) or steadily_better(bench, tried, fitted)
+        steady = candidate.trial.effect.linear or steadily_better(bench, tried, fitted)
         if score > 0 and share > LEAST_SHARE and steady and (best is None or score > best[0]):
             best = (score, tried, candidate)
     return best
@@ -217,17 +221,15 @@ def _noisy(bench: Bench, fitted: Fitted) -> list[int]:
     return np.flatnonzero(fitted.rows.deviation() > FLOOR * floor).tolist()
 
 
-def _joints(evidence: Evidence, candidate: Candidate) -> list[int]:
+def _joint(evidence: Evidence, candidate: Candidate) -> int:
     """The joint on which a candidate explains most."""
-    k = next(k for k, t in enumerate(evidence.table.trials) if t is candidate.trial)
-    change = evidence.signature(k, candidate.scope) @ candidate.coefficients
-    return [int(np.argmax(evidence.weights * np.sum(change**2, axis=1)))]
+    change = evidence.signature(candidate.number, candidate.scope) @ candidate.coefficients
+    return int(np.argmax(evidence.weights * np.sum(change**2, axis=1)))
 
 
 def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
     """The candidates worth an exact fit: beyond chance, robustly so, near the best; of each effect at its joints the best."""
-    numbers = {id(t): k for k, t in enumerate(evidence.table.trials)}
-    tests = len(numbers)
+    tests, others = len(evidence.table.trials), len(evidence.bench.prepared) > 1
     result: list[Candidate] = []
     for candidate in evidence.candidates():
         if candidate.score <= 0 or (result and (len(result) >= TRIED or candidate.score < CLOSE * result[0].score)):
@@ -235,9 +237,8 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         same = any(_key(c) == _key(candidate) for c in result)
         if same or _present(candidate, model):
             continue
-        k = numbers[id(candidate.trial)]
-        beyond_chance = not _straight(candidate) or robust_p(evidence, k, candidate) * tests < DOUBT
-        if beyond_chance and (bench_is_one(evidence) or evidence.confirmed(k, candidate) > CONFIRMED):
+        beyond_chance = not candidate.trial.effect.linear or robust_p(evidence, candidate) * tests < DOUBT
+        if beyond_chance and (not others or evidence.confirmed(candidate) > CONFIRMED):
             result.append(candidate)
     return result
 
@@ -252,26 +253,11 @@ def _variants(model: CalibratedModel) -> list[CalibratedModel]:
     ]
 
 
-def bench_is_one(evidence: Evidence) -> bool:
-    """Whether there is no other recording on which a law could be confirmed."""
-    return len(evidence.bench.prepared) == 1
-
-
-def _straight(candidate: Candidate) -> bool:
-    """Whether the prediction is linear in all of the effect's parameters, so that its evidence is exact."""
-    effect = candidate.trial.effect
-    if effect.load_dependent or effect.name == "cable_harness":
-        return False
-    return len(effect.parameters) == len(effect.amplitudes) and effect.side in ("link", "drive", "sensor")
-
-
 def steadily_better(bench: Bench, one: Fitted, other: Fitted) -> bool:
     """Whether the fit is better all along, not by luck in a few places: differences of squares by block of time."""
     weights = one.rows.deviation() ** -2
     fall = weights @ (other.rows.residual**2 - one.rows.residual**2)
-    step = max(1, round(BLOCK / STRIDE))
-    starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(bench.edges)])
-    blocks = np.add.reduceat(fall, starts)
+    blocks = bench.by_block(fall)
     return bool(blocks.sum() > STEADY * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
 
 
@@ -281,11 +267,9 @@ def _key(candidate: Candidate):
 
 
 def _present(candidate: Candidate, model: CalibratedModel) -> bool:
-    """Whether the model has the effect there already; more orders of a ripple are more effects."""
+    """Whether the model has the effect there already."""
     effect, scope = candidate.trial.effect, candidate.scope
-    if effect.name == "torque_ripple":
-        return False
-    return any(
+    return not effect.many and any(
         t.effect.name == effect.name
         and t.effect.joints == effect.joints
         and (not t.groups or scope is None or set(scope) & set(t.groups))
@@ -323,20 +307,13 @@ def without(model: CalibratedModel, i: int) -> CalibratedModel:
     return replace(model, terms=(*model.terms[:i], *model.terms[i + 1 :]))
 
 
-def cost_of(bench: Bench, term: Term, tests: int) -> float:
-    """What chance gives a term: as `Candidate.penalty`."""
-    count = sum(np.diff(bench.edges)) * STRIDE / 0.2
-    cost = len(term.estimates) * np.log(max(count, 2.0)) + 2 * np.log(max(tests, 2))
-    return float(cost)
-
-
-def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, report) -> Fitted:
+def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, report) -> Fitted:
     """The model without those earlier effects that the newest made superfluous."""
     i = base
     while i < len(fitted.model.terms) - 1:
         less = refit(bench, without(fitted.model, i))
         share = np.max((less.squares - fitted.squares) / plain.squares)
-        if share < LEAST_SHARE or fitted.better_than(less) < cost_of(bench, fitted.model.terms[i], 50):
+        if share < LEAST_SHARE or fitted.better_than(less) < chance(len(fitted.model.terms[i].estimates), fitted.counts, tests):
             report(f"{fitted.model.terms[i].effect.name} is superfluous")
             fitted = less
         else:
@@ -400,13 +377,8 @@ def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candi
     return result
 
 
-def _values(model: CalibratedModel) -> np.ndarray:
-    return np.concatenate([np.zeros(0), *(t.values for t in model.terms)])
-
-
 def _moved(model: CalibratedModel, values: np.ndarray, inertial: np.ndarray) -> CalibratedModel:
-    numbers = iter(values.tolist())
-    terms = tuple(t.with_values(np.array([next(numbers) for _ in t.estimates])) for t in model.terms)
+    terms = with_parameter_values(model.terms, values)
     if not len(inertial):
         return replace(model, terms=terms)
     robot = replace(model.robot, inertial=model.robot.inertial + inertial.reshape(model.robot.n, 10).T)

@@ -8,13 +8,13 @@ import numpy as np
 
 from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
-from rrr_oc.calibrated import CalibratedModel, Term
+from rrr_oc.calibrated import CalibratedModel, Term, number
 from rrr_oc.diagnose import Finding, Fitted, refit, search
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import RecordingSet
-from rrr_oc.regression import Prepared, prepare, rows, thinned, without_spikes
+from rrr_oc.regression import Prepared, prepare, rows, thinned, through_filter, without_spikes
 from rrr_oc.signatures import view
 from rrr_oc.suggest import Suggestion, suggest
 
@@ -96,7 +96,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     plain = _final(recordings, prepared, start)
     prepared = thinned(without_spikes(prepared, plain))
     unknown = recordings.inertial == "identify"
-    bench = Bench.of(prepared, unknown)
+    bench = Bench(tuple(prepared), unknown)
     report("looking for effects")
     begin = replace(start, robot=plain.robot) if unknown else start
     fitted, findings = search(bench, begin, report)
@@ -155,7 +155,7 @@ def _blocks(bench: Bench) -> Bench:
         )
         piece = replace(r, **arrays, segments=segments)
         pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
-    return Bench.of(pieces, bench.identify)
+    return replace(bench, prepared=tuple(pieces))
 
 
 def _held_out(
@@ -250,7 +250,7 @@ def _mismatch(
                 "joint": joint,
                 "significant": significant,
                 "p_value": p,
-                "nrmse": {"calibration": _number(calibration[j]), "held_out": _number(held_out[j])},
+                "nrmse": {"calibration": number(calibration[j]), "held_out": number(held_out[j])},
                 "where": _where(error, moving, j, joint, variables) if significant else [],
                 "recordings": list(dict.fromkeys(files)) if significant else [],
             }
@@ -286,7 +286,7 @@ def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarr
             "spring_torque": pull,
         }
         for name, value in values.items():
-            parts.setdefault(name, []).append((p.matrix @ value.T).T)
+            parts.setdefault(name, []).append(through_filter(value, p))
     return {name: (np.concatenate(found, axis=1), units[name]) for name, found in parts.items()}
 
 
@@ -330,7 +330,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             effects.append(_effect(diagnosis, i))
     by_joint = {
         key: {
-            when: dict(zip(joints, map(_number, values), strict=True))
+            when: dict(zip(joints, map(number, values), strict=True))
             for when, values in zip(("before", "after"), pair, strict=True)
         }
         for key, pair in (("calibration", diagnosis.calibration), ("held_out", diagnosis.held_out))
@@ -361,7 +361,7 @@ def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
         "parameters": _parameters(finding.term),
         "share_of_error": shares.share[i],
         "p_value": finding.p_value,
-        "nrmse": {"held_out_before": _number(shares.before[i]), "held_out_after": _number(shares.after[i])},
+        "nrmse": {"held_out_before": number(shares.before[i]), "held_out_after": number(shares.after[i])},
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
         "rivals": [{"effect": name, "joint": _names(j, diagnosis.model.joints)} for name, j in finding.rivals],
     }
@@ -437,7 +437,3 @@ def _joint(term: Term, joints: Sequence[str]) -> Any:
 def _names(numbers: Sequence[int], joints: Sequence[str]) -> Any:
     named = [joints[j] for j in numbers]
     return None if not named else named[0] if len(named) == 1 else named
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.calibrated import CalibratedModel, number
 from rrr_oc.files import write_text
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet
@@ -67,11 +67,7 @@ def _measured(model: CalibratedModel, recordings: RecordingSet, recording: Recor
 
 
 def _by_joint(joints: tuple[str, ...], errors: Mapping[str, np.ndarray]) -> dict[str, dict[str, float | None]]:
-    return {joint: {key: _number(values[i]) for key, values in errors.items()} for i, joint in enumerate(joints)}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return {joint: {key: number(values[i]) for key, values in errors.items()} for i, joint in enumerate(joints)}
 
 
 def _mean(parts: list[Any]) -> Any:

@@ -7,7 +7,8 @@ would give for the number of coefficients and of trials. Where residuals are aut
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
@@ -31,36 +32,31 @@ class Bench:
 
     Attributes:
         prepared: The recordings.
-        edges: First row of each recording, and the end.
-        groups: Physical set-up of each recording, in their order.
         identify: Whether the links' inertial parameters are unknown.
     """
 
     prepared: tuple[Prepared, ...]
-    edges: np.ndarray
-    groups: tuple[str, ...]
     identify: bool
-
-    @classmethod
-    def of(cls, prepared: Sequence[Prepared], identify: bool) -> "Bench":
-        """The bench of prepared recordings."""
-        counts = [len(kept_rows(p.recording)[0]) for p in prepared]
-        return cls(
-            tuple(prepared),
-            np.concatenate([[0], np.cumsum(counts)]).astype(int),
-            tuple(p.recording.group for p in prepared),
-            identify,
-        )
 
     def part(self, keep: Sequence[int]) -> "Bench":
         """The bench of some of the recordings."""
-        counts = np.diff(self.edges)[keep]
-        return Bench(
-            tuple(self.prepared[i] for i in keep),
-            np.concatenate([[0], np.cumsum(counts)]).astype(int),
-            tuple(self.groups[i] for i in keep),
-            self.identify,
-        )
+        return replace(self, prepared=tuple(self.prepared[i] for i in keep))
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """First row of each recording, and the end."""
+        return np.concatenate([[0], np.cumsum([len(kept_rows(p.recording)[0]) for p in self.prepared])]).astype(int)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Physical set-up of each recording, in their order."""
+        return tuple(p.recording.group for p in self.prepared)
+
+    def by_block(self, values: np.ndarray) -> np.ndarray:
+        """Sums of values (rows, …) over pieces of `BLOCK` seconds, of which none reaches over two recordings."""
+        step = max(1, round(BLOCK / STRIDE))
+        starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(self.edges)])
+        return np.add.reduceat(values, starts, axis=0)
 
     @property
     def n(self) -> int:
@@ -79,6 +75,7 @@ class Candidate:
 
     Attributes:
         trial: The trial.
+        number: Of the trial among those of the evidence.
         scope: Groups that have the effect; None for all.
         coefficients: Fitted with all parameters of the model, (m,).
         likelihood: Growth of twice the log-likelihood.
@@ -87,6 +84,7 @@ class Candidate:
     """
 
     trial: Trial
+    number: int
     scope: tuple[str, ...] | None
     coefficients: np.ndarray
     likelihood: float
@@ -141,7 +139,7 @@ class Evidence:
         """Parameters of the model."""
         return self.rows.jacobian.shape[2]
 
-    def candidates(self, scoped: bool = True) -> list[Candidate]:
+    def candidates(self) -> list[Candidate]:
         """The trials that explain most, best first, each where it explains most."""
         total = self.products.sum(axis=0)
         inverse = pseudo_inverse(total[: self.size, : self.size])
@@ -150,7 +148,7 @@ class Evidence:
         for k, trial in enumerate(self.table.trials):
             c = self._columns(k)
             options = [(None, *_solve(left[np.ix_(c, c)], left[c, -1], np.diag(total)[c]))]
-            if scoped and trial.effect.local and len(self.bench.labels) > 1:
+            if trial.effect.local and len(self.bench.labels) > 1:
                 options += self._scopes(c, total, inverse, options[0][1])
             for scope, gain, coefficients, dimensions in options:
                 cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))
@@ -159,9 +157,13 @@ class Evidence:
                 if dimensions and gain > 0 and self._possible(k, coefficients) and gain - cost > best.get(key, (0.0,))[0]:
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
         found = sorted(best.values(), key=lambda one: -one[0])
-        tests = max(len({(t.effect.name, t.effect.joints) for t in self.table.trials}), 2)
-        result = [self._judged(inverse, tests, *one[1:]) for one in found[:FIRST]]
+        result = [self._judged(inverse, *one[1:]) for one in found[:FIRST]]
         return sorted(result, key=lambda r: -r.score)
+
+    @property
+    def tests(self) -> int:
+        """Effects at their joints that compete."""
+        return len({(t.effect.name, t.effect.joints) for t in self.table.trials})
 
     def _possible(self, k: int, coefficients: np.ndarray) -> bool:
         """Whether the parameters lie within their bounds."""
@@ -200,17 +202,17 @@ class Evidence:
             result.append((tuple(labels[i] for i in sorted(chosen)), *best[1]))
         return result
 
-    def _judged(self, inverse, tests: int, k: int, scope, coefficients, dimensions: int) -> Candidate:
+    def _judged(self, inverse, k: int, scope, coefficients, dimensions: int) -> Candidate:
         """The candidate with its likelihood."""
         trial = self.table.trials[k]
         after = np.sum(self.residual(k, coefficients, scope, inverse) ** 2, axis=1)
         before = np.sum(self.residual(None, coefficients, scope, inverse) ** 2, axis=1)
         ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
         shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
-        penalty = (dimensions + shape) * np.log(self.counts.sum()) + 2 * np.log(tests)
+        penalty = chance(dimensions + shape, self.counts, self.tests)
         if scope is not None:
             penalty += scope_cost(len(self.bench.labels), len(scope))
-        return Candidate(trial, scope, coefficients, float(self.counts @ ratio), dimensions, float(penalty))
+        return Candidate(trial, k, scope, coefficients, float(self.counts @ ratio), dimensions, penalty)
 
     def residual(self, k: int | None, coefficients, scope, inverse) -> np.ndarray:
         """Residuals after the parameters and a trial are fitted, (n, M)."""
@@ -226,16 +228,15 @@ class Evidence:
 
     def left_by(self, candidate: Candidate) -> np.ndarray:
         """Residuals after the parameters and a candidate are fitted, (n, M)."""
-        k = next(k for k, t in enumerate(self.table.trials) if t is candidate.trial)
         inverse = pseudo_inverse(self.products.sum(axis=0)[: self.size, : self.size])
-        return self.residual(k, candidate.coefficients, candidate.scope, inverse)
+        return self.residual(candidate.number, candidate.coefficients, candidate.scope, inverse)
 
-    def confirmed(self, k: int, candidate: Candidate) -> float:
+    def confirmed(self, candidate: Candidate) -> float:
         """Fall of the squared residual on recordings left out of the fit, over that on recordings in it; 1 for a law that holds.
 
         Each recording in turn, with the model's parameters and the candidate's coefficients from the others.
         """
-        c, within = self._columns(k), self._within(candidate.scope)
+        c, within = self._columns(candidate.number), self._within(candidate.scope)
         used = np.concatenate([np.arange(self.size), c, [self.products.shape[1] - 1]])
         part = self.products[:, used][:, :, used].copy()
         for r, inside in enumerate(within):
@@ -267,17 +268,21 @@ class Evidence:
         return np.array([1.0 if scope is None or g in scope else 0.0 for g in self.bench.groups])
 
 
+def chance(parameters: int, counts: np.ndarray, tests: int) -> float:
+    """What parameters gain by chance where so many effects compete: Schwarz's criterion, and the best of the tests."""
+    return float(parameters * np.log(max(counts.sum(), 2.0)) + 2 * np.log(max(tests, 2)))
+
+
 def scope_cost(groups: int, size: int) -> float:
     """What choosing so many of the groups costs: twice the logarithm of the number of choices."""
     choices = float(np.prod([(groups - i) / (i + 1) for i in range(size)]))
     return 2 * np.log(max(choices, 1.0) * groups)
 
 
-def correlation(found: Rows, residual: np.ndarray | None = None) -> np.ndarray:
+def correlation(found: Rows) -> np.ndarray:
     """Time over which each joint's residuals are correlated, (n,) [s]; never less than the filter makes it."""
     lags, result = int(LONGEST / STRIDE), []
-    for r in found.residual if residual is None else residual:
-        r = np.asarray(r)
+    for r in found.residual:
         pieces = [r[s] for s in found.stretches]
         power = sum(float(p @ p) for p in pieces) or 1.0
         rho = [sum(float(p[k:] @ p[:-k]) for p in pieces if len(p) > k) / power for k in range(1, lags)]
@@ -292,19 +297,16 @@ def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
 
 
-def robust_p(evidence: Evidence, k: int, candidate: Candidate) -> float:
+def robust_p(evidence: Evidence, candidate: Candidate) -> float:
     """P-value of a trial that holds up where residuals are autocorrelated and of unequal variance: scores by block of time."""
     inverse = pseudo_inverse(evidence.products.sum(axis=0)[: evidence.size, : evidence.size])
-    after = evidence.residual(k, candidate.coefficients, candidate.scope, inverse)
-    whole = evidence.signature(k, candidate.scope)
+    after = evidence.left_by(candidate)
+    whole = evidence.signature(candidate.number, candidate.scope)
     cross = np.einsum("jka,j,jkb->ab", evidence.rows.jacobian, evidence.weights, whole)
     clean = whole - evidence.rows.jacobian @ (inverse @ cross)
     scores = np.einsum("jkm,jk,j->km", clean, after, evidence.weights)
     matrix = np.einsum("jka,j,jkb->ab", clean, evidence.weights, clean)
-    step = max(1, round(BLOCK / STRIDE))
-    edges = evidence.bench.edges
-    starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(edges)])
-    blocks = np.add.reduceat(scores, starts, axis=0)
+    blocks = evidence.bench.by_block(scores)
     spread = blocks.T @ blocks
     gain = matrix @ candidate.coefficients
     statistic = float(gain @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ gain)

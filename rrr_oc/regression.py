@@ -315,9 +315,8 @@ def _beyond_the_torque(model: CalibratedModel, recording: Recording, physics: Ph
     special = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in model.terms]
     if not any(special):
         return jacobian
-    at_zero = physics.recorded(recording, np.zeros_like(recording.q))
     for k in range(jacobian.shape[2]):
-        jacobian[:, :, k] = physics.recorded(recording, jacobian[:, :, k]) - at_zero
+        jacobian[:, :, k] = physics.passed_on(recording, jacobian[:, :, k])
     base, column = model.output_torque(recording), 0
     for i, (term, other) in enumerate(zip(model.terms, special, strict=True)):
         for k, value in enumerate(term.values if other and term.holds_for(recording) else ()):

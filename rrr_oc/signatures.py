@@ -16,7 +16,7 @@ from rrr_oc.effects import CATALOGUE, Body, Signals, Trial, View
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.model import along
 from rrr_oc.recordings import Recording
-from rrr_oc.regression import Prepared, kept_rows
+from rrr_oc.regression import Prepared, kept_rows, through_filter
 from rrr_oc.rigid_body import with_payload
 
 SAMPLE = 400  # positions that trials look at
@@ -58,14 +58,12 @@ class Context:
     Attributes:
         prepared: The recording.
         physics: What is at work in it.
-        recorded: Predicted recorded torque before a common delay (n, K) [Nm].
-        load: Load torque (n, K) [Nm].
+        load, motor: Load torque and motor torque (n, K) [Nm].
         through: d motor torque / d load torque of each joint (n, K).
-        gain: d recorded torque / d true torque of each joint (n, 1).
-        delay: Of the torque channel [s].
         body: The rigid body with the model's effects, without payload in `Body.payload`.
         partials: Derivatives of the load torque by q, dq, ddq (n, n, K), the links' parameters (n, 10 n, K) and gravity (n, 3, K).
         friction: Torque of the plain friction (n, K) [Nm].
+        torque: What is recorded, as in `CalibratedModel.torque`.
     """
 
     prepared: Prepared
@@ -73,8 +71,6 @@ class Context:
     load: np.ndarray
     motor: np.ndarray
     through: np.ndarray
-    gain: np.ndarray
-    delay: float
     body: Body
     partials: tuple[np.ndarray, ...]
     friction: np.ndarray
@@ -130,12 +126,6 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
     for at, found in parts:
         for whole, part, width in zip(partials, found, widths_of, strict=True):
             whole[:, :, at] = np.moveaxis(part.reshape(n, len(at), width), 1, 2)
-    gain, delay = np.ones((n, 1)), 0.0
-    for effect, theta, _ in named:
-        if effect.side == "sensor":
-            delay += theta.get("delay", 0.0)
-            for j in effect.joints:
-                gain[j] += theta.get("gain", 0.0)
     friction = np.zeros_like(load)
     through = np.ones_like(load)
     plain = Signals(r.q, r.dq, r.ddq)
@@ -147,9 +137,7 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
                 np.array(effect.torque(replace(plain, load=x), theta, width)[0]).reshape(-1) for x in (load + 1e-6, load)
             )
             through[effect.joints[0]] -= (more - now) / 1e-6
-    if model.torque == "load":
-        through[:] = 1.0
-    return Context(prepared, physics, load, motor, through, gain, delay, body, partials, friction, model.torque)
+    return Context(prepared, physics, load, motor, through, body, partials, friction, model.torque)
 
 
 def columns(at: Context, trial: Trial) -> np.ndarray:
@@ -177,9 +165,7 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
             change += _of_motion(at, trial, theta)
         if effect.side != "drive":
             change *= at.through
-        change *= at.gain
-        if at.delay:
-            change[:] = later(r, change, at.delay)
+        change[:] = at.physics.passed_on(r, change)
     return result / trial.size
 
 
@@ -254,8 +240,8 @@ def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
         found = [np.zeros((count, n, 0))]
         for trial in every:  # filtered one by one: unfiltered, all of them would fill the memory
             raw = columns(at, trial)
-            passed = at.prepared.matrix @ raw.reshape(-1, raw.shape[2]).T
-            found.append(passed.reshape(count, len(raw), n).transpose(0, 2, 1))
+            passed = through_filter(raw.reshape(-1, raw.shape[2]), at.prepared)
+            found.append(passed.reshape(len(raw), n, count).transpose(2, 1, 0))
         whole = np.concatenate(found, axis=2) * moving.T[:, :, None]
         parts.append([whole[:, j] for j in range(n)])
     values, used = [], []

@@ -24,6 +24,10 @@ class CableHarness(Effect):
     def energy(self, signals, theta, width):
         return theta["stiffness"] * (signals.q[self.joints[0]] - theta["rest"]) ** 2 / 2
 
+    @property
+    def linear(self):
+        return False  # in the product of both
+
     @classmethod
     def trials(cls, view):
         for j in range(view.n):

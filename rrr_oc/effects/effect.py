@@ -123,6 +123,7 @@ class Effect(ABC):
         local: Whether it may be present in some recordings only, as what depends on how the arm was set up (class attribute).
         of_arm: Whether it belongs to no single joint (class attribute).
         of_spring: Whether it is one of a spring that a recording lists, and absent where none is (class attribute).
+        many: Whether a joint may have more than one of it (class attribute).
         simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
         joints: Indices of the joints it acts on.
     """
@@ -139,6 +140,7 @@ class Effect(ABC):
     local: ClassVar[bool] = False
     of_arm: ClassVar[bool] = False
     of_spring: ClassVar[bool] = False
+    many: ClassVar[bool] = False
     simulated: ClassVar[bool] = False
 
     joints: tuple[int, ...]
@@ -181,6 +183,12 @@ class Effect(ABC):
     def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> bool:
         """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""
         return False
+
+    @property
+    def linear(self) -> bool:
+        """Whether predictions are linear in all its parameters."""
+        amplitudes_only = len(self.parameters) == len(self.amplitudes)
+        return amplitudes_only and self.side in ("link", "drive", "sensor") and not self.load_dependent
 
     def forms(self) -> tuple["Effect", ...]:
         """The effect on the same joints in all its forms."""

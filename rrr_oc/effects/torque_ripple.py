@@ -22,6 +22,7 @@ class TorqueRipple(Effect):
     )
     amplitudes = ("amplitude",)
     side = "drive"
+    many = True
 
     def torque(self, signals, theta, width):
         return (theta["amplitude"] * sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
