@@ -5,6 +5,7 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -112,21 +113,26 @@ class Physics:
             effects = [one for one in motion if one[0].simulated == kind]
             if effects:  # of first order: to let load and shift agree would differentiate noise twice for each time
                 load = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, total, states)[1]
-                total = total + sum(moved(recording, *effect, load, self.reaction) for effect in effects)
+                reaction = partial(self.reaction, shift=total)
+                total = total + sum(moved(recording, *effect, load, reaction) for effect in effects)
         return total
 
-    def reaction(self, recording: Recording, load: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """By how much joint j's load torque grows with its own position and acceleration, K [Nm/rad] and M [kg m²], each (K,)."""
+    def reaction(
+        self, recording: Recording, load: np.ndarray, j: int, shift: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """By how much joint j's load torque grows with its own position and acceleration, K [Nm/rad] and M [kg m²], each (K,).
+
+        Args:
+            load: Load torque (n, K) [Nm] of the motion that differs from the recorded one by `shift` (3 n, K).
+        """
         n, inputs = self.model.robot.n, self.inputs(recording)
-        shift, states = np.zeros((3 * n, len(recording.t))), np.zeros((len(self.model.states), len(recording.t)))
-        found = []
-        for row, step in ((None, 1.0), (j, 1e-4), (2 * n + j, 1.0)):
-            shift[:] = 0.0
-            if row is not None:
-                shift[row] = step
-            torque = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, shift, states)[1]
-            found.append((torque[j], step))
-        return (found[1][0] - found[0][0]) / 1e-4, found[2][0] - found[0][0]
+        states, found = np.zeros((len(self.model.states), len(recording.t))), []
+        for row, step in ((j, 1e-4), (2 * n + j, 1.0)):
+            there = np.zeros((3 * n, len(recording.t))) if shift is None else shift.copy()
+            there[row] += step
+            torque = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, there, states)[1]
+            found.append((torque[j] - load[j]) / step)
+        return found[0], found[1]
 
     def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
         """What sensors make of a torque (n, K), as the effects of the side "sensor" say."""

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from rrr_oc.calibrate import bounds, parameter_values, with_parameter_values, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
+from rrr_oc.effects import Effect
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench, Candidate, Evidence, chance, correlation, robust_p
 from rrr_oc.inference import box_step, normal_equations
@@ -51,6 +52,11 @@ class Fitted:
         return np.maximum(np.sum(self.rows.residual**2, axis=1), 1e-300)
 
     @property
+    def misfit(self) -> float:
+        """Sum of the logarithms of the joints' squared residuals; less is better."""
+        return float(np.sum(np.log(self.squares)))
+
+    @property
     def counts(self) -> np.ndarray:
         """Independent rows of each joint (n,)."""
         return self.rows.moving.sum(axis=1) * STRIDE / correlation(self.rows)
@@ -87,6 +93,7 @@ class Finding:
 def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
     """All parameters of a model, fitted to a bench within their bounds; inertial ones freely where they are unknown."""
     found = rows(bench.prepared, model, bench.identify)
+    straight = not bench.identify and all(_straight(term.effect) for term in model.terms)
     for _ in range(steps):
         found = _without_rounding(found, model)
         weights = found.deviation() ** -2
@@ -101,7 +108,8 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
             break  # what is to be gained is nothing beside what is left
         for share in (1.0, 0.4, 0.1):
             there = _moved(model, values + share * step[:size], share * step[size:])
-            tried = rows(bench.prepared, there, bench.identify)
+            known = replace(found, residual=found.residual - share * (found.jacobian @ step)) if straight else None
+            tried = known or rows(bench.prepared, there, bench.identify)
             after = float(weights @ np.sum(tried.residual**2, axis=1))
             if after < cost:
                 break
@@ -111,6 +119,11 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
         if after > cost * (1 - TOLERANCE):
             break
     return Fitted(model, found)
+
+
+def _straight(effect: Effect) -> bool:
+    """Whether the prediction stays linear in all parameters with this effect in the model; a gain multiplies what others do."""
+    return effect.plain or (effect.linear and effect.side != "sensor")
 
 
 def _without_rounding(found: Rows, model: CalibratedModel) -> Rows:
@@ -184,14 +197,16 @@ def _next(bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, unnam
     chosen = other if named is None or (other is not None and other[0] > MARGIN * named[0] + SAME) else named
     assert chosen is not None
     report(f"{described(chosen[2], fitted.model)}: evidence {chosen[0]:.0f}")
+    if chosen[2].trial.effect.simulated:
+        return _best_start(bench, chosen[1].model, (0.8, 1.0, 1.2))
     return refit(bench, chosen[1].model)
 
 
 def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> Fitted:
     """The model with a candidate, fitted; where all is linear, as the evidence has it already."""
     model, effect = extended(fitted.model, candidate), candidate.trial.effect
-    if effect.simulated:  # the prediction is no smooth function of its parameter, so that several starts are tried
-        return min((refit(bench, m, 3) for m in _variants(model)), key=lambda f: float(np.sum(np.log(f.squares))))
+    if effect.simulated:
+        return _best_start(bench, model, (1.0,))
     if not effect.linear:
         return refit(bench, model)
     return Fitted(model, replace(fitted.rows, residual=evidence.left_by(candidate)))
@@ -243,14 +258,14 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
     return result
 
 
-def _variants(model: CalibratedModel) -> list[CalibratedModel]:
-    """The model with other forms and values of its last term."""
-    last = model.terms[-1]
-    return [
-        replace(model, terms=(*model.terms[:-1], replace(last, effect=effect).with_values(share * last.values)))
-        for effect in last.effect.forms()
-        for share in (0.8, 1.0, 1.2)
-    ]
+def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float]) -> Fitted:
+    """The best fit from several starts of the last term, of which the prediction is no smooth function: all forms, these shares."""
+    last, fits = model.terms[-1], []
+    for effect in last.effect.forms():
+        for share in shares:
+            start = replace(last, effect=effect).with_values(share * last.values)
+            fits.append(refit(bench, replace(model, terms=(*model.terms[:-1], start)), 3))
+    return min(fits, key=lambda f: f.misfit)
 
 
 def steadily_better(bench: Bench, one: Fitted, other: Fitted) -> bool:

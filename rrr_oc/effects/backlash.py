@@ -34,21 +34,34 @@ class Backlash(Effect):
         return (0 * signals.q[self.joints[0]],)
 
     def motion(self, t, load, stiffness, inertia, theta):
-        half, x, v = theta["gap"] / 2, -np.sign(load[0]) * theta["gap"] / 2, 0.0
-        result = np.zeros((3, len(t)))
-        steps = np.append(np.diff(t), t[-1] - t[-2] if len(t) > 1 else 1.0).tolist()
-        for k, (h, rigid, spring, mass) in enumerate(
-            zip(steps, load.tolist(), stiffness.tolist(), np.maximum(inertia, 1e-9).tolist(), strict=True)
-        ):
-            before, part = v, h / STEPS
-            result[0, k], result[1, k] = x, v
-            for _ in range(STEPS):
-                v -= (rigid + spring * x) / mass * part
-                x += v * part
-                if x >= half or x <= -half:
-                    x, v = (half if x > 0 else -half), 0.0
-            result[2, k] = (v - before) / h
-        return result * np.array([[1.0], [self.impacts], [self.impacts]])
+        half, count = theta["gap"] / 2, len(t)
+        result = np.zeros((3, count))
+        if half <= 0.0:
+            return result
+        mass = np.maximum(inertia, 1e-9)
+        steps = np.append(np.diff(t), t[-1] - t[-2] if count > 1 else 1.0)
+        leaving = {1: np.flatnonzero(load + stiffness * half > 0), -1: np.flatnonzero(load - stiffness * half < 0)}
+        side, k, v = -1 if load[0] > 0 else 1, 0, 0.0
+        while True:
+            next_ = np.searchsorted(leaving[side], k)
+            end = int(leaving[side][next_]) if next_ < len(leaving[side]) else count
+            result[0, k:end] = x = side * half
+            k = end
+            while k < count:  # in the gap
+                before, part = v, steps[k] / STEPS
+                result[:2, k] = x, v
+                for _ in range(STEPS):
+                    v -= (load[k] + stiffness[k] * x) / mass[k] * part
+                    x += v * part
+                    if abs(x) >= half:
+                        x, v = (half if x > 0 else -half), 0.0
+                result[2, k] = (v - before) / steps[k]
+                k += 1
+                if abs(x) == half:
+                    break
+            else:
+                return result * np.array([[1.0], [self.impacts], [self.impacts]])
+            side = 1 if x > 0 else -1
 
     def forms(self):
         return Backlash(self.joints, True), Backlash(self.joints, False)

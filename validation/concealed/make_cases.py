@@ -31,8 +31,8 @@ def make(case: Case, out: Path) -> tuple[str, float]:
 
 
 def chosen(seed: int, only: str | None, limit: int | None) -> list[Case]:
-    """The cases whose kind is `only`, or whose key begins with it; the first `limit` of them."""
-    cases = declare(seed)
+    """The cases whose kind is `only`, or whose key begins with it; `limit` of them, drawn at random, for ids are hashes."""
+    cases = sorted(declare(seed), key=lambda c: c.id)
     if only:
         cases = [c for c in cases if c.kind == only or c.key.startswith(only)]
         if not cases:
