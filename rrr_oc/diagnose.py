@@ -172,9 +172,12 @@ def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """The evidence for torques on a joint that no law of the catalogue describes."""
     seen = view(bench.prepared, model)
-    loads = np.concatenate([model.torques(p.recording)[1] for p in bench.prepared], axis=1)
-    load = np.quantile(loads, 0.002, axis=1), np.quantile(loads, 0.998, axis=1)
-    return Evidence.gather(bench, model, list(Empirical.surfaces(seen, j, load)))
+    torques = [
+        np.concatenate(parts, axis=1) for parts in zip(*(model.torques(p.recording) for p in bench.prepared), strict=True)
+    ]
+    motor, load = ((x.min(axis=1), np.maximum(x.max(axis=1), x.min(axis=1) + 1e-6)) for x in torques)
+    acceleration = np.quantile(np.concatenate([np.abs(p.recording.ddq) for p in bench.prepared], axis=1), 0.99, axis=1)
+    return Evidence.gather(bench, model, list(Empirical.surfaces(seen, j, load, motor, np.maximum(acceleration, 1e-3))))
 
 
 def gathered(bench: Bench, model: CalibratedModel) -> Evidence:

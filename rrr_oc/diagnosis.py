@@ -385,12 +385,24 @@ def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
         "p_value": finding.p_value,
         "validity": validity,
         "description": f"a torque on {joint} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
-        f"the model carries it as a sum of {len(effect.amplitudes)} cosines, valid in the ranges given",
+        f"the model carries it as {_form(effect)}, valid in the ranges given",
     }
 
 
+def _form(effect: Empirical) -> str:
+    count = len(effect.amplitudes)
+    if not effect.edges:
+        return f"a sum of {count} cosines"
+    low, high = effect.low[0], effect.high[0]
+    where = " and ".join(
+        f"{'above' if side > 0 else 'below'} {low + edge * (high - low):.4g}, power {power}"
+        for side, edge, power in effect.edges
+    )
+    return f"something that begins {where}"
+
+
 def _variable(kind: str, j: int, joints: Sequence[str]) -> str:
-    if kind == "load":
+    if kind in ("load", "motor"):
         return "load_torque"
     if kind == "time":
         return "time"

@@ -15,7 +15,8 @@ import json
 import time
 import traceback
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,22 +26,29 @@ import typer
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from scipy.optimize import linear_sum_assignment
-from scipy.stats import beta
+from scipy.optimize import linear_sum_assignment, minimize
+from scipy.stats import beta, chi2
 
 from rrr_oc import parallel
+from rrr_oc.calibrate import fit_terms, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.diagnose import refit, term
 from rrr_oc.diagnosis import diagnose, to_json
 from rrr_oc.errors import UserError
 from rrr_oc.evaluate import evaluate_inverse
+from rrr_oc.evidence import Bench, Evidence
 from rrr_oc.files import write_json, write_text
 from rrr_oc.recordings import RecordingSet, load_recordings
+from rrr_oc.regression import prepare, thinned, without_spikes
+from rrr_oc.signatures import trials, view
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-FEW = ("single", "short", "some", "current", "load", "identify", "locked")  # kinds with one effect at most
+QUANTILES = (0.25, 0.5, 0.75, 0.95)
+FEW = ("single", "faint", "short", "some", "current", "load", "identify", "locked")  # kinds with one effect at most
 SEVERAL = ("pair", "triple", "outside_pair")
+DETECTED = 1e-3  # p-value of a likelihood ratio
 NORMAL = 1.96  # standard errors of a 95 % interval
 NOTHING, UNEXPLAINED, FAILED = "nothing", "unexplained", "failed"
 console = Console()
@@ -82,14 +90,14 @@ def without_nan(x: Any) -> Any:
     return None if isinstance(x, float) and not np.isfinite(x) else x
 
 
-def run_blind(folders: Sequence[Path], out: Path, jobs: int) -> None:
-    """Diagnose the cases that have no result yet."""
-    todo = [f for f in folders if not (out / f"{f.name}.json").exists()]
+def run_all(what: str, function: Callable[..., str], arguments: Mapping[str, Sequence[Any]], out: Path, jobs: int) -> None:
+    """Call a function for the cases that have no result yet; its arguments by case, less the folder of results."""
+    todo = [(*a, out) for case, a in arguments.items() if not (out / f"{case}.json").exists()]
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console) as progress:
-        bar = progress.add_task("diagnosing", total=len(folders), completed=len(folders) - len(todo))
-        for case in parallel.unordered(diagnose_case, [(f, out) for f in todo], jobs):
-            progress.update(bar, advance=1, description=f"diagnosed {case}")
+        bar = progress.add_task(what, total=len(arguments), completed=len(arguments) - len(todo))
+        for case in parallel.unordered(function, todo, jobs):
+            progress.update(bar, advance=1, description=f"{what} {case}")
 
 
 def chosen(cases: Path, only: str | None, limit: int | None) -> list[Path]:
@@ -157,8 +165,43 @@ def matched(truths: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, An
     return result
 
 
-def score_case(truth: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:
-    """What became of one case."""
+def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
+    """Fit the effects that a case really has, where and in the recordings that have them; the case's id.
+
+    What is written: NRMSE on `unseen`, and how much each effect adds to twice the log-likelihood, with its number of parameters.
+    """
+    truth, recordings = read(sealed), load_recordings(folder / "data")
+    start = plain_model(recordings)
+    prepared = prepare(recordings)
+    prepared = thinned(without_spikes(prepared, fit_terms(recordings, prepared, with_widths(prepared, start)).model))
+    bench = Bench(prepared, recordings.inertial == "identify")
+    fitted = refit(bench, with_widths(prepared, start))
+    entries = []
+    for e in truth["effects"]:
+        joints = tuple(recordings.joints.index(j) for j in place(e["joint"]))
+        ways = [
+            t
+            for t in trials(view(bench.prepared, fitted.model), fitted.model.torque)
+            if t.effect.name == e["effect"] and tuple(sorted(t.effect.joints)) == tuple(sorted(joints))
+        ]
+        found = Evidence.gather(bench, fitted.model, ways).candidates() if ways else []
+        better = None
+        for candidate in found[:1]:
+            extra = replace(
+                term(candidate), recordings=tuple(e["recordings"]) if e["recordings"] != "all" else "all", groups=()
+            )
+            better = refit(bench, with_widths(prepared, replace(fitted.model, terms=(*fitted.model.terms, extra))))
+        growth = 0.0 if better is None else better.better_than(fitted)
+        parameters = 0 if better is None else len(better.model.terms[-1].estimates)
+        entries.append({"effect": e["effect"], "likelihood": growth, "parameters": parameters})
+        fitted = better or fitted
+    errors = mean_errors(fitted.model, load_recordings(folder / "unseen"))
+    write_json(out / f"{folder.name}.json", without_nan({"case": folder.name, "unseen": errors, "effects": entries}))
+    return folder.name
+
+
+def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """What became of one case; `oracle` as `oracle_case` wrote it."""
     diagnosis = result.get("diagnosis") or {"verdict": FAILED, "effects": [], "unexplained": []}
     effects, unexplained, few = diagnosis["effects"], diagnosis["unexplained"], truth["kind"] in FEW
     inside = [e for e in truth["effects"] if e["in_catalogue"]]
@@ -196,9 +239,23 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str,
         "first": FAILED if "failed" in result else first,
         "extra": len(effects) + len(unexplained) - sum(e["named"] for e in entries),
         "alarm": diagnosis["verdict"] != "nothing_missing",
-        "unseen": mean_over_joints(result.get("unseen")),
+        "unseen": mean_over_joints(
+            result.get("unseen") and result["unseen"] | ({"oracle": oracle["unseen"]} if oracle else {})
+        ),
+        "visible": visible(oracle),
         "wall_s": result["wall_s"],
     }
+
+
+def visible(oracle: Mapping[str, Any] | None) -> float | None:
+    """How many times as strong as needed a lone effect is, for one who knows what to look for to detect it (p < 1e-3).
+
+    The likelihood grows with the square of the strength.
+    """
+    if oracle is None or len(oracle["effects"]) != 1 or not oracle["effects"][0]["parameters"]:
+        return None
+    (effect,) = oracle["effects"]
+    return float(np.sqrt(max(effect["likelihood"], 0.0) / chi2.isf(DETECTED, effect["parameters"])))
 
 
 def files(recordings: Any, seen: Sequence[str]) -> set[str]:
@@ -275,6 +332,7 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "with_extra_effects": share([s["extra"] > 0 for s in scores if s["true"]]),
         "coverage": share([c for s in scores for e in s["true"] for c in e["covered"]]),
         "unseen_nrmse": quartiles(before_after),
+        "sensitivity": sensitivity(scores),
         "seconds": {
             f"{n} joints": [float(x) for x in np.quantile([s["wall_s"] for s in scores if s["joints"] == n], [0.5, 1.0])]
             for n in sorted({s["joints"] for s in scores})
@@ -291,12 +349,29 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def quartiles(pairs: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
-    """Quartiles over cases of the NRMSE with the plain and the repaired model, and of their ratio."""
+    """Quartiles over cases of the NRMSE with the plain and the repaired model, of their ratio, and of that to the oracle's."""
     if not pairs:
         return {}
     before, after = (np.array([p[k] for p in pairs]) for k in ("before", "after"))
     rows = {"plain": before, "repaired": after, "repaired / plain": after / before}
-    return {name: [float(x) for x in np.quantile(values, [0.25, 0.5, 0.75])] for name, values in rows.items()}
+    known = np.array([p["after"] / p["oracle"] for p in pairs if "oracle" in p])
+    if len(known):
+        rows["repaired / oracle"] = known
+    return {name: [float(x) for x in np.quantile(values, QUANTILES)] for name, values in rows.items()}
+
+
+def sensitivity(scores: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
+    """Strength at which half of the lone effects are named, over the one at which the oracle detects them: a logistic curve."""
+    cases = [(s["visible"], s["true"][0]["named"]) for s in scores if s["visible"] and len(s["true"]) == 1]
+    if len({named for _, named in cases}) < 2:
+        return None
+    x, named = np.log([v for v, _ in cases]), np.array([n for _, n in cases])
+
+    def cost(p: np.ndarray) -> float:
+        return float(np.sum(np.logaddexp(0, np.where(named, -1, 1) * np.exp(p[1]) * (x - p[0]))))
+
+    found = minimize(cost, [np.log(1.5), np.log(3.0)], method="Nelder-Mead")
+    return {"half_named": float(np.exp(found.x[0])), "slope": float(np.exp(found.x[1])), "cases": len(cases)}
 
 
 def confusion(scores: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
@@ -348,9 +423,15 @@ def report(summary: Mapping[str, Any]) -> str:
     how = ", ".join(f"{n} as {w}" for w, n in summary["how"].items()) or "none"
     lines += [f"Named: {how} (`rival`: listed as indistinguishable; `equal`: equal on these data by the plant's Jacobian).", ""]
     if summary["unseen_nrmse"]:
-        lines += ["NRMSE on recordings of other motions, mean over joints, quartiles over the cases with an effect:", ""]
-        lines += ["|  | 25 % | 50 % | 75 % |", "| --- | --- | --- | --- |"]
+        lines += ["NRMSE on recordings of other motions, mean over joints, quantiles over the cases with an effect:", ""]
+        lines += ["|  | " + " | ".join(f"{100 * x:g} %" for x in QUANTILES) + " |", "| --- | --- | --- | --- | --- |"]
         lines += [f"| {k} | " + " | ".join(f"{x:.3f}" for x in v) + " |" for k, v in summary["unseen_nrmse"].items()] + [""]
+    if summary["sensitivity"]:
+        lines += [
+            f"Half of the lone effects are named at {summary['sensitivity']['half_named']:.2f} times the strength at which one who "
+            f"knows what to look for detects them (p < {DETECTED:g}; logistic curve over {summary['sensitivity']['cases']} cases).",
+            "",
+        ]
     lines += ["| time per case | median [s] | longest [s] |", "| --- | --- | --- |"]
     lines += [f"| {k} | {a:.1f} | {b:.1f} |" for k, (a, b) in summary["seconds"].items()]
     lines += ["", "| effect | of | named | its own 95 % interval | intervals | hold |", "| --- | --- | --- | --- | --- | --- |"]
@@ -375,7 +456,16 @@ def percent(x: float | None) -> str:
 def open_cases(cases: Path, folders: Sequence[Path], results: Path) -> list[dict[str, Any]]:
     """The scores of the cases that have a result."""
     done = [f.name for f in folders if (results / f"{f.name}.json").exists()]
-    return [score_case(read(cases / "sealed" / f"{case}.json"), read(results / f"{case}.json")) for case in done]
+    oracles = {f.stem: read(f) for f in (results.parent / "oracle").glob("*.json")}
+    return [
+        score_case(read(cases / "sealed" / f"{case}.json"), read(results / f"{case}.json"), oracles.get(case)) for case in done
+    ]
+
+
+def has_oracle(cases: Path, case: str) -> bool:
+    """Whether all that a case conceals is in the catalogue."""
+    effects = read(cases / "sealed" / f"{case}.json")["effects"]
+    return bool(effects) and all(e["in_catalogue"] for e in effects)
 
 
 def main(
@@ -389,7 +479,9 @@ def main(
     """Diagnose sealed cases, then open and score them; writes cases/<id>.json, summary.json, report.md and confusion.png."""
     folders = chosen(cases, only, limit)
     if not score_only:
-        run_blind(folders, out / "cases", jobs)
+        run_all("diagnosing", diagnose_case, {f.name: (f,) for f in folders}, out / "cases", jobs)
+        known = {f.name: (f, cases / "sealed" / f"{f.name}.json") for f in folders if has_oracle(cases, f.name)}
+        run_all("the oracle", oracle_case, known, out / "oracle", jobs)
     scores = open_cases(cases, folders, out / "cases")
     if not scores:
         raise UserError(f"{out / 'cases'}: no results of these cases; run without --score-only first")

@@ -11,18 +11,24 @@ from rrr_oc.parameters import Parameter
 from rrr_oc.smooth import cos, fmax, fmin, sign
 
 
+EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # in a variable's range, from below
+
+
 @dataclass(frozen=True)
 class Empirical(Effect):
     """tau = sgn(dq)^s Σ c_kl cos(k π x) cos(l π y) of one or two variables x, y, scaled from their range to [0, 1].
 
-    Beyond its range of validity a variable stays at the range's end. Cosines on an interval are smooth everywhere, converge fast
-    for smooth functions, and each coefficient is linear.
+    Or, of one variable, what begins at an edge: tau = Σ c (±(x − edge))₊^p. Beyond its range of validity a variable stays at the
+    range's end. Cosines on an interval are smooth everywhere and converge fast for smooth functions; edges stand for what stops
+    or saturates. Each coefficient is linear.
 
     Attributes:
-        variables: What it depends on: ("q", joint), ("dq", joint), ("load", joint) or ("time", −1).
-        low, high: Range of validity of each [rad, rad/s, Nm or s].
+        variables: What it depends on: ("q", joint), ("dq", joint), ("ddq", joint), ("load", joint), ("motor", joint), load with
+            plain friction, or ("time", −1).
+        low, high: Range of validity of each [rad, rad/s, rad/s², Nm or s].
         orders: Highest k (and l).
         signed: Whether it turns with the direction of its own joint.
+        edges: (±1, edge in [0, 1], power) of what begins at an edge, upwards or downwards.
     """
 
     name = "empirical"
@@ -35,6 +41,7 @@ class Empirical(Effect):
     high: tuple[float, ...] = field(default=())
     orders: tuple[int, ...] = field(default=())
     signed: bool = field(default=False)
+    edges: tuple[tuple[int, float, int], ...] = field(default=())
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:
@@ -43,7 +50,8 @@ class Empirical(Effect):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return tuple(Parameter("c_" + "_".join(map(str, p)), "Nm", 0.0) for p in self.powers)
+        names = ["above" if side > 0 else "below" for side, _, _ in self.edges] or ["_".join(map(str, p)) for p in self.powers]
+        return tuple(Parameter(f"c_{name}", "Nm", 0.0) for name in names)
 
     @cached_property
     def amplitudes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -52,10 +60,14 @@ class Empirical(Effect):
     def torque(self, signals, theta, width):
         scaled = []
         for (kind, j), low, high in zip(self.variables, self.low, self.high, strict=True):
-            x = signals.time if kind == "time" else getattr(signals, kind)[j]
+            x = signals.time if kind == "time" else getattr(signals, "load" if kind == "motor" else kind)[j]
+            if kind == "motor":
+                x = x - signals.friction[j]
             scaled.append(fmin(fmax((x - low) / (high - low), 0.0), 1.0))
         total = 0.0
-        for name, powers in zip(self.amplitudes, self.powers, strict=True):
+        for name, (side, edge, power) in zip(self.amplitudes, self.edges, strict=False):
+            total = total + theta[name] * fmax(side * (scaled[0] - edge), 0.0) ** power
+        for name, powers in zip(self.amplitudes, () if self.edges else self.powers, strict=False):
             value = theta[name]
             if isinstance(value, float) and value == 0.0:
                 continue
@@ -68,7 +80,7 @@ class Empirical(Effect):
 
     @property
     def load_dependent(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return any(kind == "load" for kind, _ in self.variables)
+        return any(kind in ("load", "motor") for kind, _ in self.variables)
 
     @property
     def depends_on(self) -> list[tuple[str, int]]:
@@ -81,29 +93,49 @@ class Empirical(Effect):
         return iter(())
 
     @classmethod
-    def surfaces(cls, view, j: int, load: tuple[np.ndarray, np.ndarray]):
-        """Trials for one joint: of one variable, coarse and fine, and of two."""
-        n = view.n
-        ranges = {("q", i): (view.low[i], view.high[i]) for i in range(n)}
-        ranges |= {("dq", i): (-view.speed[i], view.speed[i]) for i in range(n)}
-        ranges |= {("load", j): (load[0][j], load[1][j]), ("time", -1): (0.0, view.duration)}
+    def surfaces(cls, view, j: int, load, motor, acceleration: np.ndarray):
+        """Trials for one joint: of one variable, coarse and fine, or beginning at an edge; and of two.
 
-        def one(variables, orders, signed):
+        Args:
+            load, motor: Least and largest load torque and motor torque of each joint [Nm], two of (n,) each.
+            acceleration: Largest of each joint [rad/s²], (n,).
+        """
+        n, ranges = view.n, {("time", -1): (0.0, view.duration)}
+        for i in range(n):
+            ranges |= {("q", i): (view.low[i], view.high[i]), ("dq", i): (-view.speed[i], view.speed[i])}
+            ranges |= {("ddq", i): (-acceleration[i], acceleration[i])}
+            ranges |= {("load", i): (load[0][i], load[1][i]), ("motor", i): (motor[0][i], motor[1][i])}
+
+        def one(variables, orders=(), signed=False, edges=()):
             low, high = zip(*(ranges[v] for v in variables), strict=True)
-            effect = cls((j,), tuple(variables), tuple(map(float, low)), tuple(map(float, high)), tuple(orders), signed)
+            effect = cls(
+                (j,), tuple(variables), tuple(map(float, low)), tuple(map(float, high)), tuple(orders), signed, tuple(edges)
+            )
             zero = dict.fromkeys(effect.amplitudes, 0.0)
             return Trial(effect, tuple(zero | {a: 1.0} for a in effect.amplitudes), width=effect.sign_width(view))
 
         for v in ranges:
+            if v[0] == "motor" and v[1] == j:
+                continue  # its own gain is in the catalogue; what is not linear, edges find
             for order in (3, 8, 20, 45) if v == ("q", j) else (3, 8):
                 for signed in (False, True):
-                    if not (signed and v == ("dq", j)):
+                    if not (signed and v in (("dq", j), ("motor", v[1]))):
                         yield one([v], [order], signed)
+        for v in (("q", j), ("dq", j), ("motor", j)):
+            for at in EDGES:
+                for power in (1, 3):
+                    above, below = (1, at, power), (-1, 1 - at, power)
+                    for edges in ([above], [below], [above, below]):
+                        yield one([v], edges=edges)
         for i in range(n):
             for signed in (False, True):
                 if i != j:
                     yield one([("q", j), ("q", i)], [3, 3], signed)
                     yield one([("dq", j), ("q", i)], [3, 3], signed)
-            yield one([("dq", j), ("q", j)], [3, 3], False)
+            yield one([("dq", j), ("q", j)], [3, 3])
+            yield one([("motor", j), ("dq", i)], [1, 2])
             if i != j:
-                yield one([("dq", j), ("dq", i)], [3, 3], False)
+                yield one([("dq", j), ("dq", i)], [3, 3])
+        yield one([("motor", j), ("time", -1)], [1, 1])
+        yield one([("motor", j), ("time", -1)], [3, 3])
+        yield one([("motor", j), ("dq", j)], [3, 3])

@@ -9,6 +9,7 @@ import numpy as np
 from validation.concealed.catalogue import CATALOGUE, OUTSIDE, TWO_JOINTS
 
 RATIOS = (3.0, 1.0, 0.5)  # residual after plain calibration / noise
+FAINT = (0.3, 0.2, 0.1)
 ROBOTS = ("rrr", "rrr_prototype", "arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "arm7")
 
 
@@ -54,7 +55,7 @@ def fitting_robot(names: tuple[str, ...], rng: np.random.Generator, choices: tup
 def declare(seed: int = 0) -> list[Case]:
     """All cases of a seed, in a fixed order."""
     cases: list[Case] = []
-    for make in (clean, single, short_single, some_recordings, several, outside, other_data):
+    for make in (clean, single, short_single, faint, some_recordings, several, outside, other_data):
         cases += make(seed)
     keys = [c.key for c in cases]
     if len(set(keys)) != len(keys):
@@ -103,6 +104,17 @@ def short_single(seed: int) -> list[Case]:
             key = f"short/{name}/{ratio}"
             robot = fitting_robot((name,), draw(seed, key))
             out.append(Case(key, "short", seed, robot, (Concealed(name, ratio),), short=True))
+    return out
+
+
+def faint(seed: int) -> list[Case]:
+    """Every effect of the catalogue about as weak as can be told from noise, in a small and untidy data set."""
+    out = []
+    for name in CATALOGUE:
+        for ratio in FAINT:
+            key = f"faint/{name}/{ratio}"
+            robot = fitting_robot((name,), draw(seed, key))
+            out.append(Case(key, "faint", seed, robot, (Concealed(name, ratio),), short=True))
     return out
 
 
