@@ -10,7 +10,6 @@ from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
 from rrr_oc.smooth import cos, fmax, fmin, sign
 
-
 EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # in a variable's range, from below
 
 
