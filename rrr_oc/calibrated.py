@@ -68,6 +68,11 @@ class Term:
         """The parameters' values, (number of parameters,)."""
         return np.array([e.value for e in self.estimates])
 
+    @property
+    def named(self) -> dict[str, float]:
+        """The parameters' values by name."""
+        return {p.name: e.value for p, e in zip(self.effect.parameters, self.estimates, strict=True)}
+
     def with_values(self, values: np.ndarray) -> "Term":
         """The same term with bare values."""
         return replace(self, estimates=tuple(Estimate(float(v)) for v in values))

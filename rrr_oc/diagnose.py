@@ -23,10 +23,10 @@ from rrr_oc.signatures import trials, view
 MOST = 8  # effects
 TRIED = 5  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
-DOUBT = 1e-3  # p-value of the robust test, all trials together
+DOUBT = 0.01  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 STEADY = 3.0  # standard errors by which a fit must be better
-LEAST_SHARE = 0.01  # of the squared residual of a joint before any effect is added, for an effect to be named
+LEAST_SHARE = 0.007  # of the squared residual of a joint before any effect is added, for an effect to be named
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
@@ -122,8 +122,8 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
 
 
 def _straight(effect: Effect) -> bool:
-    """Whether the prediction stays linear in all parameters with this effect in the model; a gain multiplies what others do."""
-    return effect.plain or (effect.linear and effect.side != "sensor")
+    """Whether the prediction stays linear in all parameters with this effect; gain and load multiply what others do."""
+    return effect.plain or (effect.linear and effect.side != "sensor" and not effect.load_dependent)
 
 
 def _without_rounding(found: Rows, model: CalibratedModel) -> Rows:
@@ -225,7 +225,9 @@ def _best(
         score = tried.better_than(fitted) - candidate.penalty
         share = np.max((fitted.squares - tried.squares) / plain.squares)
         steady = candidate.trial.effect.linear or steadily_better(bench, tried, fitted)
-        if score > 0 and share > LEAST_SHARE and steady and (best is None or score > best[0]):
+        last = tried.model.terms[-1]
+        possible = last.effect.possible(last.named, bench.least_payload(candidate.scope))
+        if score > 0 and share > LEAST_SHARE and steady and possible and (best is None or score > best[0]):
             best = (score, tried, candidate)
     return best
 
@@ -247,7 +249,7 @@ def _joint(evidence: Evidence, candidate: Candidate) -> int:
 
 def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
     """The candidates worth an exact fit: beyond chance, robustly so, near the best; of each effect at its joints the best."""
-    tests, others = len(evidence.table.trials), len(evidence.bench.prepared) > 1
+    others = len(evidence.bench.prepared) > 1
     result: list[Candidate] = []
     for candidate in evidence.candidates():
         if candidate.score <= 0 or (result and (len(result) >= TRIED or candidate.score < CLOSE * result[0].score)):
@@ -255,7 +257,7 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         same = any(_key(c) == _key(candidate) for c in result)
         if same or _present(candidate, model):
             continue
-        beyond_chance = not candidate.trial.effect.linear or robust_p(evidence, candidate) * tests < DOUBT
+        beyond_chance = not candidate.trial.effect.linear or robust_p(evidence, candidate) * evidence.tests < DOUBT
         if beyond_chance and (not others or evidence.confirmed(candidate) > CONFIRMED):
             result.append(candidate)
     return result
@@ -352,7 +354,8 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
             tried = fit_of(bench, evidence, less, candidate)
             better = tried.better_than(fitted)
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
-            lead = better + simpler * SAME
+            likelier = int(candidate.scope is not None) * (candidate.trial.effect.mounted - own.effect.mounted)
+            lead = better + (simpler + 2 * likelier) * SAME
             if lead > (0 if simpler > 0 else SAME) and better > -SAME and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:

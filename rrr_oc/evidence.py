@@ -52,6 +52,13 @@ class Bench:
         """Physical set-up of each recording, in their order."""
         return tuple(p.recording.group for p in self.prepared)
 
+    def least_payload(self, scope: Sequence[str] | None) -> float:
+        """The least payload listed in recordings of these groups, or of all [kg]."""
+        return min(
+            (float(p.recording.payload.min()) for p in self.prepared if scope is None or p.recording.group in scope),
+            default=0.0,
+        )
+
     def by_block(self, values: np.ndarray) -> np.ndarray:
         """Sums of values (rows, …) over pieces of `BLOCK` seconds, of which none reaches over two recordings."""
         step = max(1, round(BLOCK / STRIDE))
@@ -154,7 +161,12 @@ class Evidence:
                 cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))
                 kind = (trial.effect if isinstance(trial.effect, Empirical) else trial.effect.name), trial.effect.joints
                 key = (*kind, scope is None)
-                if dimensions and gain > 0 and self._possible(k, coefficients) and gain - cost > best.get(key, (0.0,))[0]:
+                if (
+                    dimensions
+                    and gain > 0
+                    and self._possible(k, scope, coefficients)
+                    and gain - cost > best.get(key, (0.0,))[0]
+                ):
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
         found = sorted(best.values(), key=lambda one: -one[0])
         result = [self._judged(inverse, *one[1:]) for one in found[:FIRST]]
@@ -165,11 +177,9 @@ class Evidence:
         """Effects at their joints that compete."""
         return len({(t.effect.name, t.effect.joints) for t in self.table.trials})
 
-    def _possible(self, k: int, coefficients: np.ndarray) -> bool:
-        """Whether the parameters lie within their bounds."""
+    def _possible(self, k: int, scope, coefficients: np.ndarray) -> bool:
         trial = self.table.trials[k]
-        theta = trial.effect.combined(trial.points, coefficients)
-        return all(p.lower <= theta[p.name] <= p.upper for p in trial.effect.parameters)
+        return trial.effect.possible(trial.effect.combined(trial.points, coefficients), self.bench.least_payload(scope))
 
     def _columns(self, k: int) -> np.ndarray:
         return self.size + np.arange(self.table.start[k], self.table.start[k + 1])

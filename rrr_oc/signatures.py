@@ -132,6 +132,8 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
     for effect, theta, width in named:
         if effect.plain and effect.name != "armature":
             friction[effect.joints[0]] += np.array(effect.torque(plain, theta, width)[0]).reshape(-1)
+    plain = replace(plain, friction=friction)
+    for effect, theta, width in named:
         if effect.load_dependent and model.torque != "load":
             more, now = (
                 np.array(effect.torque(replace(plain, load=x), theta, width)[0]).reshape(-1) for x in (load + 1e-6, load)

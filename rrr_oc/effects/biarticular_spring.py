@@ -31,6 +31,7 @@ class BiarticularSpring(Effect):
     amplitudes = ("kappa",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
     local = True
+    mounted = True
 
     winding: tuple[int, int] = field(default=(1, 1))
     pulleys: float = field(default=1.0)  # r_1/r_2, by which phi follows the spring's own equilibrium q_0

@@ -125,6 +125,7 @@ class Effect(ABC):
         of_spring: Whether it is one of a spring that a recording lists, and absent where none is (class attribute).
         many: Whether a joint may have more than one of it (class attribute).
         simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
+        mounted: Whether it is put on and taken off between recordings, hence likelier where only some have it (class attribute).
         joints: Indices of the joints it acts on.
     """
 
@@ -142,6 +143,7 @@ class Effect(ABC):
     of_spring: ClassVar[bool] = False
     many: ClassVar[bool] = False
     simulated: ClassVar[bool] = False
+    mounted: ClassVar[bool] = False
 
     joints: tuple[int, ...]
 
@@ -186,9 +188,12 @@ class Effect(ABC):
 
     @property
     def linear(self) -> bool:
-        """Whether predictions are linear in all its parameters."""
-        amplitudes_only = len(self.parameters) == len(self.amplitudes)
-        return amplitudes_only and self.side in ("link", "drive", "sensor") and not self.load_dependent
+        """Whether predictions are linear in all its parameters, those of other effects held."""
+        return len(self.parameters) == len(self.amplitudes) and self.side in ("link", "drive", "sensor")
+
+    def possible(self, theta: Mapping[str, float], payload: float) -> bool:
+        """Whether parameters lie within their bounds; `payload` [kg] is the least listed of where the effect is at work."""
+        return all(p.lower <= theta[p.name] <= p.upper for p in self.parameters)
 
     def forms(self) -> tuple["Effect", ...]:
         """The effect on the same joints in all its forms."""

@@ -26,6 +26,7 @@ class ParallelSpring(Effect):
     amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
     local = True
+    mounted = True
 
     active: Literal["below", "above"] = field(default="below")
 

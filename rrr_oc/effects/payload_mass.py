@@ -16,6 +16,7 @@ class PayloadMass(Effect):
     amplitudes = ("mass",)
     side = "body"
     local = True
+    mounted = True
     of_arm = True
 
     def torque(self, signals, theta, width):
@@ -23,6 +24,9 @@ class PayloadMass(Effect):
 
     def change(self, body, theta):
         return replace(body, payload=body.payload + theta["mass"])
+
+    def possible(self, theta, payload):
+        return payload + theta["mass"] >= 0.0
 
     @classmethod
     def trials(cls, view):
