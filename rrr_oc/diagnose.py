@@ -15,7 +15,7 @@ from rrr_oc.calibrate import bounds, parameter_values, with_parameter_values, wi
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import Effect
 from rrr_oc.effects.empirical import Empirical
-from rrr_oc.evidence import Bench, Candidate, Evidence, chance, correlation, robust_p
+from rrr_oc.evidence import Bench, Candidate, Evidence, chance, correlation, robust_p, significant
 from rrr_oc.inference import box_step, normal_equations
 from rrr_oc.regression import STRIDE, Rows, noise, rows
 from rrr_oc.signatures import trials, view
@@ -23,12 +23,13 @@ from rrr_oc.signatures import trials, view
 MOST = 8  # effects
 TRIED = 5  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
-DOUBT = 0.01  # p-value of the robust test, all effects together
+DOUBT = 0.05  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 STEADY = 3.0  # standard errors by which a fit must be better
 LEAST_SHARE = 0.007  # of the squared residual of a joint before any effect is added, for an effect to be named
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
+RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
 ROUNDING = 1e-10  # Nm
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
@@ -74,7 +75,7 @@ class Finding:
         term: In the model.
         likelihood: What twice the log-likelihood falls by without it.
         dimensions: Coefficients.
-        tests: Trials that competed.
+        tests: Effects at their joints that competed.
         rivals: Names and joints of effects that do as well in its place.
     """
 
@@ -222,14 +223,25 @@ def _best(
     best = None
     for candidate in candidates:
         tried = fit_of(bench, evidence, fitted, candidate)
-        score = tried.better_than(fitted) - candidate.penalty
+        gain = tried.better_than(fitted)
+        score = gain - candidate.penalty
         share = np.max((fitted.squares - tried.squares) / plain.squares)
         steady = candidate.trial.effect.linear or steadily_better(bench, tried, fitted)
         last = tried.model.terms[-1]
         possible = last.effect.possible(last.named, bench.least_payload(candidate.scope))
-        if score > 0 and share > LEAST_SHARE and steady and possible and (best is None or score > best[0]):
-            best = (score, tried, candidate)
+        if gain > candidate.least and share > LEAST_SHARE and steady and possible:
+            score -= _rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * gain
+            best = (score, tried, candidate) if best is None or score > best[0] else best
     return best
+
+
+def _rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> float:
+    """Share of its evidence that an effect loses for being unlikely.
+
+    That somebody mounted something for all recordings and listed it for none. While a model is far from the noise, all laws are
+    wrong, and likelihoods alone compare what else they happen to take up.
+    """
+    return RARE if effect.mounted and everywhere and _noisy(bench, fitted) else 0.0
 
 
 def _noisy(bench: Bench, fitted: Fitted) -> list[int]:
@@ -252,8 +264,10 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
     others = len(evidence.bench.prepared) > 1
     result: list[Candidate] = []
     for candidate in evidence.candidates():
-        if candidate.score <= 0 or (result and (len(result) >= TRIED or candidate.score < CLOSE * result[0].score)):
+        if result and (len(result) >= TRIED or candidate.score < min(CLOSE * result[0].score, result[0].score - SAME)):
             break
+        if candidate.likelihood < candidate.least:
+            continue
         same = any(_key(c) == _key(candidate) for c in result)
         if same or _present(candidate, model):
             continue
@@ -333,12 +347,18 @@ def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, 
     while i < len(fitted.model.terms) - 1:
         less = refit(bench, without(fitted.model, i))
         share = np.max((less.squares - fitted.squares) / plain.squares)
-        if share < LEAST_SHARE or fitted.better_than(less) < chance(len(fitted.model.terms[i].estimates), fitted.counts, tests):
+        if share < LEAST_SHARE or fitted.better_than(less) < _least(fitted, i, tests):
             report(f"{fitted.model.terms[i].effect.name} is superfluous")
             fitted = less
         else:
             i += 1
     return fitted
+
+
+def _least(fitted: Fitted, i: int, tests: int) -> float:
+    """Likelihood that a term must add to stay."""
+    number = len(fitted.model.terms[i].estimates)
+    return min(chance(number, fitted.counts, tests), significant(number, tests))
 
 
 def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Evidence, report) -> tuple[Fitted, list[Finding]]:
@@ -356,6 +376,8 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
             likelier = int(candidate.scope is not None) * (candidate.trial.effect.mounted - own.effect.mounted)
             lead = better + (simpler + 2 * likelier) * SAME
+            lead -= _rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
+            lead += _rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
             if lead > (0 if simpler > 0 else SAME) and better > -SAME and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
@@ -374,7 +396,7 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
                 fitted.model.terms[i],
                 fitted.better_than(less),
                 dimensions,
-                len(evidence.table.trials),
+                evidence.tests,
                 tuple(dict.fromkeys(rivals)),
             )
         )

@@ -24,6 +24,7 @@ FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
 SMALL = 4
 BLOCKS = 4  # of the only recording
 LEAST_SHARE = 0.002  # of the squared residual on recordings held out, for an effect to stay
+LEAST_GROWTH = 0.005  # of the squared residual without the effects, for a joint to be called one of the mismatch
 BINS = 12  # of a variable, when it is asked where the error is
 NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
@@ -237,7 +238,7 @@ def _mismatch(
     for j, joint in enumerate(joints):
         own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
         p = min((f.p_value for f in own), default=1.0)
-        significant = bool(p < 1e-3 and growth[j] > 0.01)
+        significant = bool(own and growth[j] > LEAST_GROWTH)
         if not significant and findings and growth[j] > 0.1:  # an effect elsewhere shows here too
             significant, p = True, min(f.p_value for f in findings)
         moving = plain.rows.moving[j]

@@ -23,6 +23,7 @@ LONGEST = 2.0  # [s], of the lags over which residuals are correlated
 WHITE = 0.11  # [s], over which the common filter correlates white noise
 NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
 BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
+ALARMS = 0.01  # chance that anything passes for an effect where nothing is missing
 FIRST = 40  # effects, by quadratic gain, whose likelihood is worked out
 
 
@@ -87,7 +88,8 @@ class Candidate:
         coefficients: Fitted with all parameters of the model, (m,).
         likelihood: Growth of twice the log-likelihood.
         dimensions: Coefficients that the recordings tell apart.
-        penalty: What chance gives.
+        penalty: What its parameters and the choice of it would gain by chance, for ranking.
+        least: Likelihood that it must add to be beyond chance.
     """
 
     trial: Trial
@@ -97,6 +99,7 @@ class Candidate:
     likelihood: float
     dimensions: int
     penalty: float
+    least: float
 
     @property
     def score(self) -> float:
@@ -220,9 +223,10 @@ class Evidence:
         ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
         shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
         penalty = chance(dimensions + shape, self.counts, self.tests)
-        if scope is not None:
-            penalty += scope_cost(len(self.bench.labels), len(scope))
-        return Candidate(trial, k, scope, coefficients, float(self.counts @ ratio), dimensions, penalty)
+        chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
+        least = penalty if isinstance(trial.effect, Empirical) else min(penalty, significant(dimensions + shape, self.tests))
+        likelihood = float(self.counts @ ratio)
+        return Candidate(trial, k, scope, coefficients, likelihood, dimensions, penalty + chosen, least + chosen)
 
     def residual(self, k: int | None, coefficients, scope, inverse) -> np.ndarray:
         """Residuals after the parameters and a trial are fitted, (n, M)."""
@@ -281,6 +285,11 @@ class Evidence:
 def chance(parameters: int, counts: np.ndarray, tests: int) -> float:
     """What parameters gain by chance where so many effects compete: Schwarz's criterion, and the best of the tests."""
     return float(parameters * np.log(max(counts.sum(), 2.0)) + 2 * np.log(max(tests, 2)))
+
+
+def significant(parameters: int, tests: int) -> float:
+    """Twice the log-likelihood that parameters gain by chance in one of `1 / ALARMS` diagnoses with so many tests."""
+    return float(chi2.isf(ALARMS / max(tests, 1), parameters))
 
 
 def scope_cost(groups: int, size: int) -> float:
