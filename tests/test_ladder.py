@@ -34,6 +34,7 @@ LADDER = (
     ("recordings", ("suggest",)),
     ("recordings", ("diagnosis",)),
     ("simulation", ("native",)),
+    ("simulation", ("twin",)),
     ("simulation", ("simulate",)),
     ("results", ("outcome", "replay")),
     ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),

@@ -40,7 +40,8 @@ from rrr_oc.errors import UserError
 from rrr_oc.files import write_json, write_text
 from rrr_oc.model import Model
 from rrr_oc.robot import BUNDLED, load_robot
-from rrr_oc.simulate import Controller, Form, Integrator, ReferencePhase, Settings, Twin, track, twin
+from rrr_oc.simulate import ReferencePhase, track
+from rrr_oc.twin import Controller, Form, Integrator, Settings, Twin, twin
 
 INTEGRATORS: tuple[Integrator, ...] = ("euler", "implicitfast", "implicit", "rk4")
 FORMS: tuple[Form, ...] = get_args(Form)

@@ -20,7 +20,7 @@ from mujoco import rollout
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.model import Model
 from rrr_oc.robot import load_robot
-from rrr_oc.simulate import Settings, Twin, twin
+from rrr_oc.twin import Settings, Twin, twin
 
 CANDIDATES, SECONDS, STEP = 64, 3.5, 2e-3
 FORMS = ("bare", "generated", "native")
