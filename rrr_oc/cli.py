@@ -16,7 +16,7 @@ from rrr_oc.calibrated import CalibratedModel, load_model, save_model
 from rrr_oc.diagnosis import diagnose as diagnose_recordings
 from rrr_oc.diagnosis import to_json
 from rrr_oc.diagnosis_report import write_diagnosis
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, entry_point
 from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.files import write_json
 from rrr_oc.importers import import_mcap, import_prototype
@@ -144,13 +144,7 @@ def mcap(
     _show_set(import_mcap(files, robot, out, names, topic, torque, inertial=inertial, torque_constant=constants))
 
 
-def main() -> None:
-    """Entry point; an error that the user can mend is one sentence on stderr and exit status 2."""
-    try:
-        app()
-    except UserError as error:
-        typer.secho(f"Error: {error}", fg="red", err=True)
-        raise SystemExit(2) from None
+main = entry_point(app)
 
 
 def _constants(text: str | None) -> dict[str, float] | None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import typer
 from rich.console import Console
@@ -25,15 +25,13 @@ from rrr_oc.actuator import Actuators, load_actuators
 from rrr_oc.calibrate import labels
 from rrr_oc.calibrate_simulated import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, save_model
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, entry_point
+from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet, load_recordings
 from rrr_oc.replay import Replayed, replay, tracking_controller
 from rrr_oc.savitzky_golay import smooth, split
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load by Eq. 10", "tau_load of the engine", "tau_load of the engine, own drives")
 PAPER = {  # Table 2, calibration data; the paper does not say by how much it smooths
@@ -295,20 +293,12 @@ def main(
         ("overlays", draw_overlays(runs["gradient, training"], drives)),
         ("overlays_left_out", draw_overlays(runs["gradient, left out"], drives)),
     ):
-        figure.savefig(out / f"{name}.png", dpi=110, bbox_inches="tight")
-        plt.close(figure)
+        save_figure(figure, out / f"{name}.png", dpi=110)
     console.print(Markdown(text))
     console.print(f"Everything is in {out}.", highlight=False, soft_wrap=True)
 
 
-def run() -> None:
-    """The command line; an error that the user can mend is one sentence and exit status 2."""
-    try:
-        typer.run(main)
-    except UserError as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
-        raise SystemExit(2) from None
-
+run = entry_point(lambda: typer.run(main))
 
 if __name__ == "__main__":
     run()

@@ -29,7 +29,7 @@ from rrr_oc.calibrated import CalibratedModel, load_model
 from rrr_oc.catalogue import METHODS, CatalogueResult, load_catalogue, search_catalogue
 from rrr_oc.certificate import certify
 from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, entry_point
 from rrr_oc.figures import draw_all
 from rrr_oc.files import write_json, write_npz, write_text
 from rrr_oc.outcome import Motion, describe, describe_simulation, sample_motion
@@ -269,14 +269,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def run() -> None:
-    """The command line; an error that the user can mend is one sentence and exit status 2."""
-    try:
-        typer.run(main)
-    except UserError as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
-        raise SystemExit(2) from None
-
+run = entry_point(lambda: typer.run(main))
 
 if __name__ == "__main__":
     run()

@@ -36,8 +36,8 @@ LADDER = (
     ("simulation", ("native",)),
     ("simulation", ("twin",)),
     ("simulation", ("simulate",)),
-    ("results", ("outcome", "replay")),
-    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
+    ("results", ("outcome", "replay", "figures")),
+    ("results", ("report", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}

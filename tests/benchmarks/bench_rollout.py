@@ -84,7 +84,9 @@ def test_rollout(benchmark, form, integrator, threads):
     work = batch(form, integrator)
     benchmark.group = f"{integrator}, {threads} thread(s)"
     benchmark.extra_info["steps"] = STEPS
-    benchmark.pedantic(work.run, (threads,), rounds=5, warmup_rounds=1)
+    final = benchmark.pedantic(work.run, (threads,), rounds=5, warmup_rounds=1)
+    assert np.all(np.isfinite(final))
+    assert len(np.unique(final[:, 1:4], axis=0)) == CANDIDATES  # each went its own way
 
 
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
