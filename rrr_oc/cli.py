@@ -18,9 +18,10 @@ from rrr_oc.diagnosis import to_json
 from rrr_oc.diagnosis_report import write_diagnosis
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
-from rrr_oc.files import write_json
+from rrr_oc.files import check_file, check_folder, write_json
 from rrr_oc.importers import import_mcap, import_prototype
 from rrr_oc.importers.prototype import PAYLOAD_AT
+from rrr_oc.parallel import check_jobs
 from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.savitzky_golay import WINDOW
 
@@ -66,6 +67,7 @@ def calibrate(
     ] = Way.inverse,
 ) -> None:
     """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
+    check_folder(out)
     model = WAYS[way](load_recordings(dataset))
     save_model(model, out / "model.json")
     _show_model(model)
@@ -79,6 +81,8 @@ def diagnose(
     jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
+    check_jobs(jobs)
+    check_folder(out)
     recordings = load_recordings(dataset)
     with console.status("reading") as status:
         found = diagnose_recordings(recordings, lambda line: status.update(line), jobs)
@@ -100,6 +104,10 @@ def evaluate(
     """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
     if not 0 <= window < float("inf"):
         raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
+    if out is not None:
+        check_file(out)
+    if predictions is not None:
+        check_folder(predictions)
     calibrated, recordings = load_model(model), load_recordings(dataset)
     inverse = evaluate_inverse(calibrated, recordings, window)
     simulated = evaluate_simulated(calibrated, recordings, window) if simulate else None

@@ -31,6 +31,32 @@ def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
+def check_file(path: str | Path) -> None:
+    """Raise `UserError` where no file of this name could be written; for use before hours of work."""
+    path = Path(path).absolute()
+    with _as_user_error(path):
+        if path.is_dir():
+            raise UserError(f"{path}: is a folder; the name of a file is required")
+        _check_place(path.parent)
+
+
+def check_folder(path: str | Path) -> None:
+    """Raise `UserError` where no files could be written into a folder of this name, there or to be made."""
+    path = Path(path).absolute()
+    with _as_user_error(path):
+        if path.exists() and not path.is_dir():
+            raise UserError(f"{path}: is a file; a folder is required")
+        _check_place(path)
+
+
+def _check_place(folder: Path) -> None:
+    while not folder.exists():
+        folder = folder.parent
+    probe = _beside(folder / "probe")
+    probe.open("xb").close()
+    probe.unlink()
+
+
 @contextmanager
 def new_file(path: str | Path) -> Iterator[BinaryIO]:
     """A file to fill, which takes its name when the block ends without an error and vanishes otherwise."""

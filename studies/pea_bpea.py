@@ -31,8 +31,9 @@ from rrr_oc.certificate import certify
 from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.figures import draw_all
-from rrr_oc.files import write_json, write_npz, write_text
+from rrr_oc.files import check_folder, write_json, write_npz, write_text
 from rrr_oc.outcome import Motion, describe, describe_simulation, sample_motion
+from rrr_oc.parallel import check_jobs
 from rrr_oc.report import published_springs, report
 from rrr_oc.search import SearchOptions, SearchResult, Start, search
 from rrr_oc.solve import Refinement, SolverFailure
@@ -69,10 +70,8 @@ def main(
     names = [n.strip() for n in configurations.split(",") if n.strip()]
     if not names:
         raise UserError(f"--configurations names none; there are {', '.join(CONFIGURATIONS)}")
-    if jobs == 0:
-        raise UserError("--jobs is 0; allowed are 1 or more, and -1 for all cores")
-    if out.exists() and not out.is_dir():
-        raise UserError(f"--out {out} is a file; give a folder")
+    check_jobs(jobs)
+    check_folder(out)
     drives = load_actuators(task.joints, actuators) if cost != "load" else None
     designs = {name: CoDesign(task, spring_bounds(task, name), cost, drives) for name in names}
     calibrated = None if model is None else load_model(model)

@@ -76,5 +76,9 @@ def test_the_table_of_a_true_model_shows_noise_alone(recordings):
             for s in ("tau_motor", "tau_load of the engine, own drives")
         )
         assert np.all(load < motor)
+    apart = calibration.apart(runs, 0.15, 0.1)
+    for kind, values in rows.items():  # a true model agrees with its own drives, and is as far from Eq. 10 as those are
+        engine = values[calibration.SIGNALS.index("tau_load of the engine")]
+        assert engine == pytest.approx(apart[kind], rel=0.05)
     figure = calibration.draw_overlays(runs, drives)
     assert len(figure.axes) == 8
