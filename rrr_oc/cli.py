@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from rrr_oc.calibrate import calibrate as calibrate_inverse
@@ -23,6 +22,7 @@ from rrr_oc.importers import import_mcap, import_prototype
 from rrr_oc.importers.prototype import PAYLOAD_AT
 from rrr_oc.parallel import check_jobs
 from rrr_oc.recordings import RecordingSet, load_recordings
+from rrr_oc.report import wide_console
 from rrr_oc.savitzky_golay import WINDOW
 
 app = typer.Typer(
@@ -33,9 +33,7 @@ app = typer.Typer(
 )
 importers = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True)
 app.add_typer(importers, name="import")
-console = Console()
-if not console.is_terminal:
-    console.width = 140  # a log's lines may be longer than the 80 columns that are assumed of it
+console = wide_console()
 
 
 class Way(StrEnum):

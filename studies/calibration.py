@@ -17,7 +17,6 @@ from typing import Annotated, Any
 import matplotlib.pyplot as plt
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markdown import Markdown
 from scipy.spatial import KDTree
 
@@ -25,12 +24,14 @@ from rrr_oc.actuator import Actuators, load_actuators
 from rrr_oc.calibrate import labels
 from rrr_oc.calibrate_simulated import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, save_model
+from rrr_oc.codesign import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.figures import save_figure
 from rrr_oc.files import check_folder, write_json, write_text
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet, load_recordings
 from rrr_oc.replay import Replayed, replay, tracking_controller
+from rrr_oc.report import wide_console
 from rrr_oc.savitzky_golay import smooth, split
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load by Eq. 10", "tau_load of the engine", "tau_load of the engine, own drives")
@@ -42,9 +43,7 @@ PAPER = {  # Table 2, calibration data; the paper does not say by how much it sm
 ENDS = ((0.15, 0.1), (3.0, 5.0))  # window and time dropped at both ends [s]: the contract's, and those of the authors' code
 NEAR = np.radians([5.0, 5.0])  # a motion is covered where a recorded (q, dq) lies within 5° and 5 °/s
 EQUAL = 1.01  # objectives within 1 % count as equal
-console = Console()
-if not console.is_terminal:
-    console.width = 160  # a log's lines may be longer than the 80 columns that are assumed of it
+console = wide_console()
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def coverage(
     """Share of each optimised task's time that lies outside the recorded (q, dq), by task and joint; and the tasks' motions."""
     seen = np.concatenate([np.stack([r.q, r.dq]) for r in recordings.recordings], axis=2)  # (2, n, K)
     shares, motions = {}, {}
-    for file in sorted(tasks.glob("*.npz")) if tasks else ():
+    for file in sorted(tasks.glob("*.npz"), key=_place) if tasks else ():
         m = dict(np.load(file))
         t = np.linspace(m["t"][0], m["t"][-1], 2000)
         names, shares[file.stem], motions[file.stem] = [str(x) for x in m["joints"]], {}, {}
@@ -158,21 +157,29 @@ def coverage(
     return shares, motions
 
 
+def _place(file: Path) -> tuple[bool, int, str]:
+    """Where a configuration's file stands: as in the paper's tables, starred ones last, others by name."""
+    name, known = file.stem.rstrip("*"), list(CONFIGURATIONS)
+    return file.stem.endswith("*"), known.index(name) if name in known else len(known), name
+
+
 def draw_coverage(recordings: RecordingSet, motions: dict[str, dict[str, np.ndarray]], shares) -> Any:
     """Figure 4 for every joint: recorded (q, dq), and those of the optimised tasks."""
-    joints = recordings.joints
-    figure, axes = plt.subplots(1, len(joints), figsize=(5 * len(joints), 4.5), squeeze=False)
+    joints, plain = recordings.joints, list(dict.fromkeys(name.rstrip("*") for name in motions))
+    figure, axes = plt.subplots(1, len(joints), figsize=(5.5 * len(joints), 4.5), squeeze=False)
     colours = plt.get_cmap("tab10").colors  # pyright: ignore[reportAttributeAccessIssue]
     for axis, joint in zip(axes[0], joints, strict=True):
         j = joints.index(joint)
         for k, r in enumerate(recordings.recordings):
             axis.plot(*np.degrees([r.q[j, ::5], r.dq[j, ::5]]), ".", ms=1, color="0.7", label="recorded" if k == 0 else None)
-        for k, (name, by_joint) in enumerate(motions.items()):
+        for name, by_joint in motions.items():
             if joint in by_joint:
+                style = {"color": colours[plain.index(name.rstrip("*")) % 10], "ls": "--" if name.endswith("*") else "-"}
                 label = f"{name}: {shares[name][joint]:.0%} outside"
-                axis.plot(*np.degrees(by_joint[joint][:2]), lw=1.5, color=colours[k % 10], label=label)
+                axis.plot(*np.degrees(by_joint[joint][:2]), lw=1.2, label=label, **style)
         axis.set(title=joint, xlabel="position [°]", ylabel="speed [°/s]")
         axis.legend(fontsize=8, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.14))
+    figure.subplots_adjust(wspace=0.25)
     return figure
 
 

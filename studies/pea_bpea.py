@@ -19,7 +19,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -34,14 +33,14 @@ from rrr_oc.figures import draw_all
 from rrr_oc.files import check_folder, write_json, write_npz, write_text
 from rrr_oc.outcome import Motion, describe, describe_simulation, sample_motion
 from rrr_oc.parallel import check_jobs
-from rrr_oc.report import published_springs, report
+from rrr_oc.report import published_springs, report, wide_console
 from rrr_oc.search import SearchOptions, SearchResult, Start, search
 from rrr_oc.solve import Refinement, SolverFailure
 from rrr_oc.task import PHASES, PRESETS, Task, load_task, tool_height
 from rrr_oc.transfer import check_transfer, describe_transfer, transfer_table
 
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
-console = Console()
+console = wide_console()
 
 
 def main(

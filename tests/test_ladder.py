@@ -12,7 +12,8 @@ PACKAGE = ROOT / "rrr_oc"
 # From the ground up. A module imports from rungs below its own; of the side branches "control", "recordings" and "simulation"
 # none imports from another. Names are below `rrr_oc`; to the folders `effects.*` and `importers.*` files may be added freely.
 LADDER = (
-    ("trunk", ("errors", "smooth", "parallel", "savitzky_golay", "_rigid_body")),
+    ("trunk", ("errors",)),
+    ("trunk", ("smooth", "parallel", "savitzky_golay", "_rigid_body")),
     ("trunk", ("files", "parameters", "csv_table", "metrics", "nrmse", "c_library")),
     ("trunk", ("robot", "effects.effect")),
     ("trunk", ("rigid_body", "effects.*")),
