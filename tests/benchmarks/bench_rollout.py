@@ -86,7 +86,8 @@ def test_rollout(benchmark, form, integrator, threads):
     benchmark.extra_info["steps"] = STEPS
     final = benchmark.pedantic(work.run, (threads,), rounds=5, warmup_rounds=1)
     assert np.all(np.isfinite(final))
-    assert len(np.unique(final[:, 1:4], axis=0)) == CANDIDATES  # each went its own way
+    # each has springs of its own; without any, the controllers have brought all to one motion
+    assert len(np.unique(final[:, 1:4], axis=0)) == (1 if form == "bare" else CANDIDATES)
 
 
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
