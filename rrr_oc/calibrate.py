@@ -167,7 +167,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
     weights = found.deviation() ** -2
     matrix, right = normal_equations(found, weights)
     estimates, spread = _estimates(found, weights, matrix, right, values, bounds(start.terms))
-    model = replace(start, terms=_with_estimates(start.terms, estimates))
+    model = replace(start, terms=with_estimates(start.terms, estimates))
     report = {"way": "inverse dynamics"} | _report(model, prepared, found, matrix, spread, began)
     return Fit(finished(recordings, prepared, model, report), found, weights, spread)
 
@@ -234,7 +234,7 @@ def _identified(recordings, prepared, model, found: Rows, weights, matrix, xi, g
     lower, upper = bounds(model.terms)
     values = parameter_values(model)
     estimates = _described(values, values, spread, (lower, upper), ~open_)
-    model = replace(model, terms=_with_estimates(model.terms, estimates))
+    model = replace(model, terms=with_estimates(model.terms, estimates))
     report = {"way": "inverse dynamics, inertial parameters identified"} | _report(
         model, prepared, found, matrix[:size, :size], spread, began
     )
@@ -295,10 +295,11 @@ def parameter_values(model: CalibratedModel) -> np.ndarray:
 
 def with_parameter_values(terms: Sequence[Term], values: np.ndarray) -> tuple[Term, ...]:
     """The terms with other values of their parameters."""
-    return _with_estimates(terms, [Estimate(float(v)) for v in values])
+    return with_estimates(terms, [Estimate(float(v)) for v in values])
 
 
-def _with_estimates(terms: Sequence[Term], estimates: Sequence[Estimate]) -> tuple[Term, ...]:
+def with_estimates(terms: Sequence[Term], estimates: Sequence[Estimate]) -> tuple[Term, ...]:
+    """The terms with these estimates, in the order of their parameters."""
     numbers = iter(estimates)
     return tuple(replace(term, estimates=tuple(next(numbers) for _ in term.estimates)) for term in terms)
 

@@ -20,8 +20,18 @@ import cma
 import numpy as np
 
 from rrr_oc.actuator import Actuators
-from rrr_oc.calibrate import bounds, finished, fit_terms, identify, plain_model, with_widths
-from rrr_oc.calibrated import CalibratedModel, Estimate, Term
+from rrr_oc.calibrate import (
+    bounds,
+    finished,
+    fit_terms,
+    identify,
+    parameter_values,
+    plain_model,
+    with_estimates,
+    with_parameter_values,
+    with_widths,
+)
+from rrr_oc.calibrated import CalibratedModel, Estimate
 from rrr_oc.errors import UserError
 from rrr_oc.inference import box_step, condition, covariance, intervals, normal_equations, undetermined
 from rrr_oc.nrmse import DROPPED
@@ -29,7 +39,7 @@ from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.regression import STRIDE, Prepared, Rows, derivatives, prepare
 from rrr_oc.replay import SETTINGS, follow, tracking_controller
 from rrr_oc.savitzky_golay import differentiate, smooth
-from rrr_oc.simulate import Controller, twin
+from rrr_oc.twin import Controller, twin
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
 PATIENCE = 1e-5  # of the objective: a Gauss–Newton step that gains less is the last; of its first spread: so is such a spread of CMA-ES
@@ -129,7 +139,7 @@ class _Target:
     @classmethod
     def make(cls, response: Response, r: Recording) -> "_Target":
         by_theta = derivatives(response.model, r)
-        theta = np.concatenate([term.values for term in response.model.terms])
+        theta = parameter_values(response.model)
         base = response.model.torques(r)[0] - by_theta @ theta
         recorded, gain = response.compared(r.dq, r.ddq, response.recordings.output_torque(r))
         kept = (r.t >= r.t[0] + DROPPED) & (r.t <= r.t[-1] - DROPPED)
@@ -144,7 +154,7 @@ class _Target:
     def residuals(self, response: Response, candidates: Sequence[np.ndarray]) -> np.ndarray:
         r, engines, settings = self.recording, [], replace(SETTINGS, timestep=response.timestep)
         for theta in candidates:
-            physics = replace(response.model, terms=with_values(response.model.terms, theta)).physics(r)
+            physics = replace(response.model, terms=with_parameter_values(response.model.terms, theta)).physics(r)
             engines.append(twin(physics.model, physics.theta, response.control, settings, physics.widths))
         expected = np.array([self.base + self.by_theta @ theta for theta in candidates])
         _, dq, motor = follow(engines, r, response.control, expected, expected, response.timestep)
@@ -188,7 +198,7 @@ def calibrate_evolution(
         "maxiter": generations,
         "tolfunrel": PATIENCE,
     }
-    theta = np.concatenate([term.values for term in response.model.terms])
+    theta = parameter_values(response.model)
     varied = np.flatnonzero([t.effect.joints[0] in response.joints for t in response.model.terms for _ in t.estimates])
 
     def candidate(x: np.ndarray) -> np.ndarray:
@@ -224,7 +234,7 @@ def calibrate_response(
     `calibrate_evolution`.
     """
     began, response = time.perf_counter(), _response(recordings, drives, timestep)
-    theta = np.concatenate([term.values for term in response.model.terms])
+    theta = parameter_values(response.model)
     lower, upper = bounds(response.model.terms)
     here = response.residuals([theta])
     cost, evaluations = float(response.objective(here)[0]), 1
@@ -243,12 +253,6 @@ def calibrate_response(
             break
     report = {"way": "Gauss–Newton on the simulated response", "evaluations": evaluations, "history": history}
     return _finished(response, theta, report, began)
-
-
-def with_values(terms: Sequence[Term], values: np.ndarray) -> tuple[Term, ...]:
-    """The terms with these values, in the order of their parameters."""
-    ends = np.cumsum([len(term.estimates) for term in terms])[:-1]
-    return tuple(term.with_values(part) for term, part in zip(terms, np.split(values, ends), strict=True))
 
 
 def _response(recordings: RecordingSet, drives: Actuators | None, timestep: float) -> Response:
@@ -288,10 +292,7 @@ def _finished(response: Response, theta: np.ndarray, report: dict[str, Any], beg
         Estimate(float(v), float(s), i, bool(v <= low or v >= high)) if k else Estimate(float(v))
         for v, s, i, low, high, k in zip(theta, spread.std, between, lower, upper, known, strict=True)
     ]
-    numbers = iter(estimates)
-    model = replace(
-        response.model, terms=tuple(replace(term, estimates=tuple(next(numbers) for _ in term.estimates)) for term in terms)
-    )
+    model = replace(response.model, terms=with_estimates(terms, estimates))
     value = condition(matrix)
     report = report | {
         "objective": float(response.objective(here)[0]),

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from rrr_oc.calibrate import calibrate as calibrate_inverse
@@ -16,12 +15,14 @@ from rrr_oc.calibrated import CalibratedModel, load_model, save_model
 from rrr_oc.diagnosis import diagnose as diagnose_recordings
 from rrr_oc.diagnosis import to_json
 from rrr_oc.diagnosis_report import write_diagnosis
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, entry_point
 from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
-from rrr_oc.files import write_json
+from rrr_oc.files import check_file, check_folder, write_json
 from rrr_oc.importers import import_mcap, import_prototype
 from rrr_oc.importers.prototype import PAYLOAD_AT
+from rrr_oc.parallel import check_jobs
 from rrr_oc.recordings import RecordingSet, load_recordings
+from rrr_oc.report import wide_console
 from rrr_oc.savitzky_golay import WINDOW
 
 app = typer.Typer(
@@ -32,9 +33,7 @@ app = typer.Typer(
 )
 importers = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True)
 app.add_typer(importers, name="import")
-console = Console()
-if not console.is_terminal:
-    console.width = 140  # a log's lines may be longer than the 80 columns that are assumed of it
+console = wide_console()
 
 
 class Way(StrEnum):
@@ -66,6 +65,7 @@ def calibrate(
     ] = Way.inverse,
 ) -> None:
     """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
+    check_folder(out)
     model = WAYS[way](load_recordings(dataset))
     save_model(model, out / "model.json")
     _show_model(model)
@@ -79,6 +79,8 @@ def diagnose(
     jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
+    check_jobs(jobs)
+    check_folder(out)
     recordings = load_recordings(dataset)
     with console.status("reading") as status:
         found = diagnose_recordings(recordings, lambda line: status.update(line), jobs)
@@ -100,6 +102,10 @@ def evaluate(
     """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
     if not 0 <= window < float("inf"):
         raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
+    if out is not None:
+        check_file(out)
+    if predictions is not None:
+        check_folder(predictions)
     calibrated, recordings = load_model(model), load_recordings(dataset)
     inverse = evaluate_inverse(calibrated, recordings, window)
     simulated = evaluate_simulated(calibrated, recordings, window) if simulate else None
@@ -144,13 +150,7 @@ def mcap(
     _show_set(import_mcap(files, robot, out, names, topic, torque, inertial=inertial, torque_constant=constants))
 
 
-def main() -> None:
-    """Entry point; an error that the user can mend is one sentence on stderr and exit status 2."""
-    try:
-        app()
-    except UserError as error:
-        typer.secho(f"Error: {error}", fg="red", err=True)
-        raise SystemExit(2) from None
+main = entry_point(app)
 
 
 def _constants(text: str | None) -> dict[str, float] | None:

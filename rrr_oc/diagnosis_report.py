@@ -9,6 +9,7 @@ import numpy as np
 
 from rrr_oc.calibrated import CalibratedModel, save_model
 from rrr_oc.diagnosis import Diagnosis, to_json
+from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.recordings import RecordingSet
 from rrr_oc.savitzky_golay import smooth
@@ -24,7 +25,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
     """Write model.json, the figures, report.html and, when all else is there, diagnosis.json."""
     found = to_json(diagnosis)
     save_model(diagnosis.model, folder / "model.json")
-    figures = [_save(_maps(diagnosis, j), folder / f"residual_{joint}.png") for j, joint in enumerate(diagnosis.model.joints)]
+    figures = [
+        save_figure(_maps(diagnosis, j), folder / f"residual_{joint}.png") for j, joint in enumerate(diagnosis.model.joints)
+    ]
     for suggestion, entry in zip(diagnosis.suggestions, found["suggested_recordings"], strict=True):
         header = ",".join(["t", *(f"q_{joint}" for joint in diagnosis.model.joints)])
         table = np.vstack([suggestion.t, suggestion.q]).T
@@ -150,11 +153,3 @@ def _points(model: CalibratedModel, recordings: RecordingSet, j: int) -> dict[st
     whole = {key: np.concatenate(value) for key, value in parts.items()}
     step = max(1, len(whole["q"]) // POINTS)
     return {key: value[::step] for key, value in whole.items()}
-
-
-def _save(figure: Any, path: Path) -> Path:
-    temporary = path.with_name(f".{path.stem}.tmp.png")
-    figure.savefig(temporary, dpi=110)
-    plt.close(figure)
-    temporary.replace(path)
-    return path

@@ -1,4 +1,4 @@
-"""Figures of a co-design study, made from its saved files alone."""
+"""Figures: how they are saved, and those of a co-design study, made from its saved files alone."""
 
 import json
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 
+from rrr_oc.files import new_file
 from rrr_oc.rigid_body import rigid_body
 from rrr_oc.task import PHASES, Task
 
@@ -23,22 +24,24 @@ def draw_all(folder: Path, task: Task) -> list[Path]:
     names = list(summary["configurations"])
     motions = {name: dict(np.load(folder / f"{name}.npz")) for name in names}
     drawn = [
-        _save(draw_torques(summary, motions), folder / "torques.png"),
-        _save(draw_landscape(summary), folder / "landscape.png"),
+        save_figure(draw_torques(summary, motions), folder / "torques.png"),
+        save_figure(draw_landscape(summary), folder / "landscape.png"),
     ]
     for name in names:
-        drawn.append(_save(draw_trajectory(name, motions[name], task), folder / f"trajectory_{name}.png"))
+        drawn.append(save_figure(draw_trajectory(name, motions[name], task), folder / f"trajectory_{name}.png"))
         drawn.append(
-            _save(draw_arm(name, motions[name], task, summary["configurations"][name]["springs"]), folder / f"arm_{name}.png")
+            save_figure(
+                draw_arm(name, motions[name], task, summary["configurations"][name]["springs"]), folder / f"arm_{name}.png"
+            )
         )
     return drawn
 
 
-def _save(figure: Any, path: Path) -> Path:
-    temporary = path.with_name(f".{path.stem}.tmp.png")
-    figure.savefig(temporary, dpi=130, bbox_inches="tight")
+def save_figure(figure: Any, path: Path, dpi: int = 130) -> Path:
+    """Write a figure, whole or not at all, in the format of its name, and close it; `UserError` as `files` raises it."""
+    with new_file(path) as file:
+        figure.savefig(file, format=path.suffix[1:], dpi=dpi, bbox_inches="tight")
     plt.close(figure)
-    temporary.replace(path)
     return path
 
 

@@ -16,7 +16,7 @@ from rrr_oc.errors import UserError
 
 def write_text(path: str | Path, text: str) -> None:
     """Write UTF-8 text. Raises `UserError` where the path cannot be written, as all functions here do."""
-    with _new_file(Path(path)) as file:
+    with new_file(path) as file:
         file.write(text.encode())
 
 
@@ -27,8 +27,50 @@ def write_json(path: str | Path, data: Any) -> None:
 
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays, compressed; an array of objects, which would need pickle, raises ValueError."""
-    with _new_file(Path(path)) as file:
+    with new_file(path) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def check_file(path: str | Path) -> None:
+    """Raise `UserError` where no file of this name could be written; for use before hours of work."""
+    path = Path(path).absolute()
+    with _as_user_error(path):
+        if path.is_dir():
+            raise UserError(f"{path}: is a folder; the name of a file is required")
+        _check_place(path.parent)
+
+
+def check_folder(path: str | Path) -> None:
+    """Raise `UserError` where no files could be written into a folder of this name, there or to be made."""
+    path = Path(path).absolute()
+    with _as_user_error(path):
+        if path.exists() and not path.is_dir():
+            raise UserError(f"{path}: is a file; a folder is required")
+        _check_place(path)
+
+
+def _check_place(folder: Path) -> None:
+    while not folder.exists():
+        folder = folder.parent
+    probe = _beside(folder / "probe")
+    probe.open("xb").close()
+    probe.unlink()
+
+
+@contextmanager
+def new_file(path: str | Path) -> Iterator[BinaryIO]:
+    """A file to fill, which takes its name when the block ends without an error and vanishes otherwise."""
+    path = Path(path)
+    temporary = _beside(path)
+    try:
+        with _as_user_error(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with temporary.open("xb") as file:
+                yield file
+            os.replace(temporary, path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
 
 
 @contextmanager
@@ -49,20 +91,6 @@ def new_folder(folder: str | Path) -> Iterator[Path]:
             os.replace(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-@contextmanager
-def _new_file(path: Path) -> Iterator[BinaryIO]:
-    temporary = _beside(path)
-    try:
-        with _as_user_error(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with temporary.open("xb") as file:
-                yield file
-            os.replace(temporary, path)
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def _beside(path: Path) -> Path:

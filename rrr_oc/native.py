@@ -52,7 +52,7 @@ static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
   int body = find(m, m->name_bodyadr, (int)m->nbody, "{payload}");
   mjtNum payload = body < 0 ? 0 : m->body_mass[body] - *held, motor[{n}], link[{n}], drive[{n}], rate[{n_states} + 1], w[{sz_w}];
   long long iw[{sz_iw}];
-  for (int i = 0; i < {n}; i++) {{  /* simulate.py's actuators: activation, position and speed feedback, limits */
+  for (int i = 0; i < {n}; i++) {{  /* twin.py's actuators: activation, position and speed feedback, limits */
     const mjtNum *bias = m->actuator_biasprm + i * mjNBIAS, *range = m->actuator_forcerange + 2 * i;
     motor[i] = d->act[i] + bias[1] * d->qpos[i] + bias[2] * d->qvel[i];
     if (m->actuator_forcelimited[i]) motor[i] = motor[i] < range[0] ? range[0] : motor[i] > range[1] ? range[1] : motor[i];

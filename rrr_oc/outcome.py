@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc import simulate
 from rrr_oc.codesign import CoDesign
 from rrr_oc.metrics import Metrics, measure
+from rrr_oc.simulate import ReferencePhase, Tracked, track
 from rrr_oc.solve import Solution
 from rrr_oc.task import PHASES
+from rrr_oc.twin import Form, Settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> Motion:
     return Motion(*[np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)])
 
 
-def resimulate(design: CoDesign, solution: Solution, motion: Motion, form: simulate.Form = "generated") -> simulate.Tracked:
+def resimulate(design: CoDesign, solution: Solution, motion: Motion, form: Form = "generated") -> Tracked:
     """Track the optimum in MuJoCo with its load torque as feed-forward and the paper's P-controllers, all joints simulated."""
     task, model = design.task, design.model
     theta, widths = solution.parameters, solution.problem.data[1 : 1 + model.widths.size]
@@ -78,9 +79,8 @@ def resimulate(design: CoDesign, solution: Solution, motion: Motion, form: simul
         payload = task.payloads[i]
         tau = np.array(model.inverse(q, dq, ddq, payload, theta, widths)[0])
         t = motion.t[k] - motion.t[k[0]]
-        references.append(simulate.ReferencePhase(PHASES[i], t, q, dq, ddq, payload, tau))
-    settings = simulate.Settings(effects=form)
-    return simulate.track(model, references, theta, settings=settings, widths=widths)
+        references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, tau))
+    return track(model, references, theta, settings=Settings(effects=form), widths=widths)
 
 
 def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = None) -> dict[str, Any]:

@@ -5,6 +5,14 @@ from typing import Any, cast
 
 import joblib
 
+from rrr_oc.errors import UserError
+
+
+def check_jobs(jobs: int) -> None:
+    """Raise `UserError` where `jobs` is no number of processes."""
+    if jobs == 0 or jobs < -1:
+        raise UserError(f"--jobs is {jobs}; allowed are 1 or more, and -1 for all cores")
+
 
 def unordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = -1) -> Iterator[Any]:
     """Results of `function(*a)` for each a in `arguments`, as they come, from `jobs` processes (-1: one a core)."""

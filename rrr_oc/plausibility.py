@@ -1,4 +1,6 @@
-"""Units that cannot be right: raised only where the recording and the robot contradict each other by a known factor."""
+"""Units that cannot be right: raised only where the recording and the robot contradict each other by a known factor; absurd numbers."""
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -21,7 +23,16 @@ CORRELATION = 0.95  # above it two signals are one up to their scale
 LONGEST_STEP = 10.0  # [s] between samples
 SLOW_STEP, SLOW_SPEED, SLOW_TRAVEL = 0.5, 0.003, 0.5  # [s], [rad/s], [rad]: travels far, sampled rarely, never this fast
 TORQUE_FACTOR = 10.0  # a median torque above this many effort limits is in a smaller unit
+ABSURD = 1e9  # in any unit: beyond what an arm does, and its powers beyond what floating-point numbers hold
 ROWS = 20_000  # a longer recording is judged by its first rows
+
+
+def check_magnitudes(where: str, columns: Mapping[str, np.ndarray]) -> None:
+    """Raise `UserError` where a signal (K,) but the time holds a number that no sensor gives."""
+    for name, values in columns.items():
+        largest = float(np.max(np.abs(values)))
+        if name != "t" and largest > ABSURD:
+            raise UserError(f"{where}: {name} reaches {largest:.3g}; magnitudes up to {ABSURD:g} are allowed")
 
 
 def check_time(where: str, t: np.ndarray) -> None:

@@ -219,6 +219,7 @@ def _recording(path: Path, entry: Entry, header: Header, robot: Robot) -> Record
         columns = dict(zip(used, values[:, rows], strict=True))
         plausibility.check_time(str(path), columns["t"])
         columns.setdefault("payload", np.full(len(rows), entry.payload))
+        plausibility.check_magnitudes(str(path), columns)
         segments = split(columns["t"])
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = np.array([columns[name] for name in recorded])

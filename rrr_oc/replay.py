@@ -19,7 +19,7 @@ from rrr_oc.native import installed
 from rrr_oc.recordings import Recording
 from rrr_oc.robot import BUNDLED
 from rrr_oc.savitzky_golay import differentiate
-from rrr_oc.simulate import K_P, Controller, Settings, Twin, controller, twin
+from rrr_oc.twin import K_P, Controller, Settings, Twin, controller, twin
 
 SETTINGS = Settings(effects="native", timestep=1e-3, integrator="implicitfast")
 BANDWIDTH = 40.0  # [rad/s], of controllers whose gains are not known
@@ -45,7 +45,7 @@ class Replayed:
 
 
 def tracking_controller(model: CalibratedModel) -> Controller:
-    """Joint controllers for a calibrated robot: `simulate.controller`, with the paper's gain for its own arms.
+    """Joint controllers for a calibrated robot: `twin.controller`, with the paper's gain for its own arms.
 
     Of another robot's controllers nothing is known; they get a bandwidth of `BANDWIDTH` on the least inertia of each joint.
     """

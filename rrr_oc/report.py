@@ -1,14 +1,23 @@
-"""Tables of a co-design study, made from its summary alone, beside the paper's."""
+"""What commands print to, and the tables of a co-design study, made from its summary alone, beside the paper's."""
 
 import importlib.resources
 import json
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from rrr_oc.metrics import decrease
 
 _DEGREES = ("q_eq", "q_0")
+
+
+def wide_console() -> Console:
+    """Where commands print: a log's lines may be longer than the 80 columns that are assumed of it."""
+    console = Console()
+    if not console.is_terminal:
+        console.width = 160
+    return console
 
 
 def published() -> dict[str, Any]:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc import simulate
 from rrr_oc.actuator import Actuators
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.codesign import CoDesign
@@ -13,7 +12,9 @@ from rrr_oc.errors import UserError
 from rrr_oc.metrics import measure
 from rrr_oc.model import Model
 from rrr_oc.outcome import Motion, describe
+from rrr_oc.simulate import ReferencePhase, track
 from rrr_oc.task import PHASES
+from rrr_oc.twin import Settings, twin
 
 
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
@@ -25,7 +26,7 @@ def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
     some = [term.effect.name for term in calibrated.terms if term.recordings != "all"]
     if some:
         raise UserError(f"the model's {some[0]} holds for single recordings only; a model whose terms hold for all is needed")
-    simulate.twin(*_parts(design, calibrated, np.zeros(len(design.model.parameters))), settings=simulate.Settings("native"))
+    twin(*_parts(design, calibrated, np.zeros(len(design.model.parameters))), settings=Settings("native"))
 
 
 def describe_transfer(
@@ -48,8 +49,8 @@ def describe_transfer(
         q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
         t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
         motor, _ = model.motor_inverse(q, dq, ddq, t[None], payload, theta, widths, model.robot.inertial)
-        references.append(simulate.ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
-    tracked = simulate.track(model, references, theta, settings=simulate.Settings(effects="native"), widths=widths)
+        references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
+    tracked = track(model, references, theta, settings=Settings(effects="native"), widths=widths)
     rows = [task.robot.index(joint) for joint in drives.joints]
     by_eq10 = [np.array(drives.load_from_motor(p.dq[rows], p.ddq[rows], p.tau_motor[rows])[0]) for p in tracked.phases]
     return {

@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import matplotlib
+import matplotlib.pyplot as plt
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markdown import Markdown
 from scipy.spatial import KDTree
 
@@ -25,17 +24,18 @@ from rrr_oc.actuator import Actuators, load_actuators
 from rrr_oc.calibrate import labels
 from rrr_oc.calibrate_simulated import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, save_model
-from rrr_oc.errors import UserError
-from rrr_oc.files import write_json, write_text
+from rrr_oc.codesign import CONFIGURATIONS
+from rrr_oc.errors import UserError, entry_point
+from rrr_oc.figures import save_figure
+from rrr_oc.files import check_folder, write_json, write_text
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet, load_recordings
 from rrr_oc.replay import Replayed, replay, tracking_controller
+from rrr_oc.report import wide_console
 from rrr_oc.savitzky_golay import smooth, split
 
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load by Eq. 10", "tau_load of the engine", "tau_load of the engine, own drives")
+EQ10 = SIGNALS[4]
 PAPER = {  # Table 2, calibration data; the paper does not say by how much it smooths
     "without springs": (0.0900, 0.0806, 0.1058, 0.1764, 0.4470),
     "with springs": (0.0704, 0.0776, 0.1038, 0.1662, 0.3750),
@@ -43,9 +43,7 @@ PAPER = {  # Table 2, calibration data; the paper does not say by how much it sm
 ENDS = ((0.15, 0.1), (3.0, 5.0))  # window and time dropped at both ends [s]: the contract's, and those of the authors' code
 NEAR = np.radians([5.0, 5.0])  # a motion is covered where a recorded (q, dq) lies within 5° and 5 °/s
 EQUAL = 1.01  # objectives within 1 % count as equal
-console = Console()
-if not console.is_terminal:
-    console.width = 160  # a log's lines may be longer than the 80 columns that are assumed of it
+console = wide_console()
 
 
 @dataclass(frozen=True)
@@ -88,6 +86,17 @@ def table(runs: Sequence[Run], window: float, dropped: float) -> dict[str, list[
 def _error(run: Run, signal: str, window: float, dropped: float) -> float:
     r = run.recording
     return float(np.mean(error(r.t, run.recorded[signal], run.simulated[signal], r.segments, window, dropped)["nrmse"]))
+
+
+def apart(runs: Sequence[Run], window: float, dropped: float) -> dict[str, float]:
+    """NRMSE between the two recorded load torques, by Eq. 10 and by the model's own drives, without and with springs.
+
+    Both are made of the same recorded motor torque. A simulation that agreed perfectly with its own drives would still be as far
+    from Eq. 10, and no dry friction, viscous friction or armature enters the engine's load torque but through the motion.
+    """
+    own = "tau_load of the engine, own drives"
+    moved = [replace(run, simulated=run.simulated | {EQ10: run.recorded[own]}) for run in runs]
+    return {kind: values[SIGNALS.index(EQ10)] for kind, values in table(moved, window, dropped).items()}
 
 
 def left_out(recordings: RecordingSet, drives: Actuators, timestep: float) -> list[Run]:
@@ -135,7 +144,7 @@ def coverage(
     """Share of each optimised task's time that lies outside the recorded (q, dq), by task and joint; and the tasks' motions."""
     seen = np.concatenate([np.stack([r.q, r.dq]) for r in recordings.recordings], axis=2)  # (2, n, K)
     shares, motions = {}, {}
-    for file in sorted(tasks.glob("*.npz")) if tasks else ():
+    for file in sorted(tasks.glob("*.npz"), key=_place) if tasks else ():
         m = dict(np.load(file))
         t = np.linspace(m["t"][0], m["t"][-1], 2000)
         names, shares[file.stem], motions[file.stem] = [str(x) for x in m["joints"]], {}, {}
@@ -148,21 +157,29 @@ def coverage(
     return shares, motions
 
 
+def _place(file: Path) -> tuple[bool, int, str]:
+    """Where a configuration's file stands: as in the paper's tables, starred ones last, others by name."""
+    name, known = file.stem.rstrip("*"), list(CONFIGURATIONS)
+    return file.stem.endswith("*"), known.index(name) if name in known else len(known), name
+
+
 def draw_coverage(recordings: RecordingSet, motions: dict[str, dict[str, np.ndarray]], shares) -> Any:
     """Figure 4 for every joint: recorded (q, dq), and those of the optimised tasks."""
-    joints = recordings.joints
-    figure, axes = plt.subplots(1, len(joints), figsize=(5 * len(joints), 4.5), squeeze=False)
+    joints, plain = recordings.joints, list(dict.fromkeys(name.rstrip("*") for name in motions))
+    figure, axes = plt.subplots(1, len(joints), figsize=(5.5 * len(joints), 4.5), squeeze=False)
     colours = plt.get_cmap("tab10").colors  # pyright: ignore[reportAttributeAccessIssue]
     for axis, joint in zip(axes[0], joints, strict=True):
         j = joints.index(joint)
         for k, r in enumerate(recordings.recordings):
             axis.plot(*np.degrees([r.q[j, ::5], r.dq[j, ::5]]), ".", ms=1, color="0.7", label="recorded" if k == 0 else None)
-        for k, (name, by_joint) in enumerate(motions.items()):
+        for name, by_joint in motions.items():
             if joint in by_joint:
+                style = {"color": colours[plain.index(name.rstrip("*")) % 10], "ls": "--" if name.endswith("*") else "-"}
                 label = f"{name}: {shares[name][joint]:.0%} outside"
-                axis.plot(*np.degrees(by_joint[joint][:2]), lw=1.5, color=colours[k % 10], label=label)
+                axis.plot(*np.degrees(by_joint[joint][:2]), lw=1.2, label=label, **style)
         axis.set(title=joint, xlabel="position [°]", ylabel="speed [°/s]")
         axis.legend(fontsize=8, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.14))
+    figure.subplots_adjust(wspace=0.25)
     return figure
 
 
@@ -202,6 +219,10 @@ def report(summary: dict[str, Any]) -> str:
         for kind, values in entry["nrmse"].items():
             numbers = " | ".join(f"{v:.4f}" for v in values)
             lines.append(f"| {entry['way']}, {kind} | {entry['window_s']:g}, {entry['dropped_s']:g} | {numbers} |")
+    lines += ["", "Load torques of the recorded motor torque, by Eq. 10 and by the calibrated drives, differ by (NRMSE)", ""]
+    for entry in summary["table"]:
+        both = ", ".join(f"{value:.4f} {kind}" for kind, value in entry["drives_apart"].items())
+        lines.append(f"- {entry['way']}, {entry['window_s']:g} s, {entry['dropped_s']:g} s: {both}")
     lines += ["", "## Parameters", "", "| parameter | gradient | 95 % interval | evolution |", "| --- | --- | --- | --- |"]
     for name, p in summary["parameters"].items():
         interval = "not compared" if p["interval"] is None else f"{p['interval'][0]:.3f} … {p['interval'][1]:.3f}"
@@ -247,6 +268,7 @@ def main(
     joints: Annotated[str, typer.Option(help="whose load torques are compared")] = "joint2,joint3",
 ) -> None:
     """Calibrate both ways; writes report.md, summary.json, model.json, model_evolution.json and figures."""
+    check_folder(out)
     recordings, drives = load_recordings(dataset), load_actuators(joints.split(","))
     if tasks is not None and not any(tasks.glob("*.npz")):
         raise UserError(f"--tasks {tasks}: holds no npz; the folder of a run of studies/pea_bpea.py is required")
@@ -269,7 +291,13 @@ def main(
         "joints": list(drives.joints),
         "signals": list(SIGNALS),
         "table": [
-            {"way": way, "window_s": window, "dropped_s": dropped, "nrmse": table(some, window, dropped)}
+            {
+                "way": way,
+                "window_s": window,
+                "dropped_s": dropped,
+                "nrmse": table(some, window, dropped),
+                "drives_apart": apart(some, window, dropped),
+            }
             for way, some in runs.items()
             for window, dropped in ENDS
         ],
@@ -295,20 +323,12 @@ def main(
         ("overlays", draw_overlays(runs["gradient, training"], drives)),
         ("overlays_left_out", draw_overlays(runs["gradient, left out"], drives)),
     ):
-        figure.savefig(out / f"{name}.png", dpi=110, bbox_inches="tight")
-        plt.close(figure)
+        save_figure(figure, out / f"{name}.png", dpi=110)
     console.print(Markdown(text))
     console.print(f"Everything is in {out}.", highlight=False, soft_wrap=True)
 
 
-def run() -> None:
-    """The command line; an error that the user can mend is one sentence and exit status 2."""
-    try:
-        typer.run(main)
-    except UserError as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
-        raise SystemExit(2) from None
-
+run = entry_point(lambda: typer.run(main))
 
 if __name__ == "__main__":
     run()

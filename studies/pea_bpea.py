@@ -19,7 +19,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -29,18 +28,19 @@ from rrr_oc.calibrated import CalibratedModel, load_model
 from rrr_oc.catalogue import METHODS, CatalogueResult, load_catalogue, search_catalogue
 from rrr_oc.certificate import certify
 from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, entry_point
 from rrr_oc.figures import draw_all
-from rrr_oc.files import write_json, write_npz, write_text
+from rrr_oc.files import check_folder, write_json, write_npz, write_text
 from rrr_oc.outcome import Motion, describe, describe_simulation, sample_motion
-from rrr_oc.report import published_springs, report
+from rrr_oc.parallel import check_jobs
+from rrr_oc.report import published_springs, report, wide_console
 from rrr_oc.search import SearchOptions, SearchResult, Start, search
 from rrr_oc.solve import Refinement, SolverFailure
 from rrr_oc.task import PHASES, PRESETS, Task, load_task, tool_height
 from rrr_oc.transfer import check_transfer, describe_transfer, transfer_table
 
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
-console = Console()
+console = wide_console()
 
 
 def main(
@@ -69,10 +69,8 @@ def main(
     names = [n.strip() for n in configurations.split(",") if n.strip()]
     if not names:
         raise UserError(f"--configurations names none; there are {', '.join(CONFIGURATIONS)}")
-    if jobs == 0:
-        raise UserError("--jobs is 0; allowed are 1 or more, and -1 for all cores")
-    if out.exists() and not out.is_dir():
-        raise UserError(f"--out {out} is a file; give a folder")
+    check_jobs(jobs)
+    check_folder(out)
     drives = load_actuators(task.joints, actuators) if cost != "load" else None
     designs = {name: CoDesign(task, spring_bounds(task, name), cost, drives) for name in names}
     calibrated = None if model is None else load_model(model)
@@ -269,14 +267,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def run() -> None:
-    """The command line; an error that the user can mend is one sentence and exit status 2."""
-    try:
-        typer.run(main)
-    except UserError as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
-        raise SystemExit(2) from None
-
+run = entry_point(lambda: typer.run(main))
 
 if __name__ == "__main__":
     run()

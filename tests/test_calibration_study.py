@@ -36,6 +36,12 @@ def test_share_of_a_task_that_no_recording_covers(recordings, tmp_path):
     assert shares["SA"]["joint3"] == 1.0  # at 57 °/s
     assert motions["SA"]["joint2"].shape == (3, 2000)
     assert calibration.coverage(still, None) == ({}, {})
+    for name in ("PEA*", "mine", "PEA"):
+        (tmp_path / f"{name}.npz").write_bytes((tmp_path / "SA.npz").read_bytes())
+    shares, motions = calibration.coverage(still, tmp_path)
+    assert list(shares) == ["SA", "PEA", "mine", "PEA*"]
+    drawn = calibration.draw_coverage(still, motions, shares).axes[1].get_lines()
+    assert drawn[2].get_color() == drawn[4].get_color() != drawn[1].get_color()  # bought springs as those made to measure
 
 
 def test_race_is_decided_by_one_per_cent_of_the_better(recordings):
@@ -76,5 +82,9 @@ def test_the_table_of_a_true_model_shows_noise_alone(recordings):
             for s in ("tau_motor", "tau_load of the engine, own drives")
         )
         assert np.all(load < motor)
+    apart = calibration.apart(runs, 0.15, 0.1)
+    for kind, values in rows.items():  # a true model agrees with its own drives, and is as far from Eq. 10 as those are
+        engine = values[calibration.SIGNALS.index("tau_load of the engine")]
+        assert engine == pytest.approx(apart[kind], rel=0.05)
     figure = calibration.draw_overlays(runs, drives)
     assert len(figure.axes) == 8

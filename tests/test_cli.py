@@ -82,6 +82,19 @@ MISTAKES = {
     "column": (["calibrate", "{1}/column", "--out", "{1}/o"], "tau_joint2"),
     "folder taken": (["import", "prototype", "{1}/raw", "{0}/set"], "raw"),
     "mcap": (["import", "mcap", "{1}/truncated/recordings.json", "--robot", "rrr", "--out", "{1}/m"], "MCAP"),
+    "out under a file": (["calibrate", "{0}/set", "--out", "{0}/set/0.csv/o"], "cannot be written"),
+    "diagnosis into a file": (["diagnose", "{0}/set", "--out", "{0}/set/0.csv"], "0.csv: is a file; a folder is required"),
+    "no processes": (["diagnose", "{0}/set", "--out", "{1}/o", "--jobs", "0"], "--jobs is 0"),
+    "too few processes": (["diagnose", "{0}/set", "--out", "{1}/o", "--jobs", "-5"], "--jobs is -5"),
+    "evaluation into a folder": (
+        ["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{0}/set", "--predictions", "{1}/p"],
+        "set: is a folder; the name of a file is required",
+    ),
+    "predictions into a file": (
+        ["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{1}/e.json", "--predictions", "{0}/set/0.csv"],
+        "0.csv: is a file; a folder is required",
+    ),
+    "absurd": (["calibrate", "{1}/absurd", "--out", "{1}/o"], "q_joint2 reaches"),
     "constants": (
         ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a:3"],
         "--torque-constant is 'a:3'",
@@ -92,10 +105,12 @@ MISTAKES = {
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, folder, monkeypatch, tmp_path, capsys):
     text, table = (folder / "set" / "recordings.json").read_text(), (folder / "set" / "0.csv").read_text()
+    absurd = table.replace(table.splitlines()[9].split(",")[2], "1e200", 1)
     for name, header, rows in (
         ("truncated", text[: len(text) // 2], table),
         ("load", text.replace('"motor"', '"load"'), table),
         ("column", text, table.replace("tau_joint2", "tau_j2")),
+        ("absurd", text, absurd),
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "recordings.json").write_text(header)
@@ -111,6 +126,24 @@ def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, folder, monkeypat
     assert said in printed.err
     assert "Traceback" not in printed.err
     assert files(folder) | files(tmp_path) == before
+
+
+def test_an_interrupt_is_one_word_and_leaves_no_file(folder, monkeypatch, tmp_path, capsys):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "load_recordings", interrupted)
+    assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o") == 130
+    assert capsys.readouterr().err == "Interrupted.\n"
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_place_that_cannot_be_written_is_told_before_the_work(folder, monkeypatch, tmp_path, capsys):
+    """Not a question of rights: tests may run as root, whom the kernel lets write everywhere but into its own files."""
+    monkeypatch.setattr(cli, "load_recordings", lambda _: pytest.fail("it began to work"))
+    for arguments in (["calibrate", folder / "set", "--out"], ["diagnose", folder / "set", "--out"]):
+        assert run(monkeypatch, *arguments, "/proc/results") == 2
+        assert "/proc/results: cannot be written" in capsys.readouterr().err
 
 
 def test_unknown_options_and_commands_end_with_status_2(monkeypatch, capsys):

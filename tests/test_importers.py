@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,15 @@ def test_prototype_refuses(tmp_path):
         import_prototype(raw, tmp_path / "out")
     (raw / "data_file_2_Exp3.txt").write_text("0 0 0 0 0 0 0\n1 0 0 0 0 0 0\n1 0 0 0 0 0 0\n")
     with pytest.raises(UserError, match="row 3: time is 1 s after 1 s"):
+        import_prototype(raw, tmp_path / "out")
+    (raw / "data_file_2_Exp3.txt").write_text("0 0 0 0 0 0 0\n1 0 0 0\n")
+    with pytest.raises(UserError, match=r"from 7 to 4 at row 2; 7 columns of numbers"):
+        import_prototype(raw, tmp_path / "out")
+    (raw / "data_file_2_Exp3.txt").write_text("")
+    with warnings.catch_warnings(action="error"), pytest.raises(UserError, match="0 rows"):
+        import_prototype(raw, tmp_path / "out")
+    (raw / "data_file_2_Exp3.txt").write_text("".join(f"{1e6 + k} 0 0 0 0 0 0\n" for k in range(9)))
+    with pytest.raises(UserError, match="have nothing in common"):
         import_prototype(raw, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -12,7 +12,8 @@ PACKAGE = ROOT / "rrr_oc"
 # From the ground up. A module imports from rungs below its own; of the side branches "control", "recordings" and "simulation"
 # none imports from another. Names are below `rrr_oc`; to the folders `effects.*` and `importers.*` files may be added freely.
 LADDER = (
-    ("trunk", ("errors", "smooth", "parallel", "savitzky_golay", "_rigid_body")),
+    ("trunk", ("errors",)),
+    ("trunk", ("smooth", "parallel", "savitzky_golay", "_rigid_body")),
     ("trunk", ("files", "parameters", "csv_table", "metrics", "nrmse", "c_library")),
     ("trunk", ("robot", "effects.effect")),
     ("trunk", ("rigid_body", "effects.*")),
@@ -34,9 +35,10 @@ LADDER = (
     ("recordings", ("suggest",)),
     ("recordings", ("diagnosis",)),
     ("simulation", ("native",)),
+    ("simulation", ("twin",)),
     ("simulation", ("simulate",)),
-    ("results", ("outcome", "replay")),
-    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
+    ("results", ("outcome", "replay", "figures")),
+    ("results", ("report", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}

@@ -15,7 +15,7 @@ from rrr_oc import plausibility
 from rrr_oc.effects.biarticular_spring import BiarticularSpring
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
-from rrr_oc.files import new_folder, write_json, write_npz, write_text
+from rrr_oc.files import check_file, check_folder, new_folder, write_json, write_npz, write_text
 from rrr_oc.recordings import load_recordings, save_recordings
 from rrr_oc.savitzky_golay import differentiate, local_polynomial, smooth, split
 
@@ -289,6 +289,16 @@ def test_files_are_whole_or_not_there(tmp_path):
         write_json(tmp_path / "a.json", {"x": float("nan")})
     with pytest.raises(UserError, match="cannot be written"):
         write_text(tmp_path / "a.txt" / "b.txt", "")
+    for check, path, said in (
+        (check_file, tmp_path, "is a folder"),
+        (check_folder, tmp_path / "a.txt", "is a file"),
+        (check_file, tmp_path / "a.txt" / "b" / "c", "cannot be written"),
+        (check_folder, tmp_path / "a.txt" / "b", "cannot be written"),
+    ):
+        with pytest.raises(UserError, match=said):
+            check(path)
+    check_folder(tmp_path / "deep" / "down")
+    check_file(tmp_path / "a.txt")
     with pytest.raises(UserError, match="cannot be written"), new_folder(tmp_path / "new") as folder:
         (folder / "missing" / "a").write_text("half")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "a.txt", "sub"]
@@ -482,6 +492,13 @@ def test_units(write):
     assert "looks like mNm" in refused(write(a=scaled(motion(t), tau_=1e3)))
     speeds = good | {"ddq_joint1": np.degrees(-10.0 * np.sin(5 * t))}
     assert "'ddq_joint1' is in degrees" in refused(write(a=speeds))
+
+
+def test_numbers_that_no_sensor_gives(write):
+    columns = motion(np.arange(300) * 0.006)
+    assert "q_joint1 reaches 1e+200" in refused(write(a=columns | {"q_joint1": 1e200 * np.sign(columns["q_joint1"])}))
+    assert "tau_joint2 reaches 2e+12" in refused(write(a=columns | {"tau_joint2": 0 * columns["t"] - 2e12}))
+    assert "payload reaches 1e+300" in refused(write(a=columns | {"payload": 0 * columns["t"] + 1e300}))
 
 
 def test_units_in_doubt_are_no_error(write):

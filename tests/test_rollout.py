@@ -8,7 +8,7 @@ from mujoco import rollout
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.model import Model
 from rrr_oc.robot import load_robot
-from rrr_oc.simulate import Settings, twin
+from rrr_oc.twin import Settings, twin
 
 COUNT, STEPS = 24, 300
 THETA = np.array([8.3, 1.7, 36.0, 0.6, -0.05])

@@ -19,7 +19,8 @@ from rrr_oc.effects.empirical import Empirical
 from rrr_oc.errors import UserError
 from rrr_oc.model import Model
 from rrr_oc.robot import Robot, ToolPoint, load_robot
-from rrr_oc.simulate import Controller, ReferencePhase, Settings, controller, track, twin
+from rrr_oc.simulate import ReferencePhase, track
+from rrr_oc.twin import Controller, Settings, controller, twin
 
 ROOT = Path(__file__).parent
 URDFS = {

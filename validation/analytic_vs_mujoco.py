@@ -28,7 +28,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
 
-import matplotlib
 import mujoco
 import numpy as np
 from mujoco import rollout
@@ -37,10 +36,12 @@ from scipy.integrate import solve_ivp
 from rrr_oc import metrics
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.errors import UserError
+from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.model import Model
 from rrr_oc.robot import BUNDLED, load_robot
-from rrr_oc.simulate import Controller, Form, Integrator, ReferencePhase, Settings, Twin, track, twin
+from rrr_oc.simulate import ReferencePhase, track
+from rrr_oc.twin import Controller, Form, Integrator, Settings, Twin, twin
 
 INTEGRATORS: tuple[Integrator, ...] = ("euler", "implicitfast", "implicit", "rk4")
 FORMS: tuple[Form, ...] = get_args(Form)
@@ -356,7 +357,6 @@ def table(results: dict) -> str:
 
 def draw(results: dict, path: Path) -> None:
     """Errors over the step, log–log: one column a quantity, one row a set of springs."""
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
     from matplotlib.lines import Line2D
     from matplotlib.ticker import NullLocator
@@ -386,9 +386,7 @@ def draw(results: dict, path: Path) -> None:
     handles += [Line2D([], [], color="0.6", lw=0.8, ls=":", label="floor of the comparison")]
     handles += [Line2D([], [], color="0.82", label="slopes 1, 2, 4")]
     fig.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=9, frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fig.savefig(path, dpi=130)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 def _slopes(panel, motions: list[dict], key: str) -> None:

@@ -23,7 +23,6 @@ from importlib.metadata import version
 from pathlib import Path
 
 import casadi as ca
-import matplotlib
 import numpy as np
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq, root
@@ -32,6 +31,7 @@ from scipy.special import j0, j1
 from rrr_oc.codesign import CoDesign, motion_guess, spring_bounds
 from rrr_oc.collocation import Scheme, Transcription, scheme, uniform_mesh
 from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.model import Model
 from rrr_oc.problem import Guess, Phase, PhaseGuess, Problem
@@ -563,7 +563,6 @@ def _order(errors: Sequence[float | None], measured: float | None, floor: float)
 
 def figure(results: dict, path: Path) -> None:
     """Error of cost and of states over the intervals, log–log, from the saved results."""
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
     from matplotlib.ticker import NullLocator
 
@@ -588,9 +587,7 @@ def figure(results: dict, path: Path) -> None:
         panel.set_ylabel(f"relative error of {('the cost', 'states or parameters')[row % 2]}")
     fig.supxlabel("intervals a phase")
     panels[0, 0].legend(fontsize=7)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fig.savefig(path, dpi=130)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 def main() -> None:

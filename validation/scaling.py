@@ -19,11 +19,11 @@ from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 
 from rrr_oc.codesign import CoDesign, motion_guess
 from rrr_oc.collocation import Transcription, scheme, uniform_mesh
+from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.solve import Options, Solver
 from rrr_oc.task import Task, load_task
@@ -153,7 +153,6 @@ def exponent(rows: list[dict], value: Callable[[dict], float]) -> float:
 
 def figure(results: dict, path: Path) -> None:
     """Times over intervals, log–log, from the saved results: the solve, one iteration, and the build."""
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
     from matplotlib.ticker import NullLocator
 
@@ -184,9 +183,7 @@ def figure(results: dict, path: Path) -> None:
     axes[0].legend(fontsize=8.5, loc="upper left")
     axes[0].margins(y=0.12)
     fig.supxlabel("two phases, Lobatto IIIA with 4 stages; small numbers: iterations", fontsize=8.5, color="0.35")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fig.savefig(path, dpi=140)
-    plt.close(fig)
+    save_figure(fig, path)
 
 
 def processor() -> str:

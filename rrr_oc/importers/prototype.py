@@ -1,6 +1,7 @@
 """The public recordings of the arm's authors (github.com/Co-Evolve/elastic-actuation-arm), turned into a recording set."""
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,11 @@ def import_prototype(folder: str | Path, out: str | Path, payload_at: float = PA
         raise UserError(f"the payload's point is {payload_at:g} m along link 3; 0 m to 10 m are allowed")
     folder = Path(folder)
     experiments = _experiments(folder)
-    tables = {_name(number): _columns([_motor(folder / file) for file in files]) for number, files in experiments.items()}
+    tables = {}
+    for number, files in experiments.items():
+        tables[_name(number)] = _columns([_motor(folder / file) for file in files])
+        if not tables[_name(number)]["t"].size:
+            raise UserError(f"{folder}: the times of {', '.join(files)} have nothing in common; one experiment is required")
     header = {
         "description": "Arm of the authors of the paper, from github.com/Co-Evolve/elastic-actuation-arm",
         "joints": list(JOINTS),
@@ -72,9 +77,12 @@ def _experiments(folder: Path) -> dict[int, list[str]]:
 def _motor(path: Path) -> np.ndarray:
     """Columns of one motor's file, shape (7, K)."""
     try:
-        values = np.loadtxt(path, ndmin=2)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "loadtxt: input contained no data")
+            values = np.loadtxt(path, ndmin=2)
     except (ValueError, OSError) as error:
-        raise UserError(f"{path}: {error}; {COLUMNS} columns of numbers without a header are required") from None
+        found = str(error).split(";")[0]  # what follows is advice to callers of numpy
+        raise UserError(f"{path}: {found}; {COLUMNS} columns of numbers without a header are required") from None
     if values.shape[1] != COLUMNS or len(values) < 2:
         raise UserError(f"{path}: found {len(values)} rows of {values.shape[1]} numbers; {COLUMNS} a row are required")
     if not np.all(np.diff(values[:, 0]) > 0):

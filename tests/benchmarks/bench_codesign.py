@@ -21,6 +21,7 @@ from rrr_oc.task import load_task
 INTERVALS = 40
 SCHEMES = {"hermite-simpson": scheme("hermite-simpson"), "lobatto-4": scheme("lobatto", 4)}
 TASK = load_task("paper")
+GOOD = {"SA": 565.0, "PEA": 67.5, "BPEA": 19.5, "PEA+BPEA": 13.6}  # E1 [N²m²s] that 20 starts come below
 each_configuration = pytest.mark.parametrize("configuration", CONFIGURATIONS)
 each_scheme = pytest.mark.parametrize("method", SCHEMES)
 
@@ -56,6 +57,7 @@ def test_build_transcription(benchmark, configuration, method):
     """Problem, nonlinear program and all its derivatives, without task and IPOPT."""
     functions = benchmark.pedantic(lambda: transcription(configuration, method).functions, rounds=3, warmup_rounds=1)
     benchmark.extra_info["variables"] = functions["nlp"].size1_in(0)
+    assert functions["nlp"].size1_in(0) > 2 * 6 * INTERVALS  # q, dq, ddq of two joints in each interval of two phases
 
 
 @each_configuration
@@ -68,6 +70,8 @@ def test_build_transcription_without_cache(benchmark, configuration, monkeypatch
         monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
 
     benchmark.pedantic(lambda: transcription(configuration, "lobatto-4").functions, setup=fresh, rounds=2)
+    for folder in tmp_path.iterdir():
+        assert list(folder.rglob("*.so")), "nothing was compiled"
 
 
 @each_scheme
@@ -95,13 +99,16 @@ def test_solve_and_follow(benchmark, configuration, method):
         return continue_in(solver, solver.solve(guess, design.data(0.1)), widths)
 
     both()
-    benchmark.extra_info["cost"] = benchmark.pedantic(both, rounds=5).cost
+    solution = benchmark.pedantic(both, rounds=5)
+    benchmark.extra_info["cost"] = solution.cost
+    assert solution.status == "Solve_Succeeded"
 
 
 def test_search_of_one_configuration(benchmark):
     """20 starts of PEA with refinement to 1e-6, on two processes, these included."""
     result = benchmark.pedantic(lambda: search(design_of("PEA"), SearchOptions(starts=20, jobs=2)), rounds=1)
     benchmark.extra_info["cost"] = result.best.solution.cost
+    assert result.best.solution.cost <= GOOD["PEA"]
 
 
 def test_search_of_all_configurations(benchmark):
@@ -110,4 +117,5 @@ def test_search_of_all_configurations(benchmark):
     def all_four():
         return {c: search(design_of(c), SearchOptions(starts=20, jobs=2)).best.solution.cost for c in CONFIGURATIONS}
 
-    benchmark.extra_info["costs"] = benchmark.pedantic(all_four, rounds=1)
+    benchmark.extra_info["costs"] = costs = benchmark.pedantic(all_four, rounds=1)
+    assert all(costs[c] <= GOOD[c] for c in CONFIGURATIONS)
