@@ -36,7 +36,9 @@ LADDER = (
     ("simulation", ("native",)),
     ("simulation", ("simulate",)),
     ("results", ("outcome", "replay")),
-    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
+    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer")),
+    ("results", ("before_after",)),
+    ("results", ("diagnosis_report",)),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}
