@@ -279,7 +279,9 @@ def _prediction(diagnosis: Diagnosis) -> Any:
 
 
 def _effect_row(e: dict[str, Any]) -> list[str]:
-    values = "; ".join(f"{k} = {_value(v)} {v['unit']}" for k, v in e["parameters"].items())
+    values = "; ".join(
+        f"{k} = {_value(v)} {v['unit'] if v['unit'] != '1' else ''}".rstrip() for k, v in e["parameters"].items()
+    )
     joint = e["joint"] or "arm"
     return [
         e["effect"],
@@ -288,7 +290,7 @@ def _effect_row(e: dict[str, Any]) -> list[str]:
         e["equation"],
         values,
         f"{e['share_of_error']:.3f}",
-        f"{e['p_value']:.1g}",
+        _chance(e["p_value"]),
         ", ".join(e["indistinguishable_from"]) or "nothing",
     ]
 
@@ -307,9 +309,13 @@ def _mismatch_row(m: dict[str, Any]) -> list[str]:
         for w in m["where"]
     )
     return [
-        m["joint"], "yes" if m["significant"] else "no", f"{m['p_value']:.1g}",
+        m["joint"], "yes" if m["significant"] else "no", _chance(m["p_value"]),
         _shown(m["nrmse"]["calibration"]), _shown(m["nrmse"]["held_out"]), where, ", ".join(m["recordings"]),
     ]  # fmt: skip
+
+
+def _chance(p: float) -> str:
+    return f"{p:.1g}" if p > 1e-16 else "< 1e-16"
 
 
 def _table(header: list[str], rows: list[list[str]]) -> str:
