@@ -545,7 +545,7 @@ def _loop_report(arms: Mapping[str, Any], truth: Mapping[str, Any]) -> list[str]
             one, two = d["labelled"], d["repaired"]
             rows.append([
                 arm, name, f"{one['predicted']:.2f}", f"{one['on_arm']['E1']:.2f}", f"{one['steered']['E1']:.2f}",
-                f"{two['predicted']:.2f}", f"{two['on_arm']['E1']:.2f}", f"{1 - two['on_arm']['E1'] / one['steered']['E1']:.0%}",
+                f"{two['predicted']:.2f}", f"{two['on_arm']['E1']:.2f}", f"{100 * (1 - two['on_arm']['E1'] / one['steered']['E1']):.1f} %",
                 ", ".join(f"{x['stray_rad']:.3f}" for x in (one["on_arm"], one["steered"], two["on_arm"])),
             ])  # fmt: skip
     header = [
@@ -556,14 +556,14 @@ def _loop_report(arms: Mapping[str, Any], truth: Mapping[str, Any]) -> list[str]
         "steered",
         "repaired: predicted",
         "on the arm",
-        "saved",
+        "less E1",
         "stray [rad]",
     ]
     parts = [
         "## The loop closed\n",
         "E1 [N²m²s] of springs and motion designed on the model as labelled and on the repaired one. On the arm, the controllers are "
         "helped by the torque that the design's own calibrated model predicts; “steered” is the labelled design helped by the repaired "
-        "model, so that springs and motion alone make the difference, which is “saved”. “Stray” is the largest distance from the "
+        "model, so that springs and motion alone make the difference, which is “less E1”. “Stray” is the largest distance from the "
         "motion that was asked for, in the order of the three.\n",
         markdown(header, rows),
     ]
