@@ -1,5 +1,6 @@
 """Errors before and after a diagnosis: intervals on numbers whose answers are known, and the twin on a made-up plant."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,10 @@ from rrr_oc.before_after import in_closed_loop, intervals
 from rrr_oc.calibrate import plain_model
 from rrr_oc.calibrated import Estimate, Term
 from rrr_oc.diagnosis import Diagnosis, Fold, Shares
-from rrr_oc.diagnosis_report import sentence
+from rrr_oc.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.effects.backlash import Backlash
 from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.evaluate import SIGNALS
 
 STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 
@@ -78,6 +80,21 @@ def test_what_the_twin_cannot_simulate_is_said(diagnosis):
     found = in_closed_loop(replace(diagnosis, folds=tuple(replace(f, model=with_gap) for f in diagnosis.folds)), 1)
     assert "joint1" in found["before"]
     assert "backlash[joint1]" in found["after"]["why_not"]
+
+
+def test_the_page_holds_its_figures_and_says_what_was_not_simulated(diagnosis, tmp_path):
+    found = write_diagnosis(diagnosis, tmp_path)
+    assert "simulated" not in found
+    assert json.loads((tmp_path / "diagnosis.json").read_text()) == found
+    text = (tmp_path / "report.html").read_text()
+    assert text.count("<img src='data:image/png;base64,") == 5  # before and after, prediction, three joints
+    assert "In closed loop" not in text
+    numbers = {j: dict.fromkeys(SIGNALS, 0.25) for j in diagnosis.model.joints}
+    simulated = {"held_out": True, "before": numbers, "after": {"why_not": "a <gap> moves the link by itself"}}
+    write_diagnosis(diagnosis, tmp_path, simulated)
+    text = (tmp_path / "report.html").read_text()
+    assert "The extended model was not simulated: a &lt;gap&gt; moves the link by itself." in text
+    assert "<td>0.2500 → –</td>" in text
 
 
 def test_the_verdict_is_a_sentence(diagnosis):
