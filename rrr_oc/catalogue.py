@@ -140,6 +140,8 @@ def search_catalogue(
     """
     if method not in METHODS:
         raise UserError(f"unknown catalogue search {method!r}; there are {', '.join(METHODS)}")
+    if any(s.known for s in design.springs):
+        raise UserError("the catalogue's search takes a task as it stands; effects known from a diagnosis are not supported")
     options = options or SearchOptions()
     springs, combinations = _choices(design, catalogue)
     bar = next((i for i, s in enumerate(design.springs) if s.hardware), None)

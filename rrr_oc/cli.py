@@ -9,11 +9,11 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from rrr_oc.before_after import in_closed_loop
 from rrr_oc.calibrate import calibrate as calibrate_inverse
 from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, load_model, save_model
 from rrr_oc.diagnosis import diagnose as diagnose_recordings
-from rrr_oc.diagnosis import to_json
 from rrr_oc.diagnosis_report import write_diagnosis
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
@@ -77,6 +77,7 @@ def diagnose(
     dataset: Dataset,
     out: Annotated[Path, typer.Option(help="folder for diagnosis.json, model.json, report.html and figures")],
     jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
+    simulate: Annotated[bool, typer.Option(help="let the MuJoCo model track the recordings before and after, held out")] = True,
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
     check_jobs(jobs)
@@ -84,9 +85,11 @@ def diagnose(
     recordings = load_recordings(dataset)
     with console.status("reading") as status:
         found = diagnose_recordings(recordings, lambda line: status.update(line), jobs)
+        status.update("tracking the recordings in closed loop")
+        simulated = in_closed_loop(found, jobs) if simulate else None
         status.update("writing the report")
-        write_diagnosis(found, out)
-    _show_diagnosis(to_json(found))
+        content = write_diagnosis(found, out, simulated)
+    _show_diagnosis(content)
     console.print(f"{out} holds diagnosis.json, model.json and report.html.", highlight=False, soft_wrap=True)
 
 
@@ -208,9 +211,11 @@ def _show_diagnosis(found: dict[str, Any]) -> None:
         console.print(table)
     for other in found["unexplained"]:
         console.print(f"Unexplained: {other['description']}.", soft_wrap=True)
-    errors = Table("joint", "NRMSE held out, before", "after")
-    for joint, before in found["nrmse"]["held_out"]["before"].items():
-        errors.add_row(joint, _shown(before), _shown(found["nrmse"]["held_out"]["after"][joint]))
+    errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
+    for joint, b in found["bootstrap"].items():
+        interval = b["ratio"]["interval"]
+        ratio = "–" if interval is None else f"{_shown(interval[0])} … {_shown(interval[1])}"
+        errors.add_row(joint, _shown(b["before"]["value"]), _shown(b["after"]["value"]), ratio)
     console.print(errors)
 
 

@@ -39,6 +39,8 @@ class SpringBounds:
         lower, upper: Bounds of its parameters, in their order.
         hardware: For a biarticular spring the bounds of k_b, q_0, r_1, r_2, r_3 in SI units; else empty.
         fixed: For a biarticular spring of given hardware its k_b, r_1, r_2, r_3 in SI units; else empty.
+        known: Whether it is there in any case, with `lower` = `upper`, and no part of the design: then it may be any effect on
+            the links or of the rigid body.
     """
 
     effect: Effect
@@ -46,6 +48,7 @@ class SpringBounds:
     upper: np.ndarray
     hardware: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
+    known: bool = False
 
 
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
@@ -111,7 +114,7 @@ class CoDesign:
 
     Attributes:
         task: The task.
-        springs: With their bounds; `fixed` narrows them.
+        springs: With their bounds; `fixed` narrows them. Those that are known stand last.
         cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11.
         actuators: Of the moving joints; needed for "motor" and "energy".
         at_rest: Whether the arm is at rest at both ends of each phase.
@@ -154,7 +157,11 @@ class CoDesign:
         """The optimal-control problem: states q, dq of the moving joints, controls their accelerations."""
         lower = np.concatenate([np.zeros(0), *[s.lower for s in self.springs]])
         upper = np.concatenate([np.zeros(0), *[s.upper for s in self.springs]])
-        names = tuple(f"{self.model.label(s.effect)}.{p.name}" for s in self.springs for p in s.effect.parameters)
+        names = tuple(
+            f"{'known ' if s.known else ''}{self.model.label(s.effect)}.{p.name}"
+            for s in self.springs
+            for p in s.effect.parameters
+        )
         design, designs = self._design()
         holding = self._holding_cost()
         return Problem(
@@ -266,9 +273,11 @@ class CoDesign:
 
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
         """The springs of a solution as a designer names them: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI and radians."""
-        found, values = {}, self.model.values(parameters)
+        found, numbers = {}, iter(np.asarray(parameters, float).tolist())
         for spring in self.springs:
-            named = values[self.model.label(spring.effect)]
+            named = {p.name: next(numbers) for p in spring.effect.parameters}
+            if spring.known:
+                continue
             if spring.fixed:
                 found |= {**spring.fixed, "q_0": named["phi"] * spring.fixed["r_2"] / spring.fixed["r_1"]}
             elif spring.hardware:
@@ -286,6 +295,9 @@ class CoDesign:
         springs = []
         for spring in self.springs:
             lower, upper = spring.lower.copy(), spring.upper.copy()
+            if spring.known:
+                springs.append(spring)
+                continue
             if spring.hardware:
                 fixed = {h: hardware[h] for h in HARDWARE if h != "q_0"}
                 kappa, rho, phi = reduced(fixed["k_b"], hardware.get("q_0", 0.0), fixed["r_1"], fixed["r_2"], fixed["r_3"])

@@ -45,6 +45,23 @@ class Shares:
 
 
 @dataclass(frozen=True)
+class Fold:
+    """What comes out without some of the recordings, and how well it predicts them.
+
+    Attributes:
+        held: Numbers of the recordings held out (of the blocks of an only one).
+        plain, model: Without and with effects, fitted to and chosen on the rest.
+        before, after: Their NRMSE on what was held out, each (number held, n).
+    """
+
+    held: tuple[int, ...]
+    plain: CalibratedModel
+    model: CalibratedModel
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What was found.
 
@@ -58,6 +75,7 @@ class Diagnosis:
         way: "recordings" or "blocks": what was held out.
         mismatch: One entry a joint, as in the file.
         suggestions: Recordings that would decide between effects that these do not tell apart.
+        folds: What `held_out` comes from.
     """
 
     recordings: RecordingSet
@@ -70,6 +88,7 @@ class Diagnosis:
     way: str
     mismatch: tuple[dict[str, Any], ...]
     suggestions: tuple[Suggestion, ...] = ()
+    folds: tuple[Fold, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -107,7 +126,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     held = [(bench, begin, fold, bool(findings), empirical) for bench, fold in folds]
     report("fitting without the recordings that are held out")
     outcomes = parallel.ordered(_held_out, held, 1 if not findings else jobs)
-    held_out = _mean([o[0] for o in outcomes]), _mean([o[1] for o in outcomes])
+    held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
     if findings:
         report("what each effect is worth on recordings held out")
         start, begin = (_as_abrupt(model, fitted.model) for model in (start, begin))
@@ -123,7 +142,17 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     mismatch = _mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
     suggestions = suggest(recordings, plain, findings, view(prepared, plain))
     return Diagnosis(
-        recordings, plain, model, tuple(findings), shares, calibration, held_out, way, mismatch, tuple(suggestions)
+        recordings,
+        plain,
+        model,
+        tuple(findings),
+        shares,
+        calibration,
+        held_out,
+        way,
+        mismatch,
+        tuple(suggestions),
+        tuple(outcomes),
     )
 
 
@@ -159,14 +188,13 @@ def _blocks(bench: Bench) -> Bench:
     return replace(bench, prepared=tuple(pieces))
 
 
-def _held_out(
-    bench: Bench, start: CalibratedModel, fold: list[int], look: bool, unnamed_too: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """NRMSE on the fold with the plain and the extended model, fitted to and chosen on the rest, each (recordings, n)."""
+def _held_out(bench: Bench, start: CalibratedModel, fold: list[int], look: bool, unnamed_too: bool) -> Fold:
+    """The plain and the extended model, fitted to and chosen on what is not in the fold, and their errors on the fold."""
     train = bench.part([i for i in range(len(bench.prepared)) if i not in fold])
     plain = refit(train, replace(start, compiled={}))
     after = search(train, plain.model, contest=False, unnamed_too=unnamed_too)[0] if look else plain
-    return _errors(bench.part(fold), plain.model), _errors(bench.part(fold), after.model)
+    before, then = (_errors(bench.part(fold), fitted.model) for fitted in (plain, after))
+    return Fold(tuple(fold), replace(plain.model, compiled={}), replace(after.model, compiled={}), before, then)
 
 
 def _errors(bench: Bench, model: CalibratedModel) -> np.ndarray:

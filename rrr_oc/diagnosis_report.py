@@ -1,51 +1,156 @@
-"""The report of a diagnosis: one HTML page with tables, and maps of the residual before and after."""
+"""The report of a diagnosis: one HTML page that holds its figures, to be sent as it is."""
 
+import base64
 import html
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+from rrr_oc.before_after import intervals
 from rrr_oc.calibrated import CalibratedModel, save_model
 from rrr_oc.diagnosis import Diagnosis, to_json
+from rrr_oc.evaluate import SIGNALS
 from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.recordings import RecordingSet
 from rrr_oc.savitzky_golay import smooth
 
 POINTS = 4000  # of a map, at most
+COLOURS = {"before": "#c55a11", "after": "#1f6fb4"}
+SIGNAL_NAMES = dict(zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True))
 
-STYLE = """body { font: 15px/1.5 sans-serif; max-width: 62em; margin: 2em auto; padding: 0 1em; }
-table { border-collapse: collapse; margin: 1em 0; } td, th { border-bottom: 1px solid #ccc; padding: .3em .8em; text-align: left; }
-img { max-width: 100%; }"""
+STYLE = """body { font: 16px/1.55 system-ui, sans-serif; color: #222; max-width: 60em; margin: 2em auto; padding: 0 1.2em; }
+h1 { font-size: 1.5em; margin-bottom: .2em; } h2 { font-size: 1.15em; margin-top: 2.2em; border-top: 1px solid #ddd; padding-top: .8em; }
+.verdict { font-size: 1.1em; background: #eef4fa; border-left: 4px solid #1f6fb4; padding: .8em 1em; }
+.wide { overflow-x: auto; } table { border-collapse: collapse; margin: .8em 0; font-size: .9em; }
+td, th { border-bottom: 1px solid #ddd; padding: .35em .8em .35em 0; text-align: left; vertical-align: top; }
+th { font-weight: 600; color: #555; } code { font-size: .95em; } img { max-width: 100%; } .small { color: #666; font-size: .88em; }"""
 
 
-def write_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write model.json, the figures, report.html and, when all else is there, diagnosis.json."""
-    found = to_json(diagnosis)
+def write_diagnosis(diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Write model.json, the figures, report.html and, when all else is there, diagnosis.json.
+
+    Args:
+        simulated: What `in_closed_loop` returns; None leaves that part out.
+
+    Returns:
+        The content of diagnosis.json: the contract's, with "bootstrap" (`before_after.intervals`) and "simulated".
+    """
+    found = {**to_json(diagnosis), "bootstrap": intervals(diagnosis)}
+    if simulated is not None:
+        found["simulated"] = dict(simulated)
     save_model(diagnosis.model, folder / "model.json")
-    figures = [
-        save_figure(_maps(diagnosis, j), folder / f"residual_{joint}.png") for j, joint in enumerate(diagnosis.model.joints)
-    ]
+    figures = {"before_after": save_figure(_bars(found), folder / "before_after.png")}
+    figures["prediction"] = save_figure(_prediction(diagnosis), folder / "prediction.png")
+    for j, joint in enumerate(diagnosis.model.joints):
+        figures[f"residual_{joint}"] = save_figure(_maps(diagnosis, j), folder / f"residual_{joint}.png")
     for suggestion, entry in zip(diagnosis.suggestions, found["suggested_recordings"], strict=True):
         header = ",".join(["t", *(f"q_{joint}" for joint in diagnosis.model.joints)])
         table = np.vstack([suggestion.t, suggestion.q]).T
         lines = [",".join(f"{value:.6f}" for value in row) for row in table]
         write_text(folder / entry["trajectory"], "\n".join([header, *lines]) + "\n")
-    write_text(folder / "report.html", page(found, [f.name for f in figures]))
+    write_text(folder / "report.html", page(found, about(diagnosis.recordings), figures))
     write_json(folder / "diagnosis.json", found)
+    return found
 
 
-def page(found: dict[str, Any], figures: list[str]) -> str:
-    """The report as HTML."""
+def about(recordings: RecordingSet) -> str:
+    """What was diagnosed, in a sentence."""
+    every, robot = recordings.recordings, recordings.robot
+    seconds = sum(float(np.ptp(r.t)) for r in every)
+    carrying, sprung = sum(bool(r.payload.any()) for r in every), sum(bool(r.springs) for r in every)
+    return (
+        f"Robot {robot.name}, {robot.n} joint{'s' * (robot.n > 1)} ({', '.join(robot.joints)}); {len(every)} "
+        f"recording{'s' * (len(every) > 1)} of {seconds:.0f} s together, {carrying} with a payload, {sprung} with springs; "
+        f"{recordings.torque} {'torque ' * (recordings.torque != 'current')}recorded."
+    )
+
+
+def page(found: Mapping[str, Any], subject: str, figures: Mapping[str, Path]) -> str:
+    """The report as HTML, its figures inside."""
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>Diagnosis</title>",
-        f"<style>{STYLE}</style></head><body><h1>Diagnosis</h1>",
-        f"<p>Verdict: <b>{found['verdict'].replace('_', ' ')}</b>. Held out: {found['held_out']}.</p>",
+        f"<style>{STYLE}</style></head><body><h1>What the calibrated model lacks</h1><p class='small'>{html.escape(subject)}</p>",
+        f"<p class='verdict'>{html.escape(sentence(found))}</p>",
+        *_before_after(found, figures),
+        *_added(found),
+        *_where(found, figures),
+        *_undecided(found),
+        _reading(found),
     ]
+    return "\n".join(parts) + "</body></html>\n"
+
+
+def sentence(found: Mapping[str, Any]) -> str:
+    """The verdict."""
+    if found["verdict"] == "nothing_missing":
+        return "Nothing is missing: the calibrated model explains these recordings to their noise."
+    names = [_short(e) for e in found["effects"]]
+    names += [f"a torque on {u['joint']} that depends on {' and '.join(u['depends_on'])}" for u in found["unexplained"]]
+    lacking = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    ratios = {j: b["ratio"]["value"] for j, b in found["bootstrap"].items() if b["ratio"]["value"] is not None}
+    gain = ""
+    if ratios:
+        joint = min(ratios, key=lambda j: ratios[j])
+        before, after = (found["bootstrap"][joint][k]["value"] for k in ("before", "after"))
+        gain = f" On recordings left out of the fit the error of {joint}'s torque goes from {before:.1%} to {after:.1%} of its spread."
+    if found["verdict"] == "cannot_tell":
+        return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
+    return f"The calibrated model lacks {lacking}.{gain}"
+
+
+def _short(e: Mapping[str, Any]) -> str:
+    """An effect, where it is and how large, in a few words."""
+    joint = e["joint"]
+    where = "" if joint is None else f" of {joint if isinstance(joint, str) else ' and '.join(joint)}"
+    some = "" if e["recordings"] == "all" else f" in {len(e['recordings'])} of the recordings"
+    return f"{e['effect'].replace('_', ' ')}{where}{some}"
+
+
+def _before_after(found: Mapping[str, Any], figures: Mapping[str, Path]) -> list[str]:
+    what = "whole recordings" if found["held_out"] == "recordings" else "blocks of the only recording"
+    rows = [
+        [joint, *(_with_interval(b[key]) for key in ("before", "after", "ratio"))] for joint, b in found["bootstrap"].items()
+    ]
+    parts = [
+        "<h2>Before and after</h2>",
+        f"<p>NRMSE of the torque predicted from the measured motion, held out: {what} that took part in no fit and no choice.</p>",
+        _table(["joint", "before", "after", "after / before"], rows),
+        _image(figures["before_after"], "error before and after"),
+        *_simulated(found.get("simulated")),
+        "<p>Recorded and predicted torque where the plain model is worst, by models that did not see that recording:</p>",
+        _image(figures["prediction"], "recorded and predicted torque"),
+    ]
+    return parts
+
+
+def _simulated(simulated: Mapping[str, Any] | None) -> list[str]:
+    if simulated is None:
+        return []
+    which = "held out as above" if simulated["held_out"] else "the only recording, not held out"
+    parts = [f"<p>In closed loop: NRMSE while the MuJoCo twin tracks the recorded motion with its controllers ({which}), "
+             "before → after.</p>"]  # fmt: skip
+    before, after = simulated["before"], simulated["after"]
+    for name, one in (("plain", before), ("extended", after)):
+        if "why_not" in one:
+            parts.append(f"<p>The {name} model was not simulated: {html.escape(one['why_not'])}.</p>")
+    joints = next((list(one) for one in (before, after) if "why_not" not in one), [])
+    rows = [[j, *(f"{_shown(_of(before, j, s))} → {_shown(_of(after, j, s))}" for s in SIGNALS)] for j in joints]
+    return [*parts, _table(["joint", *SIGNAL_NAMES.values()], rows)] if rows else parts
+
+
+def _of(errors: Mapping[str, Any], joint: str, signal: str) -> float | None:
+    return errors.get(joint, {}).get(signal)
+
+
+def _added(found: Mapping[str, Any]) -> list[str]:
+    parts = []
     if found["effects"]:
-        parts += ["<h2>Effects added to the model</h2>", _table(
+        parts += ["<h2>What was added to the model</h2>", _table(
             ["effect", "joint", "recordings", "equation", "parameters", "share of error", "p", "as good on these data"],
             [_effect_row(e) for e in found["effects"]],
         )]  # fmt: skip
@@ -55,27 +160,129 @@ def page(found: dict[str, Any], figures: list[str]) -> str:
             for u in found["unexplained"]
         ]
         parts += ["<h2>Unexplained</h2>", _table(["joint", "depends on", "share of error", "what the model carries"], rows)]
-    parts += ["<h2>Where the plain model fails</h2>", _table(
-        ["joint", "significant", "p", "NRMSE", "NRMSE held out", "where", "recordings"], [_mismatch_row(m) for m in found["mismatch"]]
-    )]  # fmt: skip
-    rows = [
-        [
-            joint,
-            *(_shown(found["nrmse"][way][when][joint]) for way in ("calibration", "held_out") for when in ("before", "after")),
-        ]
-        for joint in found["nrmse"]["held_out"]["before"]
+    return parts
+
+
+def _where(found: Mapping[str, Any], figures: Mapping[str, Path]) -> list[str]:
+    header = ["joint", "more than noise", "p", "NRMSE", "held out", "where", "recordings"]
+    return [
+        "<h2>Where the plain model fails</h2>",
+        _table(header, [_mismatch_row(m) for m in found["mismatch"]]),
+        "<p>What is left of the torque, plain model above, extended model below; where there are no points nothing was recorded:</p>",
+        *(_image(path, name) for name, path in figures.items() if name.startswith("residual_")),
     ]
-    parts += ["<h2>NRMSE of the torque</h2>", _table(["joint", "before", "after", "held out, before", "held out, after"], rows)]
-    if found["suggested_recordings"]:
-        rows = [[", ".join(s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]]
-        parts += ["<h2>Recordings that would decide</h2>", _table(["between", "why", "trajectory"], rows)]
-    parts += ["<h2>Residual of the torque, plain model above, extended model below</h2>"]
-    parts += [f"<p><img src='{html.escape(name)}' alt='residual'></p>" for name in figures]
-    return "\n".join(parts) + "</body></html>\n"
+
+
+def _undecided(found: Mapping[str, Any]) -> list[str]:
+    open_between = [
+        f"{_short(e)} or {', '.join(e['indistinguishable_from'])}" for e in found["effects"] if e["indistinguishable_from"]
+    ]
+    if not open_between and not found["suggested_recordings"]:
+        return []
+    rows = [[", ".join(s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]]
+    return [
+        "<h2>What these recordings do not decide</h2>",
+        *(f"<p>{html.escape(line.replace('_', ' '))}</p>" for line in open_between),
+        *(
+            ["<p>To record next:</p>", _table(["to tell apart", "why", "trajectory (CSV beside this page)"], rows)]
+            if rows
+            else []
+        ),
+    ]
+
+
+def _reading(found: Mapping[str, Any]) -> str:
+    versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
+    return (
+        "<h2>How to read this</h2><p class='small'>NRMSE: root mean square error over the recorded signal's standard deviation, both "
+        "smoothed over 0.15 s. Brackets: 95 % bootstrap intervals over recordings; of fewer than three there are none. “Plain”: dry "
+        "friction, viscous friction and armature of every joint, calibrated; “extended”: with what was added, everything calibrated "
+        "anew. Share of error: fall of the held-out squared residual with the effect. As good: explains these recordings as well, "
+        f"within the noise. {html.escape(versions)}.</p>"
+    )
+
+
+def _image(path: Path, alt: str) -> str:
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f"<p><img src='data:image/png;base64,{data}' alt='{html.escape(alt)}'></p>"
+
+
+def _with_interval(entry: Mapping[str, Any]) -> str:
+    value, interval = entry["value"], entry["interval"]
+    if value is None or interval is None or None in interval:
+        return _shown(value)
+    return f"{value:.4f} [{interval[0]:.4f}, {interval[1]:.4f}]"
+
+
+def _bars(found: Mapping[str, Any]) -> Any:
+    """Held-out error of each joint with its interval, before and after, and of the simulated torques where there are any."""
+    joints, simulated = list(found["bootstrap"]), found.get("simulated")
+    panels = [("predicted from the motion", None)]
+    panels += [(f"in closed loop: {SIGNAL_NAMES[s]}", s) for s in ("tau_motor", "tau_load") if simulated is not None]
+    figure, axes = plt.subplots(
+        1,
+        len(panels),
+        figsize=(3.9 * len(panels), 0.42 * len(joints) + 1.5),
+        layout="constrained",
+        squeeze=False,
+        sharey=True,
+        sharex=True,
+    )
+    rows = np.arange(len(joints))[::-1]
+    for axis, (title, signal) in zip(axes[0], panels, strict=True):
+        for key, shift in (("before", 0.12), ("after", -0.12)):
+            for row, joint in zip(rows + shift, joints, strict=True):
+                entry = found["bootstrap"][joint][key]
+                if signal is not None:
+                    entry = {"value": _of((simulated or {})[key], joint, signal), "interval": None}
+                if entry["value"] is None:
+                    continue
+                if entry["interval"] is not None and None not in entry["interval"]:
+                    axis.plot(entry["interval"], [row, row], color=COLOURS[key], lw=2)
+                axis.plot(entry["value"], row, "o", ms=7, color=COLOURS[key], label=key if row > rows[0] - 0.5 else None)
+        axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.set_yticks(rows, joints)
+        axis.set_ylim(-0.6, len(joints) - 0.4)
+        axis.grid(alpha=0.3, axis="x")
+        axis.set_title(title, fontsize=10, loc="left")
+        axis.set_xlabel("NRMSE")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=8, loc="outside upper right", ncols=2)
+    return figure
+
+
+def _prediction(diagnosis: Diagnosis) -> Any:
+    """Torque of each joint in the recording that the plain model predicts worst, and what both models make of it, held out."""
+    fold, k = max(
+        ((f, k) for f in diagnosis.folds for k in range(len(f.held))), key=lambda one: np.nanmax([-1.0, *one[0].before[one[1]]])
+    )
+    r = diagnosis.recordings.recordings[fold.held[k] if diagnosis.way == "recordings" else 0]
+    recorded, joints = diagnosis.recordings.output_torque(r), diagnosis.model.joints
+    figure, axes = plt.subplots(
+        len(joints), 1, figsize=(11, 1.7 * len(joints) + 0.6), layout="constrained", squeeze=False, sharex=True
+    )
+    curves = [
+        ("recorded", recorded, "0.8", 4.5),
+        ("plain model", fold.plain.output_torque(r), COLOURS["before"], 1.2),
+        ("extended model", fold.model.output_torque(r), COLOURS["after"], 1.2),
+    ]
+    for j, axis in enumerate(axes[:, 0]):
+        for name, values, colour, width in curves:
+            axis.plot(r.t - r.t[0], smooth(r.t, values[j : j + 1], r.segments)[0], color=colour, lw=width, label=name)
+        axis.set_ylabel(f"{joints[j]} [Nm]")
+        axis.grid(alpha=0.3)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="outside upper right")
+    axes[0, 0].set_title(r.file, fontsize=10, loc="left")
+    axes[-1, 0].set_xlabel("time [s]")
+    return figure
 
 
 def _effect_row(e: dict[str, Any]) -> list[str]:
-    values = "; ".join(f"{k} = {_value(v)} {v['unit']}" for k, v in e["parameters"].items())
+    values = "; ".join(
+        f"{k} = {_value(v)} {v['unit'] if v['unit'] != '1' else ''}".rstrip() for k, v in e["parameters"].items()
+    )
     joint = e["joint"] or "arm"
     return [
         e["effect"],
@@ -84,7 +291,7 @@ def _effect_row(e: dict[str, Any]) -> list[str]:
         e["equation"],
         values,
         f"{e['share_of_error']:.3f}",
-        f"{e['p_value']:.1g}",
+        _chance(e["p_value"]),
         ", ".join(e["indistinguishable_from"]) or "nothing",
     ]
 
@@ -103,15 +310,19 @@ def _mismatch_row(m: dict[str, Any]) -> list[str]:
         for w in m["where"]
     )
     return [
-        m["joint"], "yes" if m["significant"] else "no", f"{m['p_value']:.1g}",
+        m["joint"], "yes" if m["significant"] else "no", _chance(m["p_value"]),
         _shown(m["nrmse"]["calibration"]), _shown(m["nrmse"]["held_out"]), where, ", ".join(m["recordings"]),
     ]  # fmt: skip
+
+
+def _chance(p: float) -> str:
+    return f"{p:.1g}" if p > 1e-16 else "< 1e-16"
 
 
 def _table(header: list[str], rows: list[list[str]]) -> str:
     head = "".join(f"<th>{html.escape(h)}</th>" for h in header)
     body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
+    return f"<div class='wide'><table><tr>{head}</tr>{body}</table></div>"
 
 
 def _shown(value: float | None) -> str:

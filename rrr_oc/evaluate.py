@@ -29,7 +29,7 @@ def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window:
     """Errors of `SIGNALS` while the MuJoCo model tracks the recorded motion, by file, joint and signal [SI].
 
     What recordings of motor torque say of the load torque is the recorded torque less what the model's drives take, and the
-    other way round; both at the recorded motion.
+    other way round; both at the recorded motion. What the model's sensors add to a torque is taken off what was recorded.
     """
     model.check(recordings)
     control, result = tracking_controller(model), {}
@@ -60,8 +60,10 @@ def write_predictions(model: CalibratedModel, recordings: RecordingSet, folder: 
 
 
 def _measured(model: CalibratedModel, recordings: RecordingSet, recording: Recording) -> dict[str, np.ndarray]:
-    motor, load = model.torques(recording)
-    drive, output = motor - load, recordings.output_torque(recording)
+    physics = model.physics(recording)
+    motor, load = physics.torques(recording)
+    true = load if recordings.torque == "load" else motor
+    drive, output = motor - load, recordings.output_torque(recording) - (physics.recorded(recording, true) - true)
     torques = (output + drive, output) if recordings.torque == "load" else (output, output - drive)
     return dict(zip(SIGNALS, (recording.q, recording.dq, recording.ddq, *torques), strict=True))
 

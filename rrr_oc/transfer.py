@@ -1,13 +1,15 @@
-"""An optimum in the twin that was calibrated on recordings: what its motion and springs ask of drives with friction."""
+"""Between recordings and design: an optimum in the twin calibrated on recordings, and a design on the arm that they revealed."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.actuator import Actuators
 from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.codesign import CoDesign
+from rrr_oc.codesign import CoDesign, SpringBounds
+from rrr_oc.effects import Effect
 from rrr_oc.errors import UserError
 from rrr_oc.metrics import measure
 from rrr_oc.model import Model
@@ -29,6 +31,40 @@ def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
     twin(*_parts(design, calibrated, np.zeros(len(design.model.parameters))), settings=Settings("native"))
 
 
+def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str]) -> CoDesign:
+    """The design on the arm as recordings showed it, with what a diagnosis added on the links and in the rigid body.
+
+    Of the other effects none changes the load torque of a motion of the links: those of the drives and of the sensors stand between
+    it and the recorded torque, those of the side "motion" between the links and the encoders; and effects of a spring that a
+    recording lists leave with that spring.
+
+    Args:
+        groups: Label of the physical set-up of each phase ("go", "return"), for terms that hold for some groups only.
+
+    Raises:
+        UserError: The model is of other joints; an effect other than the payload's comes and goes between the phases.
+    """
+    task = design.task
+    if calibrated.joints != task.robot.joints:
+        raise UserError(
+            f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(task.robot.joints)}"
+        )
+    known, payload = [], task.payload
+    for term in calibrated.terms:
+        effect = term.effect
+        if effect.side not in ("link", "body") or effect.of_spring:
+            continue
+        there = [term.recordings == "all" or group in term.groups for group in groups]
+        if all(there) or (effect.name == "payload_com" and there[0]):  # without a payload its point means nothing
+            known.append(SpringBounds(effect, term.values, term.values, known=True))
+        elif effect.name == "payload_mass" and there[0]:
+            payload += float(term.values[0])
+        elif any(there):
+            raise UserError(f"{effect.name} holds for {' and '.join(term.groups)}, but not in every phase of the task")
+    there = replace(task, robot=replace(task.robot, inertial=calibrated.robot.inertial), tool=calibrated.tool, payload=payload)
+    return replace(design, task=there, springs=(*design.springs, *known))
+
+
 def describe_transfer(
     design: CoDesign, motion: Motion, theta: np.ndarray, calibrated: CalibratedModel, drives: Actuators
 ) -> dict[str, Any]:
@@ -43,7 +79,7 @@ def describe_transfer(
         controller ran into its limit.
     """
     task, model, theta = design.task, *_parts(design, calibrated, theta)
-    widths = np.array([w for e in design.model.effects if e.width for w in [e.width.nominal]] + _drive_widths(calibrated))
+    widths = np.array([e.width.nominal for e in _springs(design) if e.width] + _drive_widths(calibrated))
     references = []
     for i, k in enumerate(motion.phases()):
         q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
@@ -88,10 +124,15 @@ def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _parts(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> tuple[Model, np.ndarray]:
     """The calibrated robot with the optimum's springs and the calibrated terms, and all their parameters."""
-    effects = (*design.model.effects, *(term.effect for term in calibrated.terms))
-    return Model(calibrated.robot, calibrated.tool, effects), np.concatenate(
-        [theta, *(term.values for term in calibrated.terms)]
-    )
+    springs = _springs(design)
+    own = theta[: sum(len(e.parameters) for e in springs)]
+    effects = (*springs, *(term.effect for term in calibrated.terms))
+    return Model(calibrated.robot, calibrated.tool, effects), np.concatenate([own, *(t.values for t in calibrated.terms)])
+
+
+def _springs(design: CoDesign) -> list[Effect]:
+    """The springs of the design itself; what is known beside them is among the calibrated terms."""
+    return [s.effect for s in design.springs if not s.known]
 
 
 def _drive_widths(calibrated: CalibratedModel) -> list[float]:

@@ -40,6 +40,9 @@ def run(*arguments: object) -> None:
 def diagnosed(case: Path, out: Path) -> dict:
     run("diagnose", case / "data", "--out", out, "--jobs", 1)
     assert {p.name for p in out.iterdir()} >= {"diagnosis.json", "model.json", "report.html"}
+    page = (out / "report.html").read_text()
+    assert page.count("<img src='data:image/png;base64,") >= 3  # a page that can be sent alone
+    assert "<img src='residual" not in page
     return json.loads((out / "diagnosis.json").read_text())
 
 
@@ -62,12 +65,18 @@ def test_names_what_was_concealed(made, tmp_path, robot, effect):
 
 def test_repaired_model_predicts_unseen_recordings(made, tmp_path):
     case, truth = made("load_dependent_friction/arm2", "arm2", Concealed("load_dependent_friction", 2.0))
-    diagnosed(case, tmp_path / "out")
+    found = diagnosed(case, tmp_path / "out")
     run("calibrate", case / "data", "--out", tmp_path / "plain")
     unseen, joint = load_recordings(case / "unseen"), truth["effects"][0]["joint"]
     plain, repaired = (evaluate_inverse(load_model(tmp_path / name / "model.json"), unseen) for name in ("plain", "out"))
     for file in plain:
         assert repaired[file][joint]["nrmse"] < 0.7 * plain[file][joint]["nrmse"]
+    for when in ("before", "after"):
+        entry = found["bootstrap"][joint][when]
+        assert entry["value"] == pytest.approx(found["nrmse"]["held_out"][when][joint])
+        assert entry["interval"][0] < entry["value"] < entry["interval"][1]
+    assert found["bootstrap"][joint]["ratio"]["interval"][1] < 1
+    assert found["simulated"]["after"][joint]["tau_load"] < found["simulated"]["before"][joint]["tau_load"]
 
 
 @pytest.mark.parametrize("robot", ["arm1", "arm3"])

@@ -38,7 +38,9 @@ LADDER = (
     ("simulation", ("twin",)),
     ("simulation", ("simulate",)),
     ("results", ("outcome", "replay", "figures")),
-    ("results", ("report", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
+    ("results", ("report", "evaluate", "calibrate_simulated", "transfer")),
+    ("results", ("before_after",)),
+    ("results", ("diagnosis_report",)),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}
