@@ -34,9 +34,10 @@ from rrr_oc.calibrate import fit_terms, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.diagnose import refit, term
 from rrr_oc.diagnosis import diagnose, to_json
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, entry_point
 from rrr_oc.evaluate import evaluate_inverse
 from rrr_oc.evidence import Bench, Evidence
+from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.regression import prepare, thinned, without_spikes
@@ -489,21 +490,12 @@ def main(
     write_json(out / "summary.json", summary)
     text = report(summary)
     write_text(out / "report.md", text)
-    figure = draw_confusion(scores)
-    figure.savefig(out / "confusion.png", dpi=110)
-    plt.close(figure)
+    save_figure(draw_confusion(scores), out / "confusion.png", dpi=110)
     console.print(Markdown(text))
     console.print(f"Everything is in {out}.", highlight=False, soft_wrap=True)
 
 
-def run() -> None:
-    """The command line; an error that the user can mend is one sentence and exit status 2."""
-    try:
-        typer.run(main)
-    except UserError as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
-        raise SystemExit(2) from None
-
+run = entry_point(lambda: typer.run(main))
 
 if __name__ == "__main__":
     run()

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from rrr_oc.diagnosis import diagnose, to_json
 from rrr_oc.diagnosis_report import write_diagnosis
-from rrr_oc.errors import UserError
+from rrr_oc.errors import entry_point
 from rrr_oc.files import write_json, write_text
 from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.report import markdown
@@ -39,7 +39,7 @@ def variant(recordings: RecordingSet, name: str) -> RecordingSet:
     return replace(recordings, recordings=every)
 
 
-def run(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:
+def diagnosed(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:
     """Diagnose a variant, write its report, return the content of its diagnosis.json."""
     folder = out / name
     done = folder / "diagnosis.json"
@@ -92,17 +92,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/prototype_recordings"))
     parser.add_argument("--variant", nargs="+", choices=VARIANTS, default=list(VARIANTS))
     options = parser.parse_args()
-    try:
-        recordings = load_recordings(options.dataset)
-        found = {name: run(recordings, name, options.out) for name in options.variant}
-    except UserError as error:
-        console.print(f"Error: {error}", style="red", highlight=False)
-        raise SystemExit(2) from None
+    recordings = load_recordings(options.dataset)
+    found = {name: diagnosed(recordings, name, options.out) for name in options.variant}
     write_json(options.out / "summary.json", found)
     text = report(recordings, found)
     write_text(options.out / "report.md", text)
     console.print(text, highlight=False, markup=False)
 
 
+run = entry_point(main)
+
 if __name__ == "__main__":
-    main()
+    run()

@@ -35,7 +35,8 @@ from rrr_oc.calibrated import CalibratedModel, load_model, save_model
 from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.diagnosis import diagnose
 from rrr_oc.diagnosis_report import write_diagnosis
-from rrr_oc.errors import UserError
+from rrr_oc.errors import UserError, entry_point
+from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_npz, write_text
 from rrr_oc.metrics import measure
 from rrr_oc.outcome import Motion, resimulate, sample_motion
@@ -349,8 +350,8 @@ def failure(out: Path, arm: Prototype, task: Task, motion: Sweep, options: Searc
                       "the task": table(task_runs, 0.15, 0.1)["without springs"][:5]}  # fmt: skip
     shares, motions = coverage(sweeps, out / "designs" / "labelled")
     only = {"SA": shares["SA"]}
-    save(draw_coverage(sweeps, {"SA": motions["SA"]}, only), out / "task_outside_the_sweeps.png")
-    save(draw_task(runs, drives.joints), out / "task_load_torque.png")
+    save_figure(draw_coverage(sweeps, {"SA": motions["SA"]}, only), out / "task_outside_the_sweeps.png")
+    save_figure(draw_task(runs, drives.joints), out / "task_load_torque.png")
     return {
         "table": rows,
         "outside": shares["SA"],
@@ -489,14 +490,6 @@ def draw_loop(arms: Mapping[str, Any]) -> Any:
     return figure
 
 
-def save(figure: Any, path: Path) -> None:
-    """A figure as PNG, whole or not at all."""
-    temporary = path.with_name(f".{path.stem}.tmp.png")
-    figure.savefig(temporary, dpi=110, bbox_inches="tight")
-    plt.close(figure)
-    temporary.replace(path)
-
-
 def report(summary: Mapping[str, Any]) -> str:
     """Tables in Markdown."""
     asked = summary["asked"]
@@ -616,21 +609,14 @@ def main(
     summary = {"asked": asked, "failure": failed, "loop": closed, "truth": truth}
     write_json(out / "summary.json", summary)
     if closed:
-        save(draw_loop(closed), out / "designs.png")
+        save_figure(draw_loop(closed), out / "designs.png")
     text = report(summary)
     write_text(out / "report.md", text)
     console.print(Markdown(text))
     console.print(f"Everything is in {out}.", highlight=False, soft_wrap=True)
 
 
-def run() -> None:
-    """The command line; an error that the user can mend is one sentence and exit status 2."""
-    try:
-        typer.run(main)
-    except UserError as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {error}", highlight=False, soft_wrap=True)
-        raise SystemExit(2) from None
-
+run = entry_point(lambda: typer.run(main))
 
 if __name__ == "__main__":
     run()
