@@ -129,7 +129,8 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
     if findings:
         report("what each effect is worth on recordings held out")
-        start, begin = (_as_abrupt(model, fitted.model) for model in (start, begin))
+        # far from where the effects were fitted, those that are not linear would lead astray
+        start, begin = (replace(model, terms=fitted.model.terms[: len(model.terms)]) for model in (start, begin))
         findings = _ordered(folds, begin, findings)
         shares = _shares(folds, begin, findings)
         kept = [k for k, share in enumerate(shares.share) if share > LEAST_SHARE]
@@ -214,12 +215,6 @@ def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
     whole = np.concatenate(errors)
     known = np.isfinite(whole)
     return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
-
-
-def _as_abrupt(model: CalibratedModel, like: CalibratedModel) -> CalibratedModel:
-    """The plain model with the widths of dry friction of another that begins with the same terms."""
-    terms = tuple(replace(t, width=other.width) for t, other in zip(model.terms, like.terms, strict=False))
-    return replace(model, terms=terms)
 
 
 def _with(start: CalibratedModel, findings: Sequence[Finding]) -> CalibratedModel:
