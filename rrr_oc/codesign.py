@@ -63,6 +63,27 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     return springs
 
 
+def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the numbers that a search draws for springs: k_b, q_0, r_1, r_2, r_3 of a biarticular one whose hardware is free,
+    else the effect's own parameters."""
+    lower = [[lo for lo, _ in (s.hardware[h] for h in HARDWARE)] if s.hardware else s.lower for s in springs]
+    upper = [[hi for _, hi in (s.hardware[h] for h in HARDWARE)] if s.hardware else s.upper for s in springs]
+    return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
+
+
+def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray:
+    """Parameters (p, ...) of a design from such numbers (drawn, ...), one after the other."""
+    rows, at = [np.zeros((0, *np.shape(drawn)[1:]))], 0
+    for spring in springs:
+        size = len(HARDWARE) if spring.hardware else len(spring.lower)
+        numbers = np.asarray(drawn[at : at + size], float)
+        values = np.array(reduced(*numbers)) if spring.hardware else numbers
+        bounds = (b.reshape(-1, *[1] * (values.ndim - 1)) for b in (spring.lower, spring.upper))
+        rows.append(np.clip(values, *bounds))
+        at += size
+    return np.concatenate(rows)
+
+
 def _spring(task: Task, entry: Mapping) -> SpringBounds:
     where = f"task {task.name!r}: {entry['effect']}"
     needed = "joint" if entry["effect"] == "parallel_spring" else "joints"

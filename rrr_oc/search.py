@@ -8,9 +8,8 @@ import cma
 import numpy as np
 from scipy.stats import qmc
 
-from rrr_oc.codesign import HARDWARE, CoDesign, motion_guess
+from rrr_oc.codesign import CoDesign, drawn_bounds, from_drawn, motion_guess
 from rrr_oc.collocation import Transcription, scheme, uniform_mesh
-from rrr_oc.effects.biarticular_spring import reduced
 from rrr_oc.optimality import Kkt
 from rrr_oc.parallel import ordered, unordered
 from rrr_oc.problem import Guess
@@ -157,8 +156,7 @@ class Polisher:
 
 def dimensions(design: CoDesign, via: int) -> int:
     """Length of the vectors that `decode` takes."""
-    springs = sum(len(HARDWARE) if s.hardware else len(s.lower) for s in design.springs)
-    return springs + 2 + 2 * len(design.task.moving) * via
+    return len(drawn_bounds(design.springs)[0]) + 2 + 2 * len(design.task.moving) * via
 
 
 def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -167,13 +165,8 @@ def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, 
     Biarticular springs are drawn as hardware, uniform within its bounds, and then reduced; a fixed parameter stays fixed.
     """
     numbers, task, m = iter(np.clip(vector, 0, 1)), design.task, len(design.task.moving)
-    parameters = []
-    for spring in design.springs:
-        if spring.hardware:
-            drawn = {h: lo + (hi - lo) * next(numbers) for h, (lo, hi) in spring.hardware.items()}
-            parameters += np.clip(reduced(*[drawn[h] for h in HARDWARE]), spring.lower, spring.upper).tolist()
-        else:
-            parameters += [lo + (hi - lo) * next(numbers) for lo, hi in zip(spring.lower, spring.upper, strict=True)]
+    drawn = [lo + (hi - lo) * next(numbers) for lo, hi in zip(*drawn_bounds(design.springs), strict=True)]
+    parameters = from_drawn(design.springs, np.array(drawn))
     low, high = task.duration
     durations = np.array([low + (high - low) * next(numbers) for _ in range(2)])
     ends = np.array([task.start, task.release])
@@ -181,7 +174,7 @@ def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, 
     lower = np.maximum(task.lower, ends.min(axis=0) - margin)[:, None]
     upper = np.minimum(task.upper, ends.max(axis=0) + margin)[:, None]
     points = np.array([next(numbers) for _ in range(2 * m * via)]).reshape(2, m, via)
-    return np.array(parameters), durations, lower + (upper - lower) * points
+    return parameters, durations, lower + (upper - lower) * points
 
 
 def search(
