@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.stats import qmc
 
 from rrr_oc import akima
 from rrr_oc.candidates import NODES, Analytic, Encoding, Scores, excesses
 from rrr_oc.codesign import motion_guess
 from rrr_oc.problem import Guess
-from rrr_oc.search import decode, dimensions
+from rrr_oc.search import decode, dimensions, sobol_points
 from rrr_oc.solve import Options
 from rrr_oc.task import PHASES
 
@@ -174,8 +173,7 @@ class RestrictedDesign:
 def proposals(encoding: Encoding, count: int, seed: int) -> list[Guess]:
     """Sobol starts as the free search's: springs, durations and smooth paths with two points a phase and joint."""
     design, via = encoding.design, 2
-    points = qmc.Sobol(dimensions(design, via), rng=seed).random(2 ** int(np.ceil(np.log2(max(count, 1)))))[:count]
-    return [motion_guess(design, *decode(design, point, via)) for point in points]
+    return [motion_guess(design, *decode(design, x, via)) for x in sobol_points(dimensions(design, via), count, seed)]
 
 
 def _named(options: Options, barrier: float | None) -> dict[str, object]:
