@@ -24,8 +24,9 @@ from rrr_oc.model import along
 from rrr_oc.task import PHASES, tool_height
 
 VIA = 5  # the paper's
+MARGIN = 0.25
 WEIGHT = 5.0
-NODES = 8  # Gauss–Legendre points an interval
+NODES = 12  # Gauss–Legendre points an interval
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,19 @@ class Encoding:
         """Which of them a vector holds: those that no bounds fix."""
         lower, upper = self.bounds
         return np.flatnonzero(upper > lower)
+
+    @cached_property
+    def region(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where initial means lie, (size,) in [0, 1] each: points within the range from start to release, widened by `MARGIN` of it
+        on each side as in the authors' code; everything else anywhere. Paths through points all over the range are so wild that a
+        search first flees from penalties, and has converged on motion or springs before it comes to the load torque."""
+        task, (lower, upper) = self.design.task, self.bounds
+        ends, low, high = np.array([task.start, task.release]), lower.copy(), upper.copy()
+        widened = MARGIN * np.ptp(ends, axis=0)
+        count = len(PHASES) * len(task.moving) * self.via
+        low[-count:] = np.maximum(low[-count:], np.tile(np.repeat(ends.min(axis=0) - widened, self.via), len(PHASES)))
+        high[-count:] = np.minimum(high[-count:], np.tile(np.repeat(ends.max(axis=0) + widened, self.via), len(PHASES)))
+        return tuple(((b - lower) / np.where(upper > lower, upper - lower, 1.0))[self.free] for b in (low, high))
 
     @property
     def size(self) -> int:

@@ -1,7 +1,7 @@
 """The paper's optimiser: CMA-ES on the paper's parametrisation, in the engine or in the analytic model; trials that can be killed.
 
-Population 64, initial standard deviation 0.15 on variables in [0, 1], a random initial mean, at most 1000 generations ("The evolution
-strategy" and "Elastic element and trajectory co-optimization"). The state of the strategy and of its random numbers is written every
+Population 64, initial standard deviation 0.15 on variables normalised by the region of initial means (`candidates.Encoding.region`), a
+random initial mean there, at most 1000 generations ("The evolution strategy" and "Elastic element and trajectory co-optimization"). The state of the strategy and of its random numbers is written every
 few generations, so that a trial that was killed ends with the numbers that it would have ended with.
 """
 
@@ -33,7 +33,7 @@ class Protocol:
         model: Where they are evaluated: "engine" is MuJoCo, "analytic" the symbolic model.
         generations: Limit; pycma's own criteria of convergence may end a trial before.
         population: Candidates a generation.
-        sigma: Initial standard deviation, on variables in [0, 1].
+        sigma: Initial standard deviation, of the extent of the region of initial means.
         via: Points of a path, a phase and joint.
         steps: Of the engine, a phase.
         every: Generations between two checkpoints.
@@ -69,7 +69,7 @@ def evolve(
     Args:
         seed: Of the initial mean and of everything else that is random.
         labels: What the run stands for, kept with it.
-        start: The initial mean, (size of the encoding,); default uniform in [0, 1].
+        start: The initial mean, (size of the encoding,); default uniform in the encoding's region.
 
     Returns:
         "x", "cost", "E1", "excess" of the best candidate by the trial's own objective; "analytic" and "engine": E1 of that candidate
@@ -137,10 +137,12 @@ class _Normal:
 
 def _begun(encoding: Encoding, protocol: Protocol, seed: int, start: np.ndarray | None) -> _State:
     rng = np.random.default_rng(seed)
-    mean = rng.random(encoding.size) if start is None else np.asarray(start, float)
+    low, high = encoding.region
+    mean = low + (high - low) * rng.random(encoding.size) if start is None else np.asarray(start, float)
     if mean.shape != (encoding.size,):
         raise UserError(f"the start has shape {mean.shape}, and a candidate of this design has {encoding.size} variables")
-    options = {"bounds": [0, 1], "popsize": protocol.population, "verbose": -9, "randn": _Normal(rng), "seed": np.nan}
+    options: dict[str, Any] = {"bounds": [0, 1], "popsize": protocol.population, "verbose": -9, "randn": _Normal(rng), "seed": np.nan}
+    options["CMA_stds"] = high - low
     strategy = cma.CMAEvolutionStrategy(mean, protocol.sigma, options)
     return _State(strategy, [], (mean, np.inf, np.inf, np.inf), 0.0)
 
