@@ -82,7 +82,8 @@ def evolve(
     run = Run(folder, asked)
     if (found := run.found) is not None:
         return found
-    state, objective = _resumed(run) or _begun(encoding, protocol, seed, start), protocol.objective(encoding)
+    objective = protocol.objective(encoding)
+    state = _resumed(run) or _begun(encoding, protocol, seed, start, objective)
     while not state.ended(protocol):
         state.step(objective)
         if state.strategy.countiter % protocol.every == 0:
@@ -135,16 +136,25 @@ class _Normal:
         return self.rng.standard_normal(shape)
 
 
-def _begun(encoding: Encoding, protocol: Protocol, seed: int, start: np.ndarray | None) -> _State:
+def _begun(encoding: Encoding, protocol: Protocol, seed: int, start: np.ndarray | None, objective) -> _State:
     rng = np.random.default_rng(seed)
     low, high = encoding.region
     mean = low + (high - low) * rng.random(encoding.size) if start is None else np.asarray(start, float)
     if mean.shape != (encoding.size,):
         raise UserError(f"the start has shape {mean.shape}, and a candidate of this design has {encoding.size} variables")
-    options: dict[str, Any] = {"bounds": [0, 1], "popsize": protocol.population, "verbose": -9, "randn": _Normal(rng), "seed": np.nan}
+    options: dict[str, Any] = {
+        "bounds": [0, 1],
+        "popsize": protocol.population,
+        "verbose": -9,
+        "randn": _Normal(rng),
+        "seed": np.nan,
+    }
     options["CMA_stds"] = high - low
     strategy = cma.CMAEvolutionStrategy(mean, protocol.sigma, options)
-    return _State(strategy, [], (mean, np.inf, np.inf, np.inf), 0.0)
+    if start is None:
+        return _State(strategy, [], (mean, np.inf, np.inf, np.inf), 0.0)
+    scores = objective(mean[None])
+    return _State(strategy, [], (mean, float(scores.cost[0]), float(scores.E1[0]), float(scores.excess[0])), 0.0)
 
 
 def _resumed(run: Run) -> _State | None:

@@ -191,3 +191,46 @@ def draw_landscape(summary: dict) -> Any:
     figure.text(0.5, -0.02, note, ha="center", **_FOOTER)
     figure.tight_layout()
     return figure
+
+
+def draw_comparison(folder: Path, summary: dict, task: Task) -> list[Path]:
+    """Figures of a comparison of ways: anytime curves, and Figure 5 with the best evolutionary trial and the gradient optimum."""
+    drawn = [_save(draw_anytime(summary), folder / "anytime.png")]
+    return drawn
+
+
+def draw_anytime(summary: dict) -> Any:
+    """Best so far against processor time, each way's median and range, relative to the best known of the experiment."""
+    rest = summary["rest"]
+    rows = (len(rest) + 1) // 2
+    figure, axes = plt.subplots(rows, min(2, len(rest)), figsize=(12, 3.0 * rows), squeeze=False)
+    ways = {
+        "evolution-engine": ("evolution in MuJoCo", _COLOURS[1]),
+        "evolution-analytic": ("evolution in the model", _COLOURS[4]),
+        "restricted": ("gradient, Akima", _COLOURS[2]),
+        "multistart": ("gradient, Sobol", _COLOURS[0]),
+        "cma-ipopt": ("gradient, CMA-ES", _COLOURS[3]),
+    }
+    for axis, (name, entry) in zip(axes.ravel(), rest.items(), strict=False):
+        for way, (label, colour) in ways.items():
+            if way not in entry:
+                continue
+            curve = {k: np.array(v) for k, v in entry[way]["curve"].items()}
+            shown = {k: curve[k] / entry["best_known"] for k in ("least", "median", "largest")}
+            axis.plot(curve["core_s"], shown["median"], color=colour, lw=1.6, label=label)
+            axis.fill_between(curve["core_s"], shown["least"], shown["largest"], color=colour, alpha=0.15, lw=0)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.set_ylim(0.9, 60)
+        axis.axhline(1.0, color="0.6", lw=0.8, ls=":")
+        axis.set_title(f"{name}: best known E1 = {entry['best_known']:.4g} N²m²s", fontsize=10)
+        axis.set_xlabel("processor time [s]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("E1 / best known")
+    for axis in axes.ravel()[len(rest) :]:
+        axis.axis("off")
+    axes[0, 0].legend(fontsize=8)
+    note = "line: median over trials, band: from best to worst; the gradient's curves are on the coarse mesh until their last point"
+    figure.text(0.5, -0.01, note, ha="center", **_FOOTER)
+    figure.tight_layout()
+    return figure

@@ -36,7 +36,9 @@ def best_springs(design: CoDesign, phases: Sequence[PhaseGuess], starts: int = 8
     for i, payload in enumerate(design.task.payloads):
         q, dq, ddq = (ca.DM(x[:, i, :, 0]) for x in motion)
         widths = ca.repmat(width, design.model.widths.size, SAMPLES)
-        tau = design.torques.map(SAMPLES)(q, dq, ddq, ca.repmat(ca.DM(payload), 1, SAMPLES), ca.repmat(theta, 1, SAMPLES), widths)[0]
+        tau = design.torques.map(SAMPLES)(
+            q, dq, ddq, ca.repmat(ca.DM(payload), 1, SAMPLES), ca.repmat(theta, 1, SAMPLES), widths
+        )[0]
         cost += h[i] * ca.sumsqr(tau)
     rows = ca.MX(0, 1) if problem.design is None else problem.design(theta, ca.DM(problem.data))
     nlp = {"x": theta, "p": width, "f": cost / problem.cost_scale, "g": rows}

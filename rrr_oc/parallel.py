@@ -41,6 +41,8 @@ def workers(where: str = LOCAL) -> Iterator[None]:
     try:
         client = Client(where, timeout=PATIENCE)
     except (OSError, ValueError) as error:
-        raise UserError(f"no Dask scheduler answers at {where!r} ({error}); give 'local' or an address as tcp://host:8786") from None
+        raise UserError(
+            f"no Dask scheduler answers at {where!r} ({error}); give 'local' or an address as tcp://host:8786"
+        ) from None
     with client, joblib.parallel_config(backend="dask"):
         yield

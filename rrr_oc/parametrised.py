@@ -119,7 +119,10 @@ class RestrictedDesign:
         return Restricted(x, Analytic(self.encoding, FINE)(x[None]), smooth, time.process_time() - began)
 
     def _vector(self, w: np.ndarray) -> np.ndarray:
-        task, n = self.encoding.design.task, len(self._box[0]) - len(PHASES) * (1 + len(self.encoding.design.task.moving) * self.encoding.via)
+        task, n = (
+            self.encoding.design.task,
+            len(self._box[0]) - len(PHASES) * (1 + len(self.encoding.design.task.moving) * self.encoding.via),
+        )
         via = w[n + len(PHASES) :].reshape(len(PHASES), self.encoding.via, len(task.moving))
         return self.encoding.encode(w[:n], w[n : n + len(PHASES)], np.swapaxes(via, 1, 2))
 
@@ -154,7 +157,10 @@ class RestrictedDesign:
         _, rate, path = phase.rates.map(count)(x, u, ca.repmat(theta, 1, count), ca.repmat(data, 1, count))
         cost = h * ca.dot(rate, ca.DM(np.tile(weights / 2, len(cubics))).T)
         rows, highest = [], []
-        limits = ((0, task.lower, task.upper, np.ones(m)), *((k, -v, v, v) for k, v in ((1, task.speed), (2, task.acceleration))))
+        limits = (
+            (0, task.lower, task.upper, np.ones(m)),
+            *((k, -v, v, v) for k, v in ((1, task.speed), (2, task.acceleration))),
+        )
         for kind, lower, upper, scale in limits:
             known = np.flatnonzero(np.isfinite(upper)).tolist()
             values = [point[kind] for point in (*ends, *(samples if kind < 2 else ()))]

@@ -42,7 +42,9 @@ class Engine:
 
     def __post_init__(self) -> None:
         if self.steps < 1 or self.steps % (self.encoding.via + 1):
-            raise UserError(f"steps a phase must be a multiple of the path's {self.encoding.via + 1} intervals, got {self.steps}")
+            raise UserError(
+                f"steps a phase must be a multiple of the path's {self.encoding.via + 1} intervals, got {self.steps}"
+            )
 
     def __call__(self, x: np.ndarray) -> Scores:
         """Cost of vectors (K, size)."""

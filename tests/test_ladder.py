@@ -12,9 +12,9 @@ PACKAGE = ROOT / "rrr_oc"
 # From the ground up. A module imports from rungs below its own; of the side branches "control", "recordings" and "simulation"
 # none imports from another. Names are below `rrr_oc`; to the folders `effects.*` and `importers.*` files may be added freely.
 LADDER = (
-    ("trunk", ("errors", "smooth", "parallel", "savitzky_golay", "_rigid_body")),
-    ("trunk", ("files", "parameters", "csv_table", "metrics", "nrmse", "c_library")),
-    ("trunk", ("robot", "effects.effect")),
+    ("trunk", ("errors", "smooth", "savitzky_golay", "akima", "_rigid_body")),
+    ("trunk", ("files", "parallel", "parameters", "csv_table", "metrics", "nrmse", "c_library", "ranking")),
+    ("trunk", ("robot", "runs", "effects.effect")),
     ("trunk", ("rigid_body", "effects.*")),
     ("trunk", ("effects", "inertial")),
     ("trunk", ("model",)),
@@ -22,8 +22,8 @@ LADDER = (
     ("control", ("collocation",)),
     ("control", ("solve",)),
     ("control", ("optimality", "codesign")),
-    ("control", ("search",)),
-    ("control", ("catalogue", "certificate")),
+    ("control", ("search", "candidates")),
+    ("control", ("catalogue", "certificate", "parametrised", "fixed_motion")),
     ("recordings", ("recording_header", "plausibility")),
     ("recordings", ("recordings",)),
     ("recordings", ("importers.*", "calibrated")),
@@ -35,8 +35,10 @@ LADDER = (
     ("recordings", ("diagnosis",)),
     ("simulation", ("native",)),
     ("simulation", ("simulate",)),
-    ("results", ("outcome", "replay")),
-    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report")),
+    ("results", ("outcome", "replay", "rollouts")),
+    ("results", ("report", "figures", "evaluate", "calibrate_simulated", "transfer", "diagnosis_report", "evolution")),
+    ("results", ("experiments",)),
+    ("results", ("comparison",)),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}
