@@ -132,7 +132,7 @@ class CoDesign:
 
     Attributes:
         task: The task.
-        springs: With their bounds; `fixed` narrows them.
+        springs: With their bounds; `with_fixed` narrows them. `with_physics` adds other effects, whose bounds are equal.
         cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11.
         actuators: Of the moving joints; needed for "motor" and "energy".
         at_rest: Whether the arm is at rest at both ends of each phase.
@@ -294,10 +294,15 @@ class CoDesign:
                 found |= {**spring.fixed, "q_0": named["phi"] * spring.fixed["r_2"] / spring.fixed["r_1"]}
             elif spring.hardware:
                 found |= pick_hardware(named["kappa"], named["rho"], named["phi"], spring.hardware)
-            else:
+            elif isinstance(spring.effect, ParallelSpring):
                 number = spring.effect.joints[0] + 1
                 found |= {f"k_p{number}": named["stiffness"], f"q_eq{number}": named["equilibrium"]}
         return found
+
+    def with_physics(self, effects: Sequence[tuple[Effect, np.ndarray]]) -> "CoDesign":
+        """The same problem on an arm that has further effects of known parameters, which come after the springs'."""
+        given = [SpringBounds(effect, np.asarray(theta, float), np.asarray(theta, float)) for effect, theta in effects]
+        return CoDesign(self.task, (*self.springs, *given), self.cost, self.actuators, self.at_rest)
 
     def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "CoDesign":
         """The same problem with springs fixed to hardware, except the names in `keep_free`.
@@ -314,6 +319,9 @@ class CoDesign:
                 free = [b * ratio for b in spring.hardware["q_0"]] if "q_0" in keep_free else [phi, phi]
                 bounds = np.array([kappa, rho, free[0]]), np.array([kappa, rho, free[1]])
                 springs.append(SpringBounds(spring.effect, *bounds, fixed=fixed))
+                continue
+            if not isinstance(spring.effect, ParallelSpring):
+                springs.append(spring)
                 continue
             number = spring.effect.joints[0] + 1
             for i, name in enumerate((f"k_p{number}", f"q_eq{number}")):

@@ -67,7 +67,7 @@ class Engine:
     def _follow(self, candidates: Candidates, q, after, forward, start) -> np.ndarray:
         """Positions and controllers' torques of the moving joints (2, m, phases, steps, K)."""
         task, control, moving = self.encoding.design.task, self._control, list(self.encoding.design.task.moving)
-        n, (m, phases, steps, count) = task.robot.n, q.shape
+        n, (_, phases, steps, count) = task.robot.n, q.shape
         k_p, k_d = (v[moving].reshape(-1, 1, 1, 1) for v in (control.k_p, control.k_d))
         h = candidates.durations / steps  # (phases, K)
         u = np.zeros((phases, count, steps + 1, n))

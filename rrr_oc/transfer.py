@@ -41,14 +41,9 @@ def describe_transfer(
         each as `describe` gives it; "motor": the same of the motor torque itself; "tracking_error_rad"; "saturated": whether a
         controller ran into its limit.
     """
-    task, model, theta = design.task, *_parts(design, calibrated, theta)
-    widths = np.array([w for e in design.model.effects if e.width for w in [e.width.nominal]] + _drive_widths(calibrated))
-    references = []
-    for i, k in enumerate(motion.phases()):
-        q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
-        t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
-        motor, _ = model.motor_inverse(q, dq, ddq, t[None], payload, theta, widths, model.robot.inertial)
-        references.append(simulate.ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
+    task, references = design.task, reference_phases(design, motion, theta, calibrated)
+    model, theta = _parts(design, calibrated, theta)
+    widths = _widths(design, calibrated)
     tracked = simulate.track(model, references, theta, settings=simulate.Settings(effects="native"), widths=widths)
     rows = [task.robot.index(joint) for joint in drives.joints]
     by_eq10 = [np.array(drives.load_from_motor(p.dq[rows], p.ddq[rows], p.tau_motor[rows])[0]) for p in tracked.phases]
@@ -59,6 +54,20 @@ def describe_transfer(
         "tracking_error_rad": float(max(np.abs(p.error).max() for p in tracked.phases)),
         "saturated": bool(np.any(tracked.saturated)),
     }
+
+
+def reference_phases(
+    design: CoDesign, motion: Motion, theta: np.ndarray, calibrated: CalibratedModel
+) -> list[simulate.ReferencePhase]:
+    """The phases of an optimum as references for controllers; `tau_load` holds the motor torque that the calibrated model expects."""
+    task, model, theta = design.task, *_parts(design, calibrated, theta)
+    widths, references = _widths(design, calibrated), []
+    for i, k in enumerate(motion.phases()):
+        q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
+        t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
+        motor, _ = model.motor_inverse(q, dq, ddq, t[None], payload, theta, widths, model.robot.inertial)
+        references.append(simulate.ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
+    return references
 
 
 def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:
@@ -93,5 +102,6 @@ def _parts(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> 
     )
 
 
-def _drive_widths(calibrated: CalibratedModel) -> list[float]:
-    return [term.width for term in calibrated.terms if term.width is not None]
+def _widths(design: CoDesign, calibrated: CalibratedModel) -> np.ndarray:
+    own = [e.width.nominal for e in design.model.effects if e.width is not None]
+    return np.array(own + [term.width for term in calibrated.terms if term.width is not None])
