@@ -77,6 +77,7 @@ class RestrictedDesign:
         terms = ca.Function("terms", [w, widths, margin], [cost / problem.cost_scale, ca.vertcat(*rows)])
         f, g = terms(scaled * self._scale, widths, margin)
         options = options or Options(tolerance=1e-7, iterations=300)
+        self._f = ca.Function("f", [scaled, widths, margin], [f])
         nlp = {"x": scaled, "f": f, "g": g, "p": ca.vertcat(widths, ca.vec(margin))}
         self._solvers = [
             ca.nlpsol("restricted", "ipopt", nlp, {"ipopt": _named(options, barrier), "print_time": False, "expand": True})
@@ -94,6 +95,10 @@ class RestrictedDesign:
         decoded = self.encoding.decode(x[None])
         _, T, via = self.encoding.split(self.encoding.values(x[None]))
         return np.concatenate([decoded.theta[:, 0], T[:, 0], *[np.ravel(v[:, :, 0], order="F") for v in via]])
+
+    def cost(self, w: np.ndarray, widths: tuple[float, float], margin: np.ndarray) -> float:
+        """The program's cost [N²m²s] of variables, with the widths of Akima's weights and of the springs [rad]."""
+        return float(self._f(w / self._scale, widths, margin)) * self.encoding.design.problem.cost_scale
 
     def solve(self, start: np.ndarray) -> Restricted | None:
         """The optimum near a start; None where IPOPT finds none."""
