@@ -7,6 +7,7 @@ gradient takes to what evolution found), "fixed" (springs alone on a motion that
 
 import time
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +174,12 @@ def run_fixed(store: Path, labels: Mapping[str, Any], duration: float, seed: int
     return labels, found
 
 
+def stored_motion(run: Run) -> Motion:
+    """The motion that a gradient's run keeps."""
+    arrays = run.arrays
+    return Motion(**{field.name: arrays[field.name] for field in fields(Motion)})
+
+
 def candidate_motion(encoding: Encoding, x: np.ndarray) -> Motion:
     """A candidate's motion with exact springs, sampled densely; accelerations that jump stand twice at one time."""
     design, candidate = encoding.design, encoding.decode(x[None])
@@ -189,20 +196,28 @@ def candidate_motion(encoding: Encoding, x: np.ndarray) -> Motion:
     return Motion(t.ravel(), *columns, phase, np.array(design.task.payloads)[phase])
 
 
-def roles(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, dict[str, float]]:
-    """∫ Σ_joints |torque of a spring| dt in each phase [Nm s], by the spring's label and the phase's name."""
-    found, at = {}, 0
+def spring_torques(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, np.ndarray]:
+    """Torque of each spring along a motion, by its label, on all joints (n, K) [Nm]; exact laws."""
+    found, at, q = {}, 0, design.task.full(motion.q)
     for spring in design.springs:
         theta = parameters[at : at + len(spring.lower)]
         at += len(spring.lower)
         alone = design.task.model([spring.effect])
-        zero = np.zeros_like(motion.q)
-        q, rest = (design.task.full(x) for x in (motion.q, zero))
-        torque = np.abs(np.array(alone.inverse(q, rest, rest, 0.0, theta, np.zeros(len(alone.widths)))[1])).sum(axis=0)
-        found[design.model.label(spring.effect)] = {
-            name: float(np.trapezoid(torque[k], motion.t[k])) for name, k in zip(PHASES, motion.phases(), strict=True)
-        }
+        found[design.model.label(spring.effect)] = np.array(
+            alone.inverse(q, 0 * q, 0 * q, 0.0, theta, np.zeros(len(alone.widths)))[1]
+        )
     return found
+
+
+def roles(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, dict[str, float]]:
+    """∫ Σ_joints |torque of a spring| dt in each phase [Nm s], by the spring's label and the phase's name."""
+    return {
+        label: {
+            name: float(np.trapezoid(np.abs(torque[:, k]).sum(axis=0), motion.t[k]))
+            for name, k in zip(PHASES, motion.phases(), strict=True)
+        }
+        for label, torque in spring_torques(design, parameters, motion).items()
+    }
 
 
 def _described(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, Any]:

@@ -193,10 +193,78 @@ def draw_landscape(summary: dict) -> Any:
     return figure
 
 
-def draw_comparison(folder: Path, summary: dict, task: Task) -> list[Path]:
-    """Figures of a comparison of ways: anytime curves, and Figure 5 with the best evolutionary trial and the gradient optimum."""
-    drawn = [_save(draw_anytime(summary), folder / "anytime.png")]
+def draw_comparison(folder: Path, summary: dict) -> list[Path]:
+    """Figures of a comparison of ways: anytime curves, the trials, and Figure 5 from the motions in the folder."""
+    drawn = [_save(draw_anytime(summary), folder / "anytime.png"), _save(draw_trials(summary), folder / "trials.png")]
+    motions = {path.stem: dict(np.load(path)) for path in sorted((folder / "motions").glob("*.npz"))}
+    if motions:
+        drawn.append(_save(draw_figure_5(summary, motions), folder / "figure_5.png"))
     return drawn
+
+
+def draw_figure_5(summary: dict, motions: dict[str, dict]) -> Any:
+    """Load and spring torques over time, summed over the moving joints, of the best evolutionary trial and of the gradient optimum."""
+    names = [n for n in summary["rest"] if any(m.startswith(f"{n} ") for m in motions)]
+    columns = ("evolution", "gradient")
+    figure, axes = plt.subplots(len(names), 2, figsize=(12, 2.3 * len(names)), squeeze=False, sharex=True)
+    for row, name in zip(axes, names, strict=True):
+        shown = [motions[f"{name} {c}"] for c in columns if f"{name} {c}" in motions]
+        top = max(float((m["load"] + m["pea"] + m["bpea"]).max()) for m in shown)
+        low = min(float(m["load"].min()) for m in shown)
+        for axis, column in zip(row, columns, strict=True):
+            axis.set_title(f"{name}: {column}", fontsize=10)
+            axis.axhline(0, color="0.85", lw=0.8)
+            axis.set_ylim(low - 0.05 * (top - low), top * 1.08)
+            if f"{name} {column}" not in motions:
+                continue
+            m = motions[f"{name} {column}"]
+            curves = (
+                ("needed to move", m["load"] + m["pea"] + m["bpea"], "0.6", 1.0),
+                ("PEA", m["pea"], _COLOURS[2], 1.4),
+                ("BPEA", m["bpea"], _COLOURS[1], 1.4),
+                ("load torque", m["load"], _COLOURS[0], 1.8),
+            )
+            for label, values, colour, width in curves:
+                if not np.any(values):
+                    continue
+                for i in range(len(PHASES)):
+                    k = m["phase"] == i
+                    axis.plot(m["t"][k], values[k], color=colour, lw=width, label=label if i == 0 else None)
+            axis.axvline(m["t"][m["phase"] == 0][-1], color="0.7", lw=0.8, ls=":")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("[Nm]")
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s] (dotted: the payload is released)")
+    axes[min(3, len(names) - 1), 1].legend(fontsize=8, loc="upper right")
+    figure.tight_layout()
+    return figure
+
+
+def draw_trials(summary: dict) -> Any:
+    """E1 of every run, way by way, relative to the best known of the experiment."""
+    rest = summary["rest"]
+    ways = {
+        "evolution-engine": ("evolution in MuJoCo", _COLOURS[1]),
+        "evolution-analytic": ("evolution in the model", _COLOURS[4]),
+        "restricted": ("gradient, Akima: all local optima", _COLOURS[2]),
+        "multistart": ("gradient, Sobol: best", _COLOURS[0]),
+    }
+    figure, axis = plt.subplots(figsize=(11, 4.5))
+    for i, entry in enumerate(rest.values()):
+        for j, (way, (label, colour)) in enumerate(ways.items()):
+            if way not in entry:
+                continue
+            values = np.array(entry[way]["optima"] if way == "restricted" else entry[way]["E1"]) / entry["best_known"]
+            x = i + 0.2 * (j - 1.5) + 0.05 * np.linspace(-1, 1, len(values))
+            axis.plot(x, values, "o", ms=4, color=colour, alpha=0.75, label=label if i == 0 else None)
+    axis.set_xticks(range(len(rest)), [f"{n}\n{e['best_known']:.4g}" for n, e in rest.items()])
+    axis.set_yscale("log")
+    axis.axhline(1.0, color="0.6", lw=0.8, ls=":")
+    axis.set_ylabel("E1 / best known")
+    axis.legend(fontsize=8)
+    figure.text(0.5, -0.02, "below each experiment: the best known E1 [N²m²s]", ha="center", **_FOOTER)
+    figure.tight_layout()
+    return figure
 
 
 def draw_anytime(summary: dict) -> Any:

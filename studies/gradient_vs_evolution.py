@@ -20,20 +20,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import parallel
+from rrr_oc.candidates import Encoding
 from rrr_oc.codesign import CONFIGURATIONS
-from rrr_oc.comparison import NEAR, summarise, tables
+from rrr_oc.comparison import FREE_MOTION, NEAR, summarise, tables
 from rrr_oc.errors import UserError
 from rrr_oc.evolution import Protocol
 from rrr_oc.experiments import (
     ENDS,
     EXPERIMENTS,
     GRADIENT,
+    candidate_motion,
     experiment,
     folder_of,
     run_evolution,
@@ -41,11 +44,13 @@ from rrr_oc.experiments import (
     run_gradient,
     run_race,
     run_restricted,
+    spring_torques,
+    stored_motion,
 )
 from rrr_oc.figures import draw_comparison
-from rrr_oc.files import write_json, write_text
+from rrr_oc.files import write_json, write_npz, write_text
 from rrr_oc.rollouts import STEPS
-from rrr_oc.runs import Run
+from rrr_oc.runs import Run, all_runs
 from rrr_oc.task import load_task
 
 STAGES = ("engine", "model", "gradient", "restricted", "again", "race", "fixed", "transfer", "tables")
@@ -98,7 +103,7 @@ def main(
         raise UserError("--jobs is 0; allowed are 1 or more, and -1 for all cores")
     if out.exists() and not out.is_dir():
         raise UserError(f"--out {out} is a file; give a folder")
-    task, size, store = load_task(preset), SIZES[protocol], out / "runs"
+    size, store, task = SIZES[protocol], out / "runs", load_task(preset)
     for name in names:
         _ = experiment(task, name)
     began = time.perf_counter()
@@ -117,9 +122,37 @@ def main(
         write_json(out / "summary.json", summary)
         text = tables(summary)
         write_text(out / "report.md", text)
-        draw_comparison(out, summary, task)
+        _motions(out, preset, summary)
+        draw_comparison(out, summary)
         console.print(Markdown(text))
         console.print(f"Everything is in {out}: report.md, summary.json, figures; a folder a run in {store}.")
+
+
+def _motions(out: Path, preset: str, summary: dict) -> None:
+    """The motions of Figure 5, torques summed over the joints, as files for the figure: best evolutionary trial, gradient optimum."""
+    task, runs = (
+        load_task(preset),
+        [r for r in all_runs(out / "runs") if r.asked["preset"] == preset and r.asked["ends"] == "rest"],
+    )
+    for name, entry in summary["rest"].items():
+        design = experiment(task, name)
+        chosen = {}
+        if "evolution-engine" in entry:
+            best = entry["evolution-engine"]
+            chosen["evolution"] = candidate_motion(Encoding(design), np.array(best["x"])), best["parameters"]
+        known = [r for r in runs if r.asked["experiment"] == name and r.asked["way"] in FREE_MOTION]
+        if known:
+            run = min(known, key=lambda r: (r.found or {})["E1"])
+            chosen["gradient"] = stored_motion(run), (run.found or {})["parameters"]
+        for column, (motion, parameters) in chosen.items():
+            torques = spring_torques(design, np.array(parameters), motion)
+            kinds = {"pea": "parallel", "bpea": "biarticular"}
+            sums = {
+                kind: sum((t.sum(axis=0) for label, t in torques.items() if label.startswith(start)), np.zeros(motion.t.size))
+                for kind, start in kinds.items()
+            }
+            arrays = {"t": motion.t, "phase": motion.phase, "load": motion.tau_load.sum(axis=0), **sums}
+            write_npz(out / "motions" / f"{name} {column}.npz", arrays)
 
 
 def _listed(option: str, given: str, known: Iterable[str]) -> list[str]:

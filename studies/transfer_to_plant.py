@@ -24,7 +24,7 @@ from rrr_oc.codesign import CoDesign
 from rrr_oc.comparison import FREE_MOTION
 from rrr_oc.diagnosis import diagnose
 from rrr_oc.errors import UserError
-from rrr_oc.experiments import candidate_motion, experiment
+from rrr_oc.experiments import candidate_motion, experiment, stored_motion
 from rrr_oc.metrics import measure
 from rrr_oc.outcome import Motion, describe, sample_motion
 from rrr_oc.problem import Guess, PhaseGuess
@@ -108,9 +108,8 @@ def _optimum(design: CoDesign, runs: Sequence[Run], name: str) -> Played:
     if not known:
         raise UserError(f"{name}: the transfer needs a gradient optimum; run the stage 'gradient' before")
     run = min(known, key=lambda r: (r.found or {})["E1"])
-    arrays, found = run.arrays, run.found or {}
-    motion = Motion(**{k: arrays[k] for k in ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload")})
-    return Played(design, np.array(found["parameters"]), motion, found["E1"])
+    found = run.found or {}
+    return Played(design, np.array(found["parameters"]), stored_motion(run), found["E1"])
 
 
 def _evolved(design: CoDesign, runs: Sequence[Run], name: str) -> Played | None:
