@@ -351,59 +351,72 @@ def _fixed(fixed: Sequence[Mapping[str, Any]]) -> str:
 
 def conclusions(summary: Mapping[str, Any]) -> list[str]:
     """In words, with numbers, which of the paper's conclusions stand here."""
-    rest, found = summary["rest"], []
+    rest = summary["rest"]
     best = {n: e for n in EXPERIMENTS[:4] if n in rest and (e := _best_of(rest[n], FREE_MOTION))}
     evolved = {n: rest[n]["evolution-engine"] for n in EXPERIMENTS[:4] if n in rest and "evolution-engine" in rest[n]}
-    tests = {(t["better"], t["worse"]): t for t in (summary["tests"]["evolution-engine"] or {}).get("pairs", [])}
-    for better, worse in (("BPEA", "PEA"), ("PEA+BPEA", "BPEA")):
-        if better in best and worse in best:
-            stands = best[better]["best"] < best[worse]["best"]
-            text = f"{better} needs less than {worse}: {'stands' if stands else 'does not stand'} for the optima ({best[better]['best']:.2f} against {best[worse]['best']:.2f})"
-            if (better, worse) in tests:
-                t = tests[better, worse]
-                sure = "significant" if t["p_holm"] < 0.05 and t["delta"] < 0 else "not significant"
-                text += f"; over the evolutionary trials it is {sure} (p = {t['p_holm']:.2g} after Holm, Cliff's δ {t['delta']:+.2f}; the medians' ratio is {t['ratio']:.2f})"
-            found.append(text + ".")
+    return [
+        *_order_in_words(summary, best),
+        *_trajectory_in_words(summary, best),
+        *_durations_in_words(best, evolved),
+        *_roles_in_words(best, evolved),
+    ]
+
+
+def _order_in_words(summary: Mapping[str, Any], best: Mapping[str, Any]) -> Iterable[str]:
+    for better, worse in (("PEA", "SA"), ("BPEA", "PEA"), ("PEA+BPEA", "BPEA")):
+        if better not in best or worse not in best:
+            continue
+        a, b = best[better]["best"], best[worse]["best"]
+        text = f"{better} needs less than {worse}: {'stands' if a < b else 'does not stand'} for the gradient optima ({a:.2f} against {b:.2f})"
+        for way in ("evolution-engine", "evolution-analytic"):
+            tests = summary["tests"][way] or {"pairs": []}
+            for t in (t for t in tests["pairs"] if (t["better"], t["worse"]) == (better, worse)):
+                sure = "significant" if t["p_holm"] < 0.05 and t["delta"] > 0 else "not significant"
+                count = f"{tests['trials'][better]} and {tests['trials'][worse]}"
+                text += f"; over {count} trials of {WAYS[way]} {sure} (p = {t['p_holm']:.2g} after Holm, Cliff's δ {t['delta']:+.2f})"
+        yield text + "."
+
+
+def _trajectory_in_words(summary: Mapping[str, Any], best: Mapping[str, Any]) -> Iterable[str]:
     fixed = {(f["experiment"], f["duration_s"]): f["E1"] for f in summary["fixed"]}
-    if fixed and {"SA", "PEA", "BPEA", "PEA+BPEA"} <= set(best):
-        T = sorted({d for _, d in fixed})[len({d for _, d in fixed}) // 2]
-        gain = ", ".join(
-            f"{n} {100 * decrease(fixed[n, T], fixed['SA', T]):.0f} % against {100 * decrease(best[n]['best'], best['SA']['best']):.0f} %"
-            for n in ("PEA", "BPEA", "PEA+BPEA")
-        )
-        order = " < ".join(sorted(("PEA", "BPEA", "PEA+BPEA"), key=lambda n: fixed[n, T]))
-        found.append(
-            f"The trajectory decides how much springs save: on one straight motion of {T:g} s a phase they save {gain} with the motion "
-            f"optimised too. There the order is {order}; that PEA beats BPEA on a fixed motion depends on that motion."
-        )
-    spans = {n: e["durations"] for n, e in best.items() if n != "SA"}
-    if spans:
-        inside = sum(3.3 <= t <= 4.8 for d in spans.values() for t in d)
-        text = "; ".join(f"{n} {d[0]:.2f}, {d[1]:.2f}" for n, d in spans.items())
-        seen = sum(3.3 <= t <= 4.8 for n, e in evolved.items() if n != "SA" for t in e["durations"])
-        count = 2 * len([n for n in evolved if n != "SA"])
-        found.append(
-            f"Durations between 3.3 and 4.8 s: {inside} of {2 * len(spans)} of the optima's lie there ({text} s), {seen} of {count} of the best "
-            "evolutionary trials'."
-        )
-    if "PEA+BPEA" in best:
-        for label, entry in (("gradient optimum", best["PEA+BPEA"]), ("best evolutionary trial", evolved.get("PEA+BPEA"))):
-            if entry:
-                found.append(f"Roles in PEA+BPEA, {label}: {_roles(entry)}.")
-    return found
+    names = ("PEA", "BPEA", "PEA+BPEA")
+    if not fixed or not {"SA", *names} <= set(best):
+        return
+    times = sorted({T for _, T in fixed})
+    T = times[len(times) // 2]
+    pairs = [
+        (n, 100 * decrease(fixed[n, T], fixed["SA", T]), 100 * decrease(best[n]["best"], best["SA"]["best"])) for n in names
+    ]
+    gains = ", ".join(f"{n} {a:.0f} % against {b:.0f} %" for n, a, b in pairs)
+    order = " < ".join(sorted(names, key=lambda n: fixed[n, T]))
+    yield (
+        f"The trajectory decides how much springs save: on a straight motion of {T:g} s a phase, the springs alone optimised, they save "
+        f"{gains} with the motion optimised too. There the order is {order}."
+    )
 
 
-def _roles(entry: Mapping[str, Any]) -> str:
-    groups = {"BPEA": [], "PEA": []}
-    for label, phases in entry["roles"].items():
-        groups["BPEA" if label.startswith("biarticular") else "PEA"].append(phases)
-    words = []
-    for name, springs in groups.items():
-        go, back = (sum(s[p] for s in springs) for p in PHASES)
-        words.append(
-            f"{name} gives {go:.1f} Nm s while going and {back:.1f} Nm s while returning ({100 * go / max(go + back, 1e-12):.0f} % : {100 * back / max(go + back, 1e-12):.0f} %)"
-        )
-    return ", ".join(words)
+def _durations_in_words(best: Mapping[str, Any], evolved: Mapping[str, Any]) -> Iterable[str]:
+    for words, entries in (("gradient optima", best), ("best evolutionary trials", evolved)):
+        spans = {n: e["durations"] for n, e in entries.items() if n != "SA"}
+        if spans:
+            inside = sum(3.3 <= t <= 4.8 for d in spans.values() for t in d)
+            text = "; ".join(f"{n} {d[0]:.2f}, {d[1]:.2f}" for n, d in spans.items())
+            stands = "stands" if inside == 2 * len(spans) else "does not stand"
+            yield f"Durations between 3.3 and 4.8 s: {stands} for the {words}, {inside} of {2 * len(spans)} lie there ({text} s)."
+
+
+def _roles_in_words(best: Mapping[str, Any], evolved: Mapping[str, Any]) -> Iterable[str]:
+    for words, entries in (("gradient optimum", best), ("best evolutionary trial", evolved)):
+        if "PEA+BPEA" not in entries:
+            continue
+        parts, shares = [], {}
+        for name, start in (("BPEA", "biarticular"), ("PEA", "parallel")):
+            springs = [phases for label, phases in entries["PEA+BPEA"]["roles"].items() if label.startswith(start)]
+            go, back = (sum(s[p] for s in springs) for p in PHASES)
+            shares[name] = go / max(go + back, 1e-12)
+            parts.append(f"{name} gives {go:.1f} Nm s going and {back:.1f} Nm s returning")
+        stands = "stands" if shares["BPEA"] > 0.9 and shares["PEA"] < 0.75 else "does not stand"
+        yield f"BPEA carries the payload, PEA the arm: {stands} for the {words} of PEA+BPEA; {', '.join(parts)}."
 
 
 def transfer_tables(transfer: Mapping[str, Any]) -> str:

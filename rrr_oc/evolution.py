@@ -1,8 +1,9 @@
 """The paper's optimiser: CMA-ES on the paper's parametrisation, in the engine or in the analytic model; trials that can be killed.
 
-Population 64, initial standard deviation 0.15 on variables normalised by the region of initial means (`candidates.Encoding.region`), a
-random initial mean there, at most 1000 generations ("The evolution strategy" and "Elastic element and trajectory co-optimization"). The state of the strategy and of its random numbers is written every
-few generations, so that a trial that was killed ends with the numbers that it would have ended with.
+Population 64, initial standard deviation 0.15 on variables normalised by the region of initial means
+(`candidates.Encoding.region`), a random initial mean there, at most 1000 generations ("The evolution strategy", "Elastic element and
+trajectory co-optimization"). The state of the strategy and of its random numbers is written every few generations, so that a trial
+that was killed ends with the numbers that it would have ended with.
 """
 
 import pickle

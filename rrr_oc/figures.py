@@ -235,7 +235,10 @@ def draw_figure_5(summary: dict, motions: dict[str, dict]) -> Any:
         axis.set_ylabel("[Nm]")
     for axis in axes[-1]:
         axis.set_xlabel("time [s] (dotted: the payload is released)")
-    axes[min(3, len(names) - 1), 1].legend(fontsize=8, loc="upper right")
+    for axis in axes.ravel()[::-1]:  # where all kinds of springs are
+        if len(axis.get_legend_handles_labels()[1]) == max(len(a.get_legend_handles_labels()[1]) for a in axes.ravel()):
+            axis.legend(fontsize=8, loc="upper right")
+            break
     figure.tight_layout()
     return figure
 

@@ -68,9 +68,9 @@ class Size:
     generations: int = 1000
     population: int = 64
     steps: int = STEPS
-    again: int = 3
+    again: int = 1
     starts: int = 20
-    restricted: int = 20
+    restricted: int = 8
     races: int = 3
     durations: tuple[float, ...] = (2.0, 3.0, 4.0)
 

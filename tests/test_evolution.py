@@ -95,10 +95,10 @@ def test_a_cluster_of_two_workers_gives_the_same_numbers(tmp_path):
     stores = {where: tmp_path / where for where in ("local", "dask")}
     arguments = {where: [(store, labels, protocol, seed) for seed in range(3)] for where, store in stores.items()}
     here = parallel.ordered(run_evolution, arguments["local"], 2)
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        with parallel.workers(cluster.scheduler_address):
-            there = list(parallel.unordered(run_evolution, arguments["dask"]))
-            assert [numbers(f) for _, f in parallel.ordered(run_evolution, arguments["dask"])] == [numbers(f) for _, f in here]
+    local = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with local as cluster, parallel.workers(cluster.scheduler_address):
+        there = list(parallel.unordered(run_evolution, arguments["dask"]))
+        assert [numbers(f) for _, f in parallel.ordered(run_evolution, arguments["dask"])] == [numbers(f) for _, f in here]
     assert sorted(f["cost"] for _, f in there) == sorted(f["cost"] for _, f in here)
     assert len({f["cost"] for _, f in here}) == 3
 
