@@ -88,6 +88,9 @@ def main(
     protocol: Annotated[str, typer.Option(help="full (the paper's budget) or reduced (minutes)")] = "reduced",
     preset: Annotated[str, typer.Option(help="paper, prototype, or the path of a task file")] = "paper",
     experiments: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(EXPERIMENTS))] = ",".join(EXPERIMENTS),
+    ends: Annotated[
+        str, typer.Option(help="comma-separated: rest at the ends of a phase, or free, as in the authors' code")
+    ] = ",".join(ENDS),
     stages: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(STAGES))] = ",".join(STAGES),
     out: Annotated[Path, typer.Option(help="folder of the store and of the results")] = Path("results/gradient_vs_evolution"),
     workers: Annotated[
@@ -97,6 +100,7 @@ def main(
 ) -> None:
     """Run what is missing in the store, then write report.md, summary.json and figures."""
     names, wanted = _listed("experiments", experiments, EXPERIMENTS), _listed("stages", stages, STAGES)
+    here = _listed("ends", ends, ENDS)
     if protocol not in SIZES:
         raise UserError(f"--protocol is {protocol!r}; allowed are {', '.join(SIZES)}")
     if jobs == 0:
@@ -110,7 +114,8 @@ def main(
     with parallel.workers(workers):
         for stage in wanted:
             if stage in JOBS:
-                _run(stage, list(JOBS[stage](store, preset, names, size)), jobs)
+                listed = [job for job in JOBS[stage](store, preset, names, size) if job[1][1]["ends"] in here]
+                _run(stage, listed, jobs)
     if "transfer" in wanted:
         from transfer_to_plant import transfer  # which needs the validation's plant, beside this package
 

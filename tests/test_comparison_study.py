@@ -36,7 +36,16 @@ def run(study: ModuleType, monkeypatch, *arguments: str) -> int:
 
 def test_a_small_study_leaves_tables_and_figures_and_is_not_run_twice(study, monkeypatch, tmp_path):
     monkeypatch.setitem(study.SIZES, "reduced", study.Size(2, 3, 6, 60, 1, 2, 1, 1, (3.0,)))
-    arguments = ["--experiments", "PEA", "--stages", "engine,restricted,again,race,tables", "--jobs", "1", "--out", str(tmp_path)]
+    arguments = [
+        "--experiments",
+        "PEA",
+        "--stages",
+        "engine,restricted,again,race,tables",
+        "--jobs",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
     assert run(study, monkeypatch, *arguments) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
     entry = summary["rest"]["PEA"]
@@ -59,7 +68,15 @@ def store_of(folder: Path) -> Path:
     for name, low in (("SA", 100.0), ("PEA", 10.0)):
         x = [0.5] * (22 if name == "SA" else 26)
         for seed in range(3):
-            labels = {"preset": "paper", "experiment": name, "ends": "rest", "way": "evolution", "model": "engine", "via": 5, "seed": seed}
+            labels = {
+                "preset": "paper",
+                "experiment": name,
+                "ends": "rest",
+                "way": "evolution",
+                "model": "engine",
+                "via": 5,
+                "seed": seed,
+            }
             found = {
                 "x": x,
                 "cost": low + seed,
@@ -75,7 +92,12 @@ def store_of(folder: Path) -> Path:
                 "core_s": 8.0,
             }
             curve = low + seed + np.array([90.0, 9.0, 0.0, 0.0])
-            arrays = {"best": curve, "core_s": np.array([1.0, 2.0, 4.0, 8.0]), "median": curve, "evaluations": 10.0 * np.arange(1, 5)}
+            arrays = {
+                "best": curve,
+                "core_s": np.array([1.0, 2.0, 4.0, 8.0]),
+                "median": curve,
+                "evaluations": 10.0 * np.arange(1, 5),
+            }
             Run(folder / name / "rest" / "evolution-engine" / str(seed), labels).finish(found, arrays)
     return folder
 
