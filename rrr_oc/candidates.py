@@ -114,7 +114,8 @@ class Encoding:
         count = len(PHASES) * len(task.moving) * self.via
         low[-count:] = np.maximum(low[-count:], np.tile(np.repeat(ends.min(axis=0) - widened, self.via), len(PHASES)))
         high[-count:] = np.minimum(high[-count:], np.tile(np.repeat(ends.max(axis=0) + widened, self.via), len(PHASES)))
-        return tuple(((b - lower) / np.where(upper > lower, upper - lower, 1.0))[self.free] for b in (low, high))
+        extent = np.where(upper > lower, upper - lower, 1.0)
+        return ((low - lower) / extent)[self.free], ((high - lower) / extent)[self.free]
 
     @property
     def size(self) -> int:

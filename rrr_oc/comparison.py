@@ -369,7 +369,7 @@ def _order_in_words(summary: Mapping[str, Any], best: Mapping[str, Any]) -> Iter
         a, b = best[better]["best"], best[worse]["best"]
         text = f"{better} needs less than {worse}: {'stands' if a < b else 'does not stand'} for the gradient optima ({a:.2f} against {b:.2f})"
         for way in ("evolution-engine", "evolution-analytic"):
-            tests = summary["tests"][way] or {"pairs": []}
+            tests: Mapping[str, Any] = summary["tests"][way] or {"pairs": []}
             for t in (t for t in tests["pairs"] if (t["better"], t["worse"]) == (better, worse)):
                 sure = "significant" if t["p_holm"] < 0.05 and t["delta"] > 0 else "not significant"
                 count = f"{tests['trials'][better]} and {tests['trials'][worse]}"

@@ -192,8 +192,8 @@ def candidate_motion(encoding: Encoding, x: np.ndarray) -> Motion:
     starts = np.cumsum(np.r_[0, candidate.durations[:-1, 0]])
     t = starts[:, None] + h[:, None] * (np.arange(encoding.via + 1)[:, None] + s).ravel()
     phase = np.repeat(np.arange(len(PHASES)), t.shape[1])
-    columns = [values.reshape(m, -1) for values in (q, dq, ddq, load, spring)]
-    return Motion(t.ravel(), *columns, phase, np.array(design.task.payloads)[phase])
+    q, dq, ddq, load, spring = (values.reshape(m, -1) for values in (q, dq, ddq, load, spring))
+    return Motion(t.ravel(), q, dq, ddq, load, spring, phase, np.array(design.task.payloads)[phase])
 
 
 def spring_torques(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -42,7 +43,8 @@ def best_springs(design: CoDesign, phases: Sequence[PhaseGuess], starts: int = 8
         cost += h[i] * ca.sumsqr(tau)
     rows = ca.MX(0, 1) if problem.design is None else problem.design(theta, ca.DM(problem.data))
     nlp = {"x": theta, "p": width, "f": cost / problem.cost_scale, "g": rows}
-    solver = ca.nlpsol("springs", "ipopt", nlp, {"ipopt": Options(iterations=200).ipopt(), "print_time": False, "expand": True})
+    options: dict[str, Any] = {"ipopt": Options(iterations=200).ipopt(), "print_time": False, "expand": True}
+    solver = ca.nlpsol("springs", "ipopt", nlp, options)
     lower, upper = drawn_bounds(design.springs)
     found = []
     for x in sobol_points(len(lower), starts, seed):

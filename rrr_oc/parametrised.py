@@ -7,7 +7,8 @@ springs and penalties, as evolution sees it.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -79,10 +80,7 @@ class RestrictedDesign:
         options = options or Options(tolerance=1e-7, iterations=300)
         self._f = ca.Function("f", [scaled, widths, margin], [f])
         nlp = {"x": scaled, "f": f, "g": g, "p": ca.vertcat(widths, ca.vec(margin))}
-        self._solvers = [
-            ca.nlpsol("restricted", "ipopt", nlp, {"ipopt": _named(options, barrier), "print_time": False, "expand": True})
-            for barrier in (None, 1e-4)
-        ]
+        self._solvers = [_solver(nlp, options, barrier) for barrier in (None, 1e-4)]
 
     def start(self, guess: Guess) -> np.ndarray:
         """Variables (all of them, in their units) of a motion's springs, durations and angles at the points' times."""
@@ -187,6 +185,10 @@ def proposals(encoding: Encoding, count: int, seed: int) -> list[Guess]:
     return [motion_guess(design, *decode(design, x, via)) for x in sobol_points(dimensions(design, via), count, seed)]
 
 
-def _named(options: Options, barrier: float | None) -> dict[str, object]:
-    named = Options(options.tolerance, options.iterations, None, options.linear_solver, options.seconds).ipopt()
-    return named if barrier is None else named | {"mu_strategy": "monotone", "mu_init": barrier}
+def _solver(nlp: dict[str, Any], options: Options, barrier: float | None) -> ca.Function:
+    """IPOPT for a program; with a barrier, begun from it as near an optimum."""
+    ipopt = replace(options, barrier=None).ipopt()
+    if barrier is not None:
+        ipopt |= {"mu_strategy": "monotone", "mu_init": barrier}
+    every: dict[str, Any] = {"ipopt": ipopt, "print_time": False, "expand": True}
+    return ca.nlpsol("restricted", "ipopt", nlp, every)

@@ -1,7 +1,7 @@
 """Which of several ways does better, from the results of independent trials: rank-sum tests, effect sizes, confidence of a ranking."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -50,9 +50,8 @@ def compare(costs: Mapping[str, Sequence[float]], pairs: Sequence[tuple[str, str
         printed = float(mannwhitneyu(a, b, alternative="less", method="asymptotic", use_continuity=True).pvalue)
         superiority = float((np.sum(a[:, None] < b) + 0.5 * np.sum(a[:, None] == b)) / (a.size * b.size))
         ratio = float(np.median(a) / np.median(b))
-        found.append([better, worse, two_sided, printed, superiority, 2 * superiority - 1, ratio])
-    corrected = holm([row[2] for row in found])
-    return [Comparison(*row[:4], p, *row[4:]) for row, p in zip(found, corrected, strict=True)]
+        found.append(Comparison(better, worse, two_sided, printed, np.nan, superiority, 2 * superiority - 1, ratio))
+    return [replace(c, p_holm=p) for c, p in zip(found, holm([c.p for c in found]), strict=True)]
 
 
 def holm(p: Sequence[float]) -> list[float]:
