@@ -121,7 +121,11 @@ def main(
 
         write_json(out / "transfer.json", transfer(out, preset, names, jobs))
     if "tables" in wanted:
-        summary = summarise(store, preset) | {"protocol": protocol, "wall_s": time.perf_counter() - began}
+        summary = summarise(store, preset) | {
+            "protocol": protocol,
+            "command": f"python studies/gradient_vs_evolution.py --protocol {protocol} --preset {preset}",
+            "wall_s": time.perf_counter() - began,
+        }
         if (out / "transfer.json").is_file():
             summary["transfer"] = json.loads((out / "transfer.json").read_text())
         write_json(out / "summary.json", summary)
