@@ -1,7 +1,7 @@
 """The co-design problem: motion, durations and springs of a task together, as an optimal-control problem."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -66,6 +66,27 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     return springs
 
 
+def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the numbers that a search draws for springs: k_b, q_0, r_1, r_2, r_3 of a biarticular one whose hardware is free,
+    else the effect's own parameters."""
+    lower = [[lo for lo, _ in (s.hardware[h] for h in HARDWARE)] if s.hardware else s.lower for s in springs]
+    upper = [[hi for _, hi in (s.hardware[h] for h in HARDWARE)] if s.hardware else s.upper for s in springs]
+    return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
+
+
+def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray:
+    """Parameters (p, ...) of a design from such numbers (drawn, ...), one after the other."""
+    rows, at = [np.zeros((0, *np.shape(drawn)[1:]))], 0
+    for spring in springs:
+        size = len(HARDWARE) if spring.hardware else len(spring.lower)
+        numbers = np.asarray(drawn[at : at + size], float)
+        values = np.array(reduced(*numbers)) if spring.hardware else numbers
+        bounds = (b.reshape(-1, *[1] * (values.ndim - 1)) for b in (spring.lower, spring.upper))
+        rows.append(np.clip(values, *bounds))
+        at += size
+    return np.concatenate(rows)
+
+
 def _spring(task: Task, entry: Mapping) -> SpringBounds:
     where = f"task {task.name!r}: {entry['effect']}"
     needed = "joint" if entry["effect"] == "parallel_spring" else "joints"
@@ -114,7 +135,7 @@ class CoDesign:
 
     Attributes:
         task: The task.
-        springs: With their bounds; `fixed` narrows them. Those that are known stand last.
+        springs: With their bounds; `with_fixed` narrows them. Those that are known stand last; `with_physics` adds them.
         cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11.
         actuators: Of the moving joints; needed for "motor" and "energy".
         at_rest: Whether the arm is at rest at both ends of each phase.
@@ -282,10 +303,17 @@ class CoDesign:
                 found |= {**spring.fixed, "q_0": named["phi"] * spring.fixed["r_2"] / spring.fixed["r_1"]}
             elif spring.hardware:
                 found |= pick_hardware(named["kappa"], named["rho"], named["phi"], spring.hardware)
-            else:
+            elif isinstance(spring.effect, ParallelSpring):
                 number = spring.effect.joints[0] + 1
                 found |= {f"k_p{number}": named["stiffness"], f"q_eq{number}": named["equilibrium"]}
         return found
+
+    def with_physics(self, effects: Sequence[tuple[Effect, np.ndarray]]) -> "CoDesign":
+        """The same problem on an arm that has further effects of known parameters, which come after the springs'."""
+        given = [
+            SpringBounds(effect, np.asarray(theta, float), np.asarray(theta, float), known=True) for effect, theta in effects
+        ]
+        return replace(self, springs=(*self.springs, *given))
 
     def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "CoDesign":
         """The same problem with springs fixed to hardware, except the names in `keep_free`.
@@ -305,6 +333,9 @@ class CoDesign:
                 free = [b * ratio for b in spring.hardware["q_0"]] if "q_0" in keep_free else [phi, phi]
                 bounds = np.array([kappa, rho, free[0]]), np.array([kappa, rho, free[1]])
                 springs.append(SpringBounds(spring.effect, *bounds, fixed=fixed))
+                continue
+            if not isinstance(spring.effect, ParallelSpring):
+                springs.append(spring)
                 continue
             number = spring.effect.joints[0] + 1
             for i, name in enumerate((f"k_p{number}", f"q_eq{number}")):

@@ -1,11 +1,15 @@
-"""Many independent calls at once, on all cores."""
+"""Many independent calls at once, on all cores of this machine or on a Dask cluster."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, cast
 
 import joblib
 
 from rrr_oc.errors import UserError
+
+LOCAL = "local"
+PATIENCE = 30.0  # [s] for a scheduler to answer
 
 
 def check_jobs(jobs: int) -> None:
@@ -24,3 +28,27 @@ def ordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = 
     """The same, in the order of the arguments."""
     pool = joblib.Parallel(n_jobs=jobs, batch_size=cast(Any, 1))
     return cast(list[Any], pool(joblib.delayed(function)(*a) for a in arguments))
+
+
+@contextmanager
+def workers(where: str = LOCAL) -> Iterator[None]:
+    """Within this context the calls above run on processes of this machine ("local"), or on the Dask cluster whose scheduler has the
+    address `where`, as in tcp://host:8786; its workers need this package, and the files that are written, at the same paths.
+
+    Raises `UserError` where Dask is not installed or no scheduler answers.
+    """
+    if where == LOCAL:
+        yield
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise UserError("a Dask cluster needs the package distributed: pip install 'rrr_oc[cluster]'") from None
+    try:
+        client = Client(where, timeout=PATIENCE)
+    except (OSError, ValueError) as error:
+        raise UserError(
+            f"no Dask scheduler answers at {where!r} ({error}); give 'local' or an address as tcp://host:8786"
+        ) from None
+    with client, joblib.parallel_config(backend="dask"):
+        yield

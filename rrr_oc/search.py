@@ -8,9 +8,9 @@ import cma
 import numpy as np
 from scipy.stats import qmc
 
-from rrr_oc.codesign import HARDWARE, CoDesign, motion_guess
+from rrr_oc.codesign import CoDesign, drawn_bounds, from_drawn, motion_guess
 from rrr_oc.collocation import Transcription, scheme, uniform_mesh
-from rrr_oc.effects.biarticular_spring import reduced
+from rrr_oc.errors import UserError
 from rrr_oc.optimality import Kkt
 from rrr_oc.parallel import ordered, unordered
 from rrr_oc.problem import Guess
@@ -21,10 +21,11 @@ LAYERS = ("sobol", "cma-es")
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How an optimum is searched for.
+    """How an optimum is searched for. Raises `UserError` for layers that there are not.
 
     Attributes:
-        starts: Proposals that IPOPT polishes, half of them from each layer.
+        starts: Proposals that IPOPT polishes, as many from each layer.
+        layers: Who proposes, of `LAYERS`.
         seed: Of both layers.
         jobs: Processes.
         scheme, stages: Collocation scheme.
@@ -42,6 +43,7 @@ class SearchOptions:
     """
 
     starts: int = 20
+    layers: tuple[str, ...] = LAYERS
     seed: int = 0
     jobs: int = -1
     scheme: str = "lobatto"
@@ -57,6 +59,10 @@ class SearchOptions:
     population: int = 8
     sigma: float = 0.3
     refinement: Refinement = field(default_factory=Refinement)
+
+    def __post_init__(self) -> None:
+        if self.layers not in (LAYERS, *((layer,) for layer in LAYERS)):
+            raise UserError(f"a search's layers are {LAYERS}, or one of them, got {self.layers}")
 
 
 @dataclass(frozen=True)
@@ -157,8 +163,7 @@ class Polisher:
 
 def dimensions(design: CoDesign, via: int) -> int:
     """Length of the vectors that `decode` takes."""
-    springs = sum(len(HARDWARE) if s.hardware else len(s.lower) for s in design.springs)
-    return springs + 2 + 2 * len(design.task.moving) * via
+    return len(drawn_bounds(design.springs)[0]) + 2 + 2 * len(design.task.moving) * via
 
 
 def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -167,13 +172,8 @@ def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, 
     Biarticular springs are drawn as hardware, uniform within its bounds, and then reduced; a fixed parameter stays fixed.
     """
     numbers, task, m = iter(np.clip(vector, 0, 1)), design.task, len(design.task.moving)
-    parameters = []
-    for spring in design.springs:
-        if spring.hardware:
-            drawn = {h: lo + (hi - lo) * next(numbers) for h, (lo, hi) in spring.hardware.items()}
-            parameters += np.clip(reduced(*[drawn[h] for h in HARDWARE]), spring.lower, spring.upper).tolist()
-        else:
-            parameters += [lo + (hi - lo) * next(numbers) for lo, hi in zip(spring.lower, spring.upper, strict=True)]
+    drawn = [lo + (hi - lo) * next(numbers) for lo, hi in zip(*drawn_bounds(design.springs), strict=True)]
+    parameters = from_drawn(design.springs, np.array(drawn))
     low, high = task.duration
     durations = np.array([low + (high - low) * next(numbers) for _ in range(2)])
     ends = np.array([task.start, task.release])
@@ -181,7 +181,7 @@ def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, 
     lower = np.maximum(task.lower, ends.min(axis=0) - margin)[:, None]
     upper = np.minimum(task.upper, ends.max(axis=0) + margin)[:, None]
     points = np.array([next(numbers) for _ in range(2 * m * via)]).reshape(2, m, via)
-    return np.array(parameters), durations, lower + (upper - lower) * points
+    return parameters, durations, lower + (upper - lower) * points
 
 
 def search(
@@ -214,13 +214,13 @@ def search(
 
 
 def _proposals(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
-    key, size, half = uuid.uuid4().hex, dimensions(design, options.via), (options.starts + 1) // 2
+    key, size = uuid.uuid4().hex, dimensions(design, options.via)
+    half = (options.starts + 1) // 2 if options.layers == LAYERS else options.starts if LAYERS[0] in options.layers else 0
 
     def polish(layer: str, vectors: Iterable[np.ndarray]) -> Iterator[tuple[int, Start]]:
         return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)], options.jobs)
 
-    sobol = qmc.Sobol(size, rng=options.seed).random(2 ** int(np.ceil(np.log2(max(half, 1)))))[:half]
-    for _, start in polish("sobol", sobol):
+    for _, start in polish("sobol", sobol_points(size, half, options.seed)):
         yield start
     left = options.starts - half
     while left > 0:
@@ -234,6 +234,31 @@ def _proposals(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
             left -= len(vectors)
             worst = costs[np.isfinite(costs)].max(initial=1e6)
             strategy.tell(vectors, np.where(np.isfinite(costs), costs, 2 * worst).tolist())
+
+
+def sobol_points(size: int, count: int, seed: int) -> np.ndarray:
+    """Points in [0, 1] (count, size) that fill it evenly."""
+    return qmc.Sobol(size, rng=seed).random(2 ** int(np.ceil(np.log2(max(count, 1)))))[:count]
+
+
+def reach(design: CoDesign, options: SearchOptions, target: float) -> tuple[int, Solution | None]:
+    """Sobol starts one after the other, each polished and followed to the fine mesh and the smallest smoothing width, until one costs
+    no more than `target`.
+
+    Returns:
+        How many starts that took, and the solution; None where `options.starts` did not do.
+    """
+    polish, count = Polisher(design, options), 0
+    for vector in sobol_points(dimensions(design, options.via), options.starts, options.seed):
+        count += 1
+        start = polish(LAYERS[0], vector)
+        if not start.w.size or start.polished > 2 * target:  # the coarse mesh and the wide springs are off by far less
+            continue
+        coarse = Solution(polish.solver.transcription, start.w, np.empty(0), np.empty(0), start.polished, start.message, 0, 0.0)
+        packed = _follow(design, options, coarse.guess())
+        if packed is not None and packed.numbers[0] <= target:
+            return count, _unpack(design, options, packed)
+    return count, None
 
 
 def _strategy(size: int, options: SearchOptions, left: int) -> cma.CMAEvolutionStrategy:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rrr_oc.actuator import Actuators
 from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.codesign import CoDesign, SpringBounds
+from rrr_oc.codesign import CoDesign
 from rrr_oc.effects import Effect
 from rrr_oc.errors import UserError
 from rrr_oc.metrics import measure
@@ -56,13 +56,13 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
             continue
         there = [term.recordings == "all" or group in term.groups for group in groups]
         if all(there) or (effect.name == "payload_com" and there[0]):  # without a payload its point means nothing
-            known.append(SpringBounds(effect, term.values, term.values, known=True))
+            known.append((effect, term.values))
         elif effect.name == "payload_mass" and there[0]:
             payload += float(term.values[0])
         elif any(there):
             raise UserError(f"{effect.name} holds for {' and '.join(term.groups)}, but not in every phase of the task")
     there = replace(task, robot=replace(task.robot, inertial=calibrated.robot.inertial), tool=calibrated.tool, payload=payload)
-    return replace(design, task=there, springs=(*design.springs, *known))
+    return replace(design, task=there).with_physics(known)
 
 
 def describe_transfer(
@@ -78,14 +78,9 @@ def describe_transfer(
         each as `describe` gives it; "motor": the same of the motor torque itself; "tracking_error_rad"; "saturated": whether a
         controller ran into its limit.
     """
-    task, model, theta = design.task, *_parts(design, calibrated, theta)
-    widths = np.array([e.width.nominal for e in _springs(design) if e.width] + _drive_widths(calibrated))
-    references = []
-    for i, k in enumerate(motion.phases()):
-        q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
-        t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
-        motor, _ = model.motor_inverse(q, dq, ddq, t[None], payload, theta, widths, model.robot.inertial)
-        references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
+    task, references = design.task, reference_phases(design, motion, theta, calibrated)
+    model, theta = _parts(design, calibrated, theta)
+    widths = _widths(design, calibrated)
     tracked = track(model, references, theta, settings=Settings(effects="native"), widths=widths)
     rows = [task.robot.index(joint) for joint in drives.joints]
     by_eq10 = [np.array(drives.load_from_motor(p.dq[rows], p.ddq[rows], p.tau_motor[rows])[0]) for p in tracked.phases]
@@ -96,6 +91,18 @@ def describe_transfer(
         "tracking_error_rad": float(max(np.abs(p.error).max() for p in tracked.phases)),
         "saturated": bool(np.any(tracked.saturated)),
     }
+
+
+def reference_phases(design: CoDesign, motion: Motion, theta: np.ndarray, calibrated: CalibratedModel) -> list[ReferencePhase]:
+    """The phases of an optimum as references for controllers; `tau_load` holds the motor torque that the calibrated model expects."""
+    task, model, theta = design.task, *_parts(design, calibrated, theta)
+    widths, references = _widths(design, calibrated), []
+    for i, k in enumerate(motion.phases()):
+        q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
+        t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
+        motor, _ = model.motor_inverse(q, dq, ddq, t[None], payload, theta, widths, model.robot.inertial)
+        references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
+    return references
 
 
 def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:
@@ -135,5 +142,6 @@ def _springs(design: CoDesign) -> list[Effect]:
     return [s.effect for s in design.springs if not s.known]
 
 
-def _drive_widths(calibrated: CalibratedModel) -> list[float]:
-    return [term.width for term in calibrated.terms if term.width is not None]
+def _widths(design: CoDesign, calibrated: CalibratedModel) -> np.ndarray:
+    own = [e.width.nominal for e in _springs(design) if e.width is not None]
+    return np.array(own + [term.width for term in calibrated.terms if term.width is not None])

@@ -13,9 +13,9 @@ PACKAGE = ROOT / "rrr_oc"
 # none imports from another. Names are below `rrr_oc`; to the folders `effects.*` and `importers.*` files may be added freely.
 LADDER = (
     ("trunk", ("errors",)),
-    ("trunk", ("smooth", "parallel", "savitzky_golay", "_rigid_body")),
-    ("trunk", ("files", "parameters", "csv_table", "metrics", "nrmse", "c_library")),
-    ("trunk", ("robot", "effects.effect")),
+    ("trunk", ("smooth", "savitzky_golay", "akima", "_rigid_body")),
+    ("trunk", ("files", "parallel", "parameters", "csv_table", "metrics", "nrmse", "c_library", "ranking")),
+    ("trunk", ("robot", "runs", "effects.effect")),
     ("trunk", ("rigid_body", "effects.*")),
     ("trunk", ("effects", "inertial")),
     ("trunk", ("model",)),
@@ -23,8 +23,8 @@ LADDER = (
     ("control", ("collocation",)),
     ("control", ("solve",)),
     ("control", ("optimality", "codesign")),
-    ("control", ("search",)),
-    ("control", ("catalogue", "certificate")),
+    ("control", ("search", "candidates")),
+    ("control", ("catalogue", "certificate", "parametrised", "fixed_motion")),
     ("recordings", ("recording_header", "plausibility")),
     ("recordings", ("recordings",)),
     ("recordings", ("importers.*", "calibrated")),
@@ -37,10 +37,10 @@ LADDER = (
     ("simulation", ("native",)),
     ("simulation", ("twin",)),
     ("simulation", ("simulate",)),
-    ("results", ("outcome", "replay", "figures")),
-    ("results", ("report", "evaluate", "calibrate_simulated", "transfer")),
-    ("results", ("before_after",)),
-    ("results", ("diagnosis_report",)),
+    ("results", ("outcome", "replay", "rollouts", "figures")),
+    ("results", ("report", "evaluate", "calibrate_simulated", "transfer", "evolution")),
+    ("results", ("before_after", "experiments")),
+    ("results", ("diagnosis_report", "comparison")),
     ("results", ("cli",)),
 )
 BRANCHES = {"control", "recordings", "simulation"}

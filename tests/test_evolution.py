@@ -1,0 +1,137 @@
+"""Evolutionary trials: what they find, that a kill changes nothing, and that a cluster gives the same numbers."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rrr_oc import parallel
+from rrr_oc.candidates import Analytic, Encoding
+from rrr_oc.errors import UserError
+from rrr_oc.evolution import Protocol, evolve
+from rrr_oc.experiments import experiment, run_evolution
+from rrr_oc.task import load_task
+
+TASK = load_task("paper")
+SMALL = Protocol("analytic", generations=150, population=12, every=3)
+TIMES = ("core_s", "wall_s")
+LABELS = {"preset": "paper", "experiment": "BPEA", "ends": "rest", "way": "evolution", "model": "analytic"}
+TRIAL = """
+import sys
+from pathlib import Path
+from rrr_oc.evolution import Protocol
+from rrr_oc.experiments import run_evolution
+labels = {labels!r}
+run_evolution(Path(sys.argv[1]), labels, {protocol!r}, 3)
+"""
+
+
+def numbers(found: dict) -> dict:
+    """Everything but times, which differ from run to run."""
+    return {k: v for k, v in found.items() if k not in TIMES}
+
+
+def folder(store: Path, model: str = "analytic") -> Path:
+    return store / "BPEA" / "rest" / f"evolution-{model}" / "3"
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory) -> tuple[dict, dict]:
+    store = tmp_path_factory.mktemp("whole")
+    found = run_evolution(store, LABELS, SMALL, 3)[1]
+    with np.load(folder(store) / "arrays.npz") as arrays:
+        return found, dict(arrays)
+
+
+def test_a_trial_gets_better_and_says_what_it_found(uninterrupted):
+    found, history = uninterrupted
+    assert found["evaluations"] == 150 * 12
+    assert history["best"][-1] == found["cost"] < 0.5 * history["best"][0]
+    assert np.all(np.diff(history["best"]) <= 0)
+    assert np.all(np.diff(history["core_s"]) > 0)
+    known = Encoding(experiment(TASK, "BPEA"))
+    assert Analytic(known)(np.array([found["x"]])).cost[0] == pytest.approx(found["cost"], rel=1e-12)
+    assert found["engine"] == pytest.approx(found["analytic"], rel=2e-3)  # 960 steps a phase
+    assert set(found["hardware"]) == {"k_b", "q_0", "r_1", "r_2", "r_3"}
+
+
+def test_killed_at_random_moments_it_ends_the_same(uninterrupted, tmp_path):
+    """kill -9, three times at least, some of them while a checkpoint is written; each time the trial goes on from its last one."""
+    rng, code = np.random.default_rng(), TRIAL.format(labels=LABELS, protocol=SMALL)
+    killed, saved = 0, folder(tmp_path) / "checkpoint.npz"
+    for _ in range(12):
+        before = saved.stat().st_mtime_ns if saved.exists() else 0
+        process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)])
+        while killed < 3 and process.poll() is None and (not saved.exists() or saved.stat().st_mtime_ns == before):
+            time.sleep(0.002)
+        if killed < 3:
+            time.sleep(rng.uniform(0, 0.15))
+            process.send_signal(signal.SIGKILL)
+        if process.wait(timeout=120) == 0:
+            break
+        assert process.returncode == -signal.SIGKILL
+        killed += 1
+    assert killed >= 1, "every process ended before it could be killed"
+    found = json.loads((folder(tmp_path) / "run.json").read_text())["found"]
+    assert numbers(found) == numbers(uninterrupted[0])
+    with np.load(folder(tmp_path) / "arrays.npz") as arrays:
+        for key in ("evaluations", "best", "median"):
+            np.testing.assert_array_equal(arrays[key], uninterrupted[1][key])
+        assert np.all(np.diff(arrays["core_s"]) > 0)  # adds up over the parts
+    assert not saved.exists()
+
+
+def test_a_cluster_of_two_workers_gives_the_same_numbers(tmp_path):
+    """The local backend and joblib's Dask backend, the same three trials in the engine."""
+    distributed = pytest.importorskip("distributed")
+    protocol = replace(SMALL, model="engine", generations=4, every=2, steps=120)
+    labels = LABELS | {"model": "engine"}
+    stores = {where: tmp_path / where for where in ("local", "dask")}
+    arguments = {where: [(store, labels, protocol, seed) for seed in range(3)] for where, store in stores.items()}
+    here = parallel.ordered(run_evolution, arguments["local"], 2)
+    local = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    with local as cluster, parallel.workers(cluster.scheduler_address):
+        there = list(parallel.unordered(run_evolution, arguments["dask"]))
+        assert [numbers(f) for _, f in parallel.ordered(run_evolution, arguments["dask"])] == [numbers(f) for _, f in here]
+    assert sorted(f["cost"] for _, f in there) == sorted(f["cost"] for _, f in here)
+    assert len({f["cost"] for _, f in here}) == 3
+
+
+def test_what_was_found_is_taken_from_the_store_only_for_the_same_question(uninterrupted, tmp_path):
+    design, small = experiment(TASK, "PEA"), replace(SMALL, generations=3)
+    first = evolve(design, small, 0, tmp_path / "0", {"a": 1})
+    assert evolve(design, small, 0, tmp_path / "0", {"a": 1}) == first  # times included: nothing was run
+    other = evolve(design, replace(small, generations=4), 0, tmp_path / "0", {"a": 1})
+    assert other["evaluations"] == 48
+    (tmp_path / "0" / "run.json").write_text("{")
+    with pytest.raises(UserError, match="delete its folder"):
+        evolve(design, small, 0, tmp_path / "0", {"a": 1})
+
+
+def test_evolution_from_a_design_never_ends_above_it(tmp_path):
+    known = Encoding(experiment(TASK, "PEA"))
+    low, high = known.region
+    start = (low + high) / 2
+    found = evolve(known.design, replace(SMALL, generations=2, sigma=1e-4), 0, tmp_path / "0", {}, start)
+    assert found["cost"] <= Analytic(known)(start[None]).cost[0]
+    with pytest.raises(UserError, match="has shape"):
+        evolve(known.design, SMALL, 0, tmp_path / "1", {}, start[1:])
+
+
+@pytest.mark.parametrize("wrong", [{"model": "dream"}, {"generations": 0}, {"population": 2}, {"sigma": 0.0}, {"every": 0}])
+def test_unusable_protocols_are_refused(wrong):
+    with pytest.raises(UserError, match="evolution"):
+        replace(SMALL, **wrong)
+
+
+def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(parallel, "PATIENCE", 0.5)
+    with pytest.raises(UserError, match="no Dask scheduler answers"), parallel.workers("tcp://127.0.0.1:9"):
+        pass
