@@ -128,7 +128,7 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
             whole[:, :, at] = np.moveaxis(part.reshape(n, len(at), width), 1, 2)
     friction = np.zeros_like(load)
     through = np.ones_like(load)
-    plain = Signals(r.q, r.dq, r.ddq)
+    plain = Signals(r.q, r.dq, r.ddq, time=r.t - r.t[0], payload=r.payload)
     for effect, theta, width in named:
         if effect.plain and effect.name != "armature":
             friction[effect.joints[0]] += np.array(effect.torque(plain, theta, width)[0]).reshape(-1)

@@ -1,15 +1,22 @@
 """Diagnosis of recordings that an independent plant made, with an effect concealed in them or with none."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from rrr_oc.calibrated import load_model
+from rrr_oc.calibrate import plain_model
+from rrr_oc.calibrated import Estimate, Term, load_model
 from rrr_oc.cli import app
+from rrr_oc.effects import Trial
+from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evaluate import evaluate_inverse
+from rrr_oc.evidence import Bench, Evidence
 from rrr_oc.recordings import load_recordings
+from rrr_oc.regression import prepare
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case
@@ -87,3 +94,29 @@ def test_stays_silent_where_nothing_is_missing(made, tmp_path, robot):
     assert found["effects"] == []
     assert found["unexplained"] == []
     assert not any(m["significant"] for m in found["mismatch"])
+
+
+@pytest.mark.parametrize(
+    ("variables", "orders", "edges"),
+    [
+        ((("motor", 0), ("time", -1)), (1, 1), ()),
+        ((("motor", 1), ("dq", 0)), (1, 2), ()),
+        ((("motor", 1),), (), ((1, 0.8, 3), (-1, 0.2, 1))),
+        ((("ddq", 0),), (3,), ()),
+    ],
+)
+def test_signature_of_an_unexplained_torque_is_its_exact_derivative(made, variables, orders, edges):
+    case, _ = made("clean/arm2", "arm2")
+    recordings = load_recordings(case / "data")
+    prepared = prepare(recordings)[:1]
+    low, high = (-0.5,) * len(variables), (0.5, 15.0)[: len(variables)]
+    effect = Empirical((1,), variables, low, high, orders, edges=edges)
+    start = plain_model(recordings)
+    term = Term(effect, tuple(Estimate(0.1) for _ in effect.parameters), 0.05)
+    model = replace(start, terms=(*start.terms, term))
+    zero = dict.fromkeys(effect.amplitudes, 0.0)
+    trial = Trial(effect, tuple(zero | {name: 1.0} for name in effect.amplitudes), width=0.05)
+    evidence = Evidence.gather(Bench(prepared, False), model, [trial])
+    exact = evidence.rows.jacobian[:, :, len(start.terms) :]
+    assert np.abs(exact).max() > 5e-3
+    np.testing.assert_allclose(evidence.signature(0, None), exact, atol=1e-6)
