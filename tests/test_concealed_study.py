@@ -38,7 +38,7 @@ def test_blind_then_opened(cases, tmp_path, monkeypatch):
     with pytest.raises(UserError, match="no cases of the kind 'pair'"):
         study.chosen(cases, "pair", None)
     shutil.move(cases / "sealed", tmp_path / "away")  # nothing of the truth is there while the diagnosis runs
-    study.run_blind(folders, tmp_path / "out" / "cases", 1)
+    study.run_all("diagnosing", study.diagnose_case, {f.name: (f,) for f in folders}, tmp_path / "out" / "cases", 1)
     shutil.move(tmp_path / "away", cases / "sealed")
     monkeypatch.setattr(study, "diagnose", lambda *_, **__: pytest.fail("diagnosed again"))
     study.main(cases, tmp_path / "out", 1, None, None)
@@ -47,6 +47,7 @@ def test_blind_then_opened(cases, tmp_path, monkeypatch):
     assert summary["false_alarms"]["count"] == 0
     assert summary["named"]["short, 3 times the noise"]["count"] == 1
     assert summary["unseen_nrmse"]["repaired / plain"][1] < 1
+    assert summary["unseen_nrmse"]["repaired / oracle"][1] < 1.1
     text = (tmp_path / "out" / "report.md").read_text()
     assert "2 sealed cases, 0 of them failed" in text
     assert (tmp_path / "out" / "confusion.png").stat().st_size > 1000
@@ -189,7 +190,7 @@ def test_summary_and_confusion():
     }
     assert (summary["false_alarms"]["count"], summary["false_alarms"]["of"]) == (1, 2)
     assert summary["outside_unexplained"]["share"] == 1.0
-    assert summary["unseen_nrmse"]["repaired / plain"] == [0.5, 0.5, 0.5]
+    assert summary["unseen_nrmse"]["repaired / plain"] == [0.5] * len(study.QUANTILES)
     rows, columns, counts = study.confusion(scores)
     table = {(r, c): counts[i, k] for i, r in enumerate(rows) for k, c in enumerate(columns) if counts[i, k]}
     assert table == {
