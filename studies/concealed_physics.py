@@ -23,7 +23,6 @@ from typing import Annotated, Any
 import matplotlib
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scipy.optimize import linear_sum_assignment, minimize
@@ -41,6 +40,7 @@ from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
 from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.regression import prepare, thinned, without_spikes
+from rrr_oc.report import wide_console
 from rrr_oc.signatures import trials, view
 
 matplotlib.use("Agg")
@@ -52,9 +52,7 @@ SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
 NORMAL = 1.96  # standard errors of a 95 % interval
 NOTHING, UNEXPLAINED, FAILED = "nothing", "unexplained", "failed"
-console = Console()
-if not console.is_terminal:
-    console.width = 160  # a log's lines may be longer than the 80 columns that are assumed of it
+console = wide_console()
 
 
 # --- blind ---

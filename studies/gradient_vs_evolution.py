@@ -103,8 +103,7 @@ def main(
     here = _listed("ends", ends, ENDS)
     if protocol not in SIZES:
         raise UserError(f"--protocol is {protocol!r}; allowed are {', '.join(SIZES)}")
-    if jobs == 0:
-        raise UserError("--jobs is 0; allowed are 1 or more, and -1 for all cores")
+    parallel.check_jobs(jobs)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out {out} is a file; give a folder")
     size, store, task = SIZES[protocol], out / "runs", load_task(preset)

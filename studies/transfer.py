@@ -25,7 +25,6 @@ from typing import Annotated, Any
 import matplotlib
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markdown import Markdown
 from scipy.interpolate import CubicHermiteSpline
 
@@ -43,7 +42,7 @@ from rrr_oc.nrmse import error
 from rrr_oc.outcome import Motion, resimulate, sample_motion
 from rrr_oc.recording_header import Spring, spring_json
 from rrr_oc.recordings import Recording, RecordingSet, load_recordings, write_set
-from rrr_oc.report import markdown
+from rrr_oc.report import markdown, wide_console
 from rrr_oc.savitzky_golay import smooth
 from rrr_oc.search import SearchOptions, search
 from rrr_oc.solve import Refinement
@@ -71,9 +70,7 @@ TABLE_2 = {  # of the paper: q, dq, ddq, tau_a, tau_l by Eq. 10
     "training, with springs": (0.0704, 0.0776, 0.1038, 0.1662, 0.3750),
     "the task": (0.0552, 0.3872, 0.4470, 1.2748, 2.0031),
 }
-console = Console()
-if not console.is_terminal:
-    console.width = 160  # a log's lines may be longer than the 80 columns that are assumed of it
+console = wide_console()
 
 
 # --- the arm ---
