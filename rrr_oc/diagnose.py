@@ -15,9 +15,9 @@ from rrr_oc.calibrate import bounds, parameter_values, with_parameter_values, wi
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import Effect
 from rrr_oc.effects.empirical import Empirical
-from rrr_oc.evidence import Bench, Candidate, Evidence, chance, correlation, robust_p, significant
+from rrr_oc.evidence import Bench, Candidate, Evidence, chance, independent, robust_p, significant
 from rrr_oc.inference import box_step, normal_equations
-from rrr_oc.regression import STRIDE, Rows, noise, rows
+from rrr_oc.regression import Rows, noise, rows
 from rrr_oc.signatures import trials, view
 
 MOST = 8  # effects
@@ -60,7 +60,7 @@ class Fitted:
     @property
     def counts(self) -> np.ndarray:
         """Independent rows of each joint (n,)."""
-        return self.rows.moving.sum(axis=1) * STRIDE / correlation(self.rows)
+        return independent(self.rows)
 
     def better_than(self, other: "Fitted") -> float:
         """Growth of twice the log-likelihood over another fit of the same rows."""

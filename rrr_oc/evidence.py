@@ -133,7 +133,7 @@ class Evidence:
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
         signatures = table([context(p, model) for p in bench.prepared], every)
-        counts = found.moving.sum(axis=1) * STRIDE / correlation(found)
+        counts = independent(found)
         weights = counts / np.maximum(found.moving.sum(axis=1), 1) / found.deviation() ** 2
         size = found.jacobian.shape[2] + int(signatures.start[-1]) + 1
         products = np.zeros((len(bench.prepared), size, size))
@@ -218,14 +218,15 @@ class Evidence:
     def _judged(self, inverse, k: int, scope, coefficients, dimensions: int) -> Candidate:
         """The candidate with its likelihood."""
         trial = self.table.trials[k]
-        after = np.sum(self.residual(k, coefficients, scope, inverse) ** 2, axis=1)
+        left = replace(self.rows, residual=self.residual(k, coefficients, scope, inverse))
+        after = np.sum(left.residual**2, axis=1)
         before = np.sum(self.residual(None, coefficients, scope, inverse) ** 2, axis=1)
         ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
         shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
         penalty = chance(dimensions + shape, self.counts, self.tests)
         chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
         least = penalty if isinstance(trial.effect, Empirical) else min(penalty, significant(dimensions + shape, self.tests))
-        likelihood = float(self.counts @ ratio)
+        likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
         return Candidate(trial, k, scope, coefficients, likelihood, dimensions, penalty + chosen, least + chosen)
 
     def residual(self, k: int | None, coefficients, scope, inverse) -> np.ndarray:
@@ -296,6 +297,11 @@ def scope_cost(groups: int, size: int) -> float:
     """What choosing so many of the groups costs: twice the logarithm of the number of choices."""
     choices = float(np.prod([(groups - i) / (i + 1) for i in range(size)]))
     return 2 * np.log(max(choices, 1.0) * groups)
+
+
+def independent(found: Rows) -> np.ndarray:
+    """Independent rows of each joint (n,)."""
+    return found.moving.sum(axis=1) * STRIDE / correlation(found)
 
 
 def correlation(found: Rows) -> np.ndarray:
