@@ -295,11 +295,14 @@ class CalibratedModel:
         """Motor torque and load torque that a recorded motion needs, each (n, K) [Nm]."""
         return self.physics(recording).torques(recording)
 
+    def true_torque(self, recording: Recording) -> np.ndarray:
+        """The torque that is recorded, motor or load, as a perfect sensor has it, from the recorded motion, (n, K) [Nm]."""
+        motor, load = self.torques(recording)
+        return load if self.torque == "load" else motor
+
     def output_torque(self, recording: Recording) -> np.ndarray:
         """What `RecordingSet.output_torque` measures, from the recorded motion, (n, K) [Nm]."""
-        physics = self.physics(recording)
-        motor, load = physics.torques(recording)
-        return physics.recorded(recording, load if self.torque == "load" else motor)
+        return self.physics(recording).recorded(recording, self.true_torque(recording))
 
     def predict(self, recording: Recording) -> np.ndarray:
         """The recorded signal, in its own unit, from the recorded motion, (n, K), at every sample."""

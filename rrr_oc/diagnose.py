@@ -31,6 +31,8 @@ FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
+MANY = 3  # parameters, beyond which two effects may be the simpler explanation
+PAIRS = 6  # of them that are tried
 ROUNDING = 1e-10  # Nm
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
 
@@ -362,12 +364,12 @@ def _least(fitted: Fitted, i: int, tests: int) -> float:
 
 
 def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Evidence, report) -> tuple[Fitted, list[Finding]]:
-    """Each effect against all others in its place: the better ones take it, the equal ones are named."""
-    findings = []
-    for i in range(base, len(fitted.model.terms)):
+    """Each effect against all others in its place: the better ones take it, the equal ones are named; so do two simpler ones."""
+    findings, i = [], base
+    while i < len(fitted.model.terms):
         alone = len(fitted.model.terms) == base + 1
         less = plain if alone else refit(bench, without(fitted.model, i))
-        evidence = first if alone else gathered(bench, less.model)
+        evidence = (first if alone else gathered(bench, less.model)).under(fitted.rows)
         own = fitted.model.terms[i]
         rivals, best = [], None
         for candidate in _rivals(evidence, less.model, own):
@@ -376,20 +378,26 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
             likelier = int(candidate.scope is not None) * (candidate.trial.effect.mounted - own.effect.mounted)
             lead = better + (simpler + 2 * likelier) * SAME
-            lead -= _rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
+            if simpler <= 0:  # the simplest of equals needs no excuse
+                lead -= _rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
             lead += _rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
             if lead > (0 if simpler > 0 else SAME) and better > -SAME and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
                 rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
+        many = best is None and len(own.estimates) > MANY
+        two = _in_two(bench, less, fitted, own, evidence) if many else None
+        if two is not None:
+            names = " and ".join(t.effect.name for t in two.model.terms[-2:])
+            report(f"{names} take the place of {own.effect.name}")
+            fitted = _in_place(bench, i, two.model, 2)
+            continue  # with the two in its place
         if best is not None:
             ousted = (own.effect.name, own.effect.joints)
             taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
             rivals = [r for r in rivals if r != taker] + ([ousted] if fitted.better_than(best[1]) > -SAME else [])
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
-            terms = list(best[1].model.terms)
-            terms.insert(i, terms.pop())
-            fitted = refit(bench, replace(best[1].model, terms=tuple(terms)))
+            fitted = _in_place(bench, i, best[1].model, 1)
         dimensions = len(fitted.model.terms[i].effect.amplitudes)
         findings.append(
             Finding(
@@ -400,8 +408,26 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
                 tuple(dict.fromkeys(rivals)),
             )
         )
+        i += 1
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
+
+
+def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:
+    """The best model with two effects in the place of one that has more parameters and explains no more; None without such."""
+    found = []
+    for one, other in evidence.pairs(len(own.estimates), PAIRS):
+        if own.effect.name not in (one.trial.effect.name, other.trial.effect.name):
+            found.append(refit(bench, extended(extended(less.model, one), other)))
+    best = min(found, key=lambda f: f.misfit, default=None)
+    return best if best is not None and best.better_than(fitted) > -SAME else None
+
+
+def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitted:
+    """The model with its last terms moved to number i, fitted."""
+    terms = list(model.terms)
+    terms[i:i] = terms[-count:]
+    return refit(bench, replace(model, terms=tuple(terms[: len(model.terms)])))
 
 
 def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candidate]:

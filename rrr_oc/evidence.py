@@ -133,16 +133,21 @@ class Evidence:
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
         signatures = table([context(p, model) for p in bench.prepared], every)
-        counts = independent(found)
-        weights = counts / np.maximum(found.moving.sum(axis=1), 1) / found.deviation() ** 2
-        size = found.jacobian.shape[2] + int(signatures.start[-1]) + 1
-        products = np.zeros((len(bench.prepared), size, size))
+        nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
+        return cls(bench, model, found, signatures, *nothing).under(found)
+
+    def under(self, noise: Rows) -> "Evidence":
+        """The same, weighed by what another model leaves at the same rows."""
+        counts = independent(noise)
+        weights = counts / np.maximum(noise.moving.sum(axis=1), 1) / noise.deviation() ** 2
+        size = self.size + int(self.table.start[-1]) + 1
+        products = np.zeros((len(self.bench.prepared), size, size))
         for j, weight in enumerate(weights):
-            used, stack = _stack(found, signatures, j)
+            used, stack = _stack(self.rows, self.table, j)
             for r in range(len(products)):
-                part = stack[bench.edges[r] : bench.edges[r + 1]]
+                part = stack[self.bench.edges[r] : self.bench.edges[r + 1]]
                 products[r][np.ix_(used, used)] += weight * (part.T @ part)
-        return cls(bench, model, found, signatures, weights, np.maximum(counts, 1.0), products)
+        return replace(self, weights=weights, counts=np.maximum(counts, 1.0), products=products)
 
     @property
     def size(self) -> int:
@@ -174,6 +179,29 @@ class Evidence:
         found = sorted(best.values(), key=lambda one: -one[0])
         result = [self._judged(inverse, *one[1:]) for one in found[:FIRST]]
         return sorted(result, key=lambda r: -r.score)
+
+    def pairs(self, parameters: int, count: int) -> list[tuple[Candidate, Candidate]]:
+        """The pairs of trials for all recordings, of fewer parameters than given, that explain most together, best first."""
+        total = self.products.sum(axis=0)
+        inverse = pseudo_inverse(total[: self.size, : self.size])
+        left = total - total[:, : self.size] @ inverse @ total[: self.size]
+        raw, lone, found = np.diag(total), {}, []
+        for k, trial in enumerate(self.table.trials):  # of each effect at its joints the best alone
+            c = self._columns(k)
+            gain = _solve(left[np.ix_(c, c)], left[c, -1], raw[c])[0]
+            at = trial.effect.name, trial.effect.joints
+            if gain > lone.get(at, (0.0,))[0]:
+                lone[at] = gain, k
+        for pair in itertools.combinations([k for _, k in lone.values()], 2):
+            if sum(len(self.table.trials[k].effect.parameters) for k in pair) < parameters:
+                c = np.concatenate([self._columns(k) for k in pair])
+                gain, coefficients, dimensions = _solve(left[np.ix_(c, c)], left[c, -1], raw[c])
+                found.append((gain - 2 * dimensions, pair, np.split(coefficients, [len(self._columns(pair[0]))])))
+        best = sorted(found, key=lambda one: -one[0])[:count]
+        return [tuple(self._bare(k, x) for k, x in zip(pair, parts, strict=True)) for _, pair, parts in best]
+
+    def _bare(self, k: int, coefficients: np.ndarray) -> Candidate:
+        return Candidate(self.table.trials[k], k, None, coefficients, 0.0, len(coefficients), 0.0, 0.0)
 
     @property
     def tests(self) -> int:

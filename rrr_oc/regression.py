@@ -243,8 +243,9 @@ def _moving(recording: Recording) -> np.ndarray:
 
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
     r = prepared.recording
-    residual = residuals(prepared, model)
-    jacobian = derivatives(model, r, inertial)
+    true = model.true_torque(r)
+    residual = prepared.measured - model.physics(r).recorded(r, true)
+    jacobian = derivatives(model, r, inertial, true)
     kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]
     moving = prepared.moving[:, kept]
@@ -292,8 +293,14 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
     return np.concatenate([*kept, np.zeros(0, int)]).astype(int), tuple(stretches), tuple(durations)
 
 
-def derivatives(model: CalibratedModel, recording: Recording, inertial: bool = False) -> np.ndarray:
-    """d predicted / d (parameters of the terms, inertial parameters), (n, K, p)."""
+def derivatives(
+    model: CalibratedModel, recording: Recording, inertial: bool = False, true: np.ndarray | None = None
+) -> np.ndarray:
+    """d predicted / d (parameters of the terms, inertial parameters), (n, K, p).
+
+    Args:
+        true: `model.true_torque(recording)`, where it is known.
+    """
     physics, n, count = model.physics(recording), model.robot.n, len(recording.t)
     by_theta = _sensitivity(physics, recording, model.torque, "theta")
     listed = sum(len(effect.parameters) for effect, _ in recording.springs)
@@ -307,23 +314,27 @@ def derivatives(model: CalibratedModel, recording: Recording, inertial: bool = F
         column += size
     if inertial:
         result = np.concatenate([result, _sensitivity(physics, recording, model.torque, "inertial")], axis=2)
-    return _beyond_the_torque(model, recording, physics, result)
+    return _beyond_the_torque(model, recording, physics, result, true)
 
 
-def _beyond_the_torque(model: CalibratedModel, recording: Recording, physics: Physics, jacobian: np.ndarray) -> np.ndarray:
+def _beyond_the_torque(
+    model: CalibratedModel, recording: Recording, physics: Physics, jacobian: np.ndarray, true: np.ndarray | None
+) -> np.ndarray:
     """The derivatives as sensors pass them on, with differences for terms that do not add a torque of the instant."""
     special = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in model.terms]
     if not any(special):
         return jacobian
     for k in range(jacobian.shape[2]):
         jacobian[:, :, k] = physics.passed_on(recording, jacobian[:, :, k])
-    base, column = model.output_torque(recording), 0
+    true = model.true_torque(recording) if true is None else true
+    base, column = physics.recorded(recording, true), 0
     for i, (term, other) in enumerate(zip(model.terms, special, strict=True)):
         for k, value in enumerate(term.values if other and term.holds_for(recording) else ()):
             step = DIFFERENCE * max(abs(value), 1.0 if value else DIFFERENCE)
             moved = term.with_values(term.values + step * (np.arange(len(term.values)) == k))
             there = replace(model, terms=(*model.terms[:i], moved, *model.terms[i + 1 :]))
-            jacobian[:, :, column + k] = (there.output_torque(recording) - base) / step
+            torque = true if term.effect.side == "sensor" else there.true_torque(recording)
+            jacobian[:, :, column + k] = (there.physics(recording).recorded(recording, torque) - base) / step
         column += len(term.estimates)
     return jacobian
 

@@ -33,7 +33,7 @@ from rrr_oc.runs import Run, all_runs
 from rrr_oc.search import SearchOptions, continued
 from rrr_oc.solve import Refinement
 from rrr_oc.task import PHASES, load_task
-from rrr_oc.transfer import describe_transfer, reference_phases
+from rrr_oc.transfer import describe_transfer, reference_phases, repaired
 from validation.concealed.build import Built, build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.plant import LEAD, Plant, Setup
@@ -125,11 +125,9 @@ def _evolved(design: CoDesign, runs: Sequence[Run], name: str) -> Played | None:
     return Played(design, np.array(found["parameters"]), motion, found["analytic"])
 
 
-def _again(played: Played, repaired: CalibratedModel) -> Played:
+def _again(played: Played, model: CalibratedModel) -> Played:
     """The optimum re-optimised with what the repaired model has on the links and in the body, from where it was."""
-    physics = [(t.effect, t.values) for t in repaired.terms if t.effect.side in ("link", "body")]
-    design = played.design.with_physics(physics)
-    m, phases = len(design.task.moving), []
+    design, phases = repaired(played.design, model, ("", "")), []  # set-ups are not told apart here
     for k in played.motion.phases():
         t = played.motion.t[k] - played.motion.t[k[0]]
         s, x = t / t[-1], np.vstack([played.motion.q[:, k], played.motion.dq[:, k]])
@@ -141,13 +139,12 @@ def _again(played: Played, repaired: CalibratedModel) -> Played:
                 lambda at, s=s, u=u: np.stack([np.interp(at, s, row) for row in u]),
             )
         )
-    extra = [theta for _, theta in physics]
-    guess = Guess(tuple(phases), np.concatenate([played.parameters, *extra]))
+    known = [spring.lower for spring in design.springs[len(played.design.springs) :]]
+    guess = Guess(tuple(phases), np.concatenate([played.parameters, *known]))
     optima = continued([(design, guess)], SearchOptions(jobs=1, refinement=Refinement(1e-5)))
     if not optima:
         raise UserError("the repaired model's optimum was lost on the way from the nominal one")
     solution = optima[0][1].solution
-    assert solution.parameters.size == len(played.parameters) + sum(map(len, extra)), (m, extra)
     springs = solution.parameters[: len(played.parameters)]
     return Played(played.design, springs, sample_motion(design, solution), solution.cost)
 

@@ -70,6 +70,12 @@ def test_names_what_was_concealed(made, tmp_path, robot, effect):
     assert all(m["significant"] == (m["joint"] == hidden["joint"]) for m in found["mismatch"] if m["joint"] == hidden["joint"])
 
 
+def test_names_two_simple_effects_rather_than_one_that_is_equal_to_both(made, tmp_path):
+    case, _ = made("payload", "arm3", Concealed("payload_mass", 2.0), Concealed("payload_com", 2.0))
+    found = diagnosed(case, tmp_path / "out")
+    assert {e["effect"] for e in found["effects"]} == {"payload_mass", "payload_com"}
+
+
 def test_repaired_model_predicts_unseen_recordings(made, tmp_path):
     case, truth = made("load_dependent_friction/arm2", "arm2", Concealed("load_dependent_friction", 2.0))
     found = diagnosed(case, tmp_path / "out")
