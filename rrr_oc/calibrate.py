@@ -51,6 +51,7 @@ from rrr_oc.regression import (
 PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
 WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s]
+COURSES = (0.1, 0.2, 0.4)  # of a joint's highest speed, beyond which friction may have fallen off
 DOUBT = 12.0  # of a squared residual over its variance: below 0.1 % by chance
 STEPS = 30  # of Gauss–Newton, at most
 TOLERANCE = 1e-9  # of the squared residual: a step that promises less is not taken
@@ -112,11 +113,16 @@ def calibrate(recordings: RecordingSet) -> CalibratedModel:
     return fit.model
 
 
-def with_widths(prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
+def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False) -> CalibratedModel:
     """The model with the width of each joint's dry friction, of `WIDTHS`, that leaves the least residual.
 
     Another than the model's own only where it is better beyond doubt: where the squared residual, counted in independent
-    samples, falls by more than `DOUBT`. Inertial parameters that are to be identified are free in the comparison.
+    samples, falls by more than `DOUBT`. Inertial parameters that are to be identified are free in the comparison. All friction of a
+    joint changes sign alike, so the other laws of that joint get the same width.
+
+    Args:
+        free: Whether the course of friction over speed is left open in the comparison, so that a law which the model lacks is not
+            taken for an abrupt sign.
     """
     found = rows(prepared, model, inertial=model.inertial == "identify")
     columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
@@ -124,24 +130,36 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel) -> Calibra
     tried = {i: sorted({*WIDTHS, cast(float, model.terms[i].width)}) for i in chosen}
     if not chosen:
         return model
-    laws = filtered(prepared, lambda r: np.vstack([_unit_law(model.terms[i], r, w) for i in chosen for w in tried[i]]))
-    terms, row = list(model.terms), 0
+    shares = COURSES if free else ()
+    fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
+    laws = filtered(
+        prepared,
+        lambda r: np.vstack([_unit_laws(model.terms[i], r, w, [s * fastest for s in shares]) for i in chosen for w in tried[i]]),
+    )
+    widths, row = {}, 0
     for i in chosen:
-        law = dict(zip(tried[i], laws[row : row + len(tried[i])], strict=True))
-        terms[i] = replace(terms[i], width=_best_width(found, terms[i], int(columns[i]), law))
-        row += len(tried[i])
-    return replace(model, terms=tuple(terms))
+        parts = laws[row : row + len(tried[i]) * (1 + len(shares))].reshape(len(tried[i]), 1 + len(shares), -1)
+        law = dict(zip(tried[i], parts, strict=True))
+        widths[model.terms[i].effect.joints] = _best_width(found, model.terms[i], int(columns[i]), law)
+        row += len(tried[i]) * (1 + len(shares))
+    return replace(model, terms=tuple(_widened(term, widths) for term in model.terms))
+
+
+def _widened(term: Term, widths: dict[tuple[int, ...], float]) -> Term:
+    """The term with its joint's width, where its law changes sign with the speed."""
+    known = term.effect.width is not None and term.effect.width.unit == "rad/s" and term.width is not None
+    return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 
 
 def _best_width(found: Rows, term: Term, column: int, laws: dict[float, np.ndarray]) -> float:
-    """Of the widths, each with its filtered law of level 1, the one that leaves least beside all other columns."""
+    """Of the widths, each with its filtered laws of level 1 (m, M), the one that leaves least beside all other columns."""
     (j,), own = term.effect.joints, cast(float, term.width)
     target = found.residual[j] + found.jacobian[j][:, column] * term.values[0]  # as if the joint had no dry friction yet
     others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
     count = found.moving[j].sum() * STRIDE / CORRELATION
 
     def left(law: np.ndarray) -> float:
-        columns = np.column_stack([others, law * found.moving[j]])
+        columns = np.column_stack([others, (law * found.moving[j]).T])
         return float(np.sum((target - columns @ np.linalg.lstsq(columns, target, rcond=1e-9)[0]) ** 2))
 
     squares = {width: left(law) for width, law in laws.items()}
@@ -149,9 +167,12 @@ def _best_width(found: Rows, term: Term, column: int, laws: dict[float, np.ndarr
     return best if count * (squares[own] / max(squares[best], 1e-300) - 1) > DOUBT else own
 
 
-def _unit_law(term: Term, recording: Recording, width: float) -> np.ndarray:
-    (torque,) = term.effect.torque(Signals(recording.q, recording.dq), {"level": 1.0}, width)
-    return np.array(torque).reshape(1, -1)
+def _unit_laws(term: Term, recording: Recording, width: float, speeds: Sequence[np.ndarray]) -> np.ndarray:
+    """Dry friction of level 1, constant and falling off beyond each of the speeds, (1 + speeds, K)."""
+    (j,), dq = term.effect.joints, recording.dq
+    (torque,) = term.effect.torque(Signals(recording.q, dq), {"level": 1.0}, width)
+    constant = np.array(torque).reshape(-1)
+    return np.array([constant, *(constant * np.exp(-((dq[j] / speed[j]) ** 2)) for speed in speeds)])
 
 
 def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:

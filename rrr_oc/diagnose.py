@@ -167,7 +167,7 @@ def search(
 
 def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
     """The fit with dry friction as abrupt as the new model shows it; what was missing had distorted it."""
-    model = with_widths(bench.prepared, fitted.model)
+    model = with_widths(bench.prepared, fitted.model, free=True)
     changed = any(a.width != b.width for a, b in zip(model.terms, fitted.model.terms, strict=True))
     return refit(bench, model) if changed else fitted
 
@@ -385,8 +385,7 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
                 best = (lead, tried, candidate)
             if better > -SAME:
                 rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
-        many = best is None and len(own.estimates) > MANY
-        two = _in_two(bench, less, fitted, own, evidence) if many else None
+        two = None if best is not None else _in_two(bench, less, fitted, own, evidence)
         if two is not None:
             names = " and ".join(t.effect.name for t in two.model.terms[-2:])
             report(f"{names} take the place of {own.effect.name}")
@@ -414,13 +413,20 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
 
 
 def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:
-    """The best model with two effects in the place of one that has more parameters and explains no more; None without such."""
-    found = []
-    for one, other in evidence.pairs(len(own.estimates), PAIRS):
-        if own.effect.name not in (one.trial.effect.name, other.trial.effect.name):
-            found.append(refit(bench, extended(extended(less.model, one), other)))
-    best = min(found, key=lambda f: f.misfit, default=None)
-    return best if best is not None and best.better_than(fitted) > -SAME else None
+    """The model with two effects in the place of one with more parameters that explains no more; None without such.
+
+    Two laws of the catalogue must explain more than a term that is none, if need be with more parameters.
+    """
+    number, unnamed_ = len(own.estimates), isinstance(own.effect, Empirical)
+    if number <= MANY and not unnamed_:
+        return None
+    pairs = evidence.pairs(max(number, 2 * MANY + 1) if unnamed_ else number, PAIRS)
+    tried = [refit(bench, extended(extended(less.model, one), other)) for one, other in pairs]
+    found = min(tried, key=lambda f: f.misfit, default=None)
+    if found is None:
+        return None
+    more = max(sum(len(t.estimates) for t in found.model.terms[-2:]) - number, 0)
+    return found if found.better_than(fitted) > SAME * (1 + more if unnamed_ else -1) else None
 
 
 def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitted:

@@ -118,6 +118,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     unknown = recordings.inertial == "identify"
     bench = Bench(tuple(prepared), unknown)
     report("looking for effects")
+    start = with_widths(bench.prepared, start, free=True)
     begin = replace(start, robot=plain.robot) if unknown else start
     fitted, findings = search(bench, begin, report)
     way, folds = _folds(bench)

@@ -174,7 +174,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     prepared = prepare(recordings)
     prepared = thinned(without_spikes(prepared, fit_terms(recordings, prepared, with_widths(prepared, start)).model))
     bench = Bench(prepared, recordings.inertial == "identify")
-    fitted = refit(bench, with_widths(prepared, start))
+    fitted = refit(bench, with_widths(prepared, start, free=True))
     entries = []
     for e in truth["effects"]:
         joints = tuple(recordings.joints.index(j) for j in place(e["joint"]))
@@ -189,7 +189,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
             extra = replace(
                 term(candidate), recordings=tuple(e["recordings"]) if e["recordings"] != "all" else "all", groups=()
             )
-            better = refit(bench, with_widths(prepared, replace(fitted.model, terms=(*fitted.model.terms, extra))))
+            better = refit(bench, with_widths(prepared, replace(fitted.model, terms=(*fitted.model.terms, extra)), free=True))
         growth = 0.0 if better is None else better.better_than(fitted)
         parameters = 0 if better is None else len(better.model.terms[-1].estimates)
         entries.append({"effect": e["effect"], "likelihood": growth, "parameters": parameters})
