@@ -134,7 +134,9 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool
     fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
     laws = filtered(
         prepared,
-        lambda r: np.vstack([_unit_laws(model.terms[i], r, w, [s * fastest for s in shares]) for i in chosen for w in tried[i]]),
+        lambda r: np.vstack(
+            [_unit_laws(model.terms[i], r, w, [s * fastest for s in shares]) for i in chosen for w in tried[i]]
+        ),
     )
     widths, row = {}, 0
     for i in chosen:
