@@ -117,7 +117,7 @@ class Physics:
         for kind in (False, True):  # what a link does in its gap follows from the motion that all else makes
             effects = [one for one in motion if one[0].simulated == kind]
             if effects:  # of first order: to let load and shift agree would differentiate noise twice for each time
-                load = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, total, states)[1]
+                (load,) = along(self.model.recorded_load, *inputs, self.theta, self.widths, self.inertial, total, states)
                 reaction = partial(self.reaction, shift=total)
                 total = total + sum(moved(recording, *effect, load, reaction) for effect in effects)
         return total
@@ -135,7 +135,7 @@ class Physics:
         for row, step in ((j, 1e-4), (2 * n + j, 1.0)):
             there = np.zeros((3 * n, len(recording.t))) if shift is None else shift.copy()
             there[row] += step
-            torque = along(self.model.recorded_inverse, *inputs, self.theta, self.widths, self.inertial, there, states)[1]
+            (torque,) = along(self.model.recorded_load, *inputs, self.theta, self.widths, self.inertial, there, states)
             found.append((torque[j] - load[j]) / step)
         return found[0], found[1]
 

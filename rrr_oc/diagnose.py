@@ -15,7 +15,7 @@ from rrr_oc.calibrate import bounds, parameter_values, with_parameter_values, wi
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import Effect
 from rrr_oc.effects.empirical import Empirical
-from rrr_oc.evidence import Bench, Candidate, Evidence, chance, independent, robust_p, significant
+from rrr_oc.evidence import Bench, Candidate, Evidence, chance, independent, pseudo_inverse, robust_p, significant
 from rrr_oc.inference import box_step, normal_equations
 from rrr_oc.regression import Rows, noise, rows
 from rrr_oc.signatures import trials, view
@@ -31,6 +31,7 @@ FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
+DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
 MANY = 3  # parameters, beyond which two effects may be the simpler explanation
 PAIRS = 6  # of them that are tried
 ROUNDING = 1e-10  # Nm
@@ -228,13 +229,23 @@ def _best(
         gain = tried.better_than(fitted)
         score = gain - candidate.penalty
         share = np.max((fitted.squares - tried.squares) / plain.squares)
-        steady = candidate.trial.effect.linear or steadily_better(bench, tried, fitted)
+        steady = (
+            candidate.trial.effect.linear
+            or steadily_better(bench, tried, fitted)
+            or _settled(bench, evidence, tried, candidate)
+        )
         last = tried.model.terms[-1]
         possible = last.effect.possible(last.named, bench.least_payload(candidate.scope))
         if gain > candidate.least and share > LEAST_SHARE and steady and possible:
             score -= _rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * gain
             best = (score, tried, candidate) if best is None or score > best[0] else best
     return best
+
+
+def _settled(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> bool:
+    """Whether a candidate that acts in a few places only leaves nothing but noise, and is beyond chance there."""
+    effect = candidate.trial.effect
+    return not effect.simulated and not _noisy(bench, fitted) and robust_p(evidence, candidate) * evidence.tests < DOUBT
 
 
 def _rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> float:
@@ -345,16 +356,39 @@ def without(model: CalibratedModel, i: int) -> CalibratedModel:
 
 def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, report) -> Fitted:
     """The model without those earlier effects that the newest made superfluous."""
+
+    def superfluous(less: Fitted, i: int, by: float = 1.0) -> bool:
+        share = np.max((less.squares - fitted.squares) / plain.squares)
+        return share < by * LEAST_SHARE or fitted.better_than(less) < by * _least(fitted, i, tests)
+
     i = base
     while i < len(fitted.model.terms) - 1:
-        less = refit(bench, without(fitted.model, i))
-        share = np.max((less.squares - fitted.squares) / plain.squares)
-        if share < LEAST_SHARE or fitted.better_than(less) < _least(fitted, i, tests):
+        foreseen = _foreseen(fitted, i)
+        doubtful = foreseen is None or superfluous(foreseen, i, DOUBTFUL)
+        less = refit(bench, without(fitted.model, i)) if doubtful else fitted
+        if doubtful and superfluous(less, i):
             report(f"{fitted.model.terms[i].effect.name} is superfluous")
             fitted = less
         else:
             i += 1
     return fitted
+
+
+def _foreseen(fitted: Fitted, i: int) -> Fitted | None:
+    """What the fit without one term would leave if all were linear: its amplitudes at 0, all else where that is best.
+
+    None where the effect does not vanish there.
+    """
+    model, found = fitted.model, fitted.rows
+    start = sum(len(t.estimates) for t in model.terms[:i])
+    term = model.terms[i]
+    amplitudes = [(start + k, p.nominal) for k, p in enumerate(term.effect.parameters) if p.name in term.effect.amplitudes]
+    if any(nominal for _, nominal in amplitudes):
+        return None
+    own = [k for k, _ in amplitudes]
+    inverse = pseudo_inverse(normal_equations(found, found.deviation() ** -2)[0])
+    step = -inverse[:, own] @ np.linalg.pinv(inverse[np.ix_(own, own)]) @ parameter_values(model)[own]
+    return Fitted(model, replace(found, residual=found.residual - found.jacobian @ step))
 
 
 def _least(fitted: Fitted, i: int, tests: int) -> float:

@@ -202,6 +202,12 @@ class Model:
         arguments, motor, load = self._motor_chain(moved=True)
         return ca.Function("recorded_inverse", arguments, [motor, load], [*CHAIN, "shift", "states"], ["tau_motor", "tau_load"])
 
+    @cached_property
+    def recorded_load(self) -> ca.Function:
+        """Arguments of `recorded_inverse` -> tau_load alone, without what the drives would cost to evaluate."""
+        arguments, _, load = self._motor_chain(moved=True)
+        return ca.Function("recorded_load", arguments, [load], [*CHAIN, "shift", "states"], ["tau_load"])
+
     def rigid(self, inertial, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
         """Inertial parameters with payload (10, n) and gravity (3,), as the effects of the side "body" make them."""
         body = Body(ca.SX(inertial), ca.SX(self.robot.gravity), payload, list(self.tool.position))

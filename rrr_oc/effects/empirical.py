@@ -66,12 +66,13 @@ class Empirical(Effect):
         total = 0.0
         for name, (side, edge, power) in zip(self.amplitudes, self.edges, strict=False):
             total = total + theta[name] * fmax(side * (scaled[0] - edge), 0.0) ** power
+        cosines = [_cosines(x, order) for x, order in zip(scaled, self.orders, strict=False)]
         for name, powers in zip(self.amplitudes, () if self.edges else self.powers, strict=False):
             value = theta[name]
             if isinstance(value, float) and value == 0.0:
                 continue
-            for x, k in zip(scaled, powers, strict=True):
-                value = value * cos(np.pi * k * x) if k else value
+            for row, k in zip(cosines, powers, strict=True):
+                value = value * row[k] if k else value
             total = total + value
         if self.signed:
             total = total * sign(signals.dq[self.joints[0]], width)
@@ -122,7 +123,7 @@ class Empirical(Effect):
                         yield one([v], [order], signed)
         for v in (("q", j), ("dq", j), ("motor", j)):
             for at in EDGES:
-                for power in (1, 3):
+                for power in (3,) if v[0] == "q" else (1, 3):  # straight beyond a position, it is a spring
                     above, below = (1, at, power), (-1, 1 - at, power)
                     for edges in ([above], [below], [above, below]):
                         yield one([v], edges=edges)
@@ -138,3 +139,12 @@ class Empirical(Effect):
         yield one([("motor", j), ("time", -1)], [1, 1])
         yield one([("motor", j), ("time", -1)], [3, 3])
         yield one([("motor", j), ("dq", j)], [3, 3])
+
+
+def _cosines(x, order: int) -> list:
+    """cos(k π x) for k up to the order, by Chebyshev's recurrence: one cosine for all."""
+    first = cos(np.pi * x)
+    found = [1.0, first]
+    while len(found) <= order:
+        found.append(2 * first * found[-1] - found[-2])
+    return found
