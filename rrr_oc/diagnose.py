@@ -33,6 +33,7 @@ RARE = 0.25  # of the evidence for what is mounted in all recordings and listed 
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
 DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
 MANY = 3  # parameters, beyond which two effects may be the simpler explanation
+NEAR = 0.6  # of the likelihood of what is in place, for others to be fitted there
 PAIRS = 6  # of them that are tried
 ROUNDING = 1e-10  # Nm
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
@@ -454,8 +455,11 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
     number, unnamed_ = len(own.estimates), isinstance(own.effect, Empirical)
     if number <= MANY and not unnamed_:
         return None
-    pairs = evidence.pairs(max(number, 2 * MANY + 1) if unnamed_ else number, PAIRS)
-    tried = [refit(bench, extended(extended(less.model, one), other)) for one, other in pairs]
+    tried = []
+    for pair in evidence.pairs(max(number, 2 * MANY + 1) if unnamed_ else number, PAIRS):
+        foreseen = Fitted(less.model, replace(less.rows, residual=evidence.left_by(*pair)))
+        if foreseen.better_than(less) > NEAR * fitted.better_than(less):
+            tried.append(refit(bench, extended(extended(less.model, pair[0]), pair[1])))
     found = min(tried, key=lambda f: f.misfit, default=None)
     if found is None:
         return None
@@ -480,7 +484,7 @@ def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candi
         itself = (effect.name, effect.joints) == (own.effect.name, own.effect.joints)
         if itself or any(_key(c) == _key(candidate) for c in result) or _present(candidate, model):
             continue
-        if candidate.likelihood < 0.6 * most or len(result) >= 5:
+        if candidate.likelihood < NEAR * most or len(result) >= TRIED:
             break
         result.append(candidate)
     return result

@@ -154,11 +154,23 @@ class Evidence:
         """Parameters of the model."""
         return self.rows.jacobian.shape[2]
 
+    @cached_property
+    def _total(self) -> np.ndarray:
+        return self.products.sum(axis=0)
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """Of the normal matrix of the model's parameters."""
+        return pseudo_inverse(self._total[: self.size, : self.size])
+
+    @cached_property
+    def _left(self) -> np.ndarray:
+        """The products after the model's parameters are fitted."""
+        return self._total - self._total[:, : self.size] @ self.inverse @ self._total[: self.size]
+
     def candidates(self) -> list[Candidate]:
         """The trials that explain most, best first, each where it explains most."""
-        total = self.products.sum(axis=0)
-        inverse = pseudo_inverse(total[: self.size, : self.size])
-        left = total - total[:, : self.size] @ inverse @ total[: self.size]
+        total, inverse, left = self._total, self.inverse, self._left
         best: dict[tuple, tuple] = {}  # of each effect at its joints, everywhere and in some groups
         for k, trial in enumerate(self.table.trials):
             c = self._columns(k)
@@ -177,15 +189,12 @@ class Evidence:
                 ):
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
         found = sorted(best.values(), key=lambda one: -one[0])
-        result = [self._judged(inverse, *one[1:]) for one in found[:FIRST]]
+        result = [self._judged(*one[1:]) for one in found[:FIRST]]
         return sorted(result, key=lambda r: -r.score)
 
     def pairs(self, parameters: int, count: int) -> list[tuple[Candidate, Candidate]]:
         """The pairs of trials for all recordings, of fewer parameters than given, that explain most together, best first."""
-        total = self.products.sum(axis=0)
-        inverse = pseudo_inverse(total[: self.size, : self.size])
-        left = total - total[:, : self.size] @ inverse @ total[: self.size]
-        raw, lone, found = np.diag(total), {}, []
+        left, raw, lone, found = self._left, np.diag(self._total), {}, []
         for k, trial in enumerate(self.table.trials):  # of each effect at its joints the best alone
             c = self._columns(k)
             gain = _solve(left[np.ix_(c, c)], left[c, -1], raw[c])[0]
@@ -243,36 +252,28 @@ class Evidence:
             result.append((tuple(labels[i] for i in sorted(chosen)), *best[1]))
         return result
 
-    def _judged(self, inverse, k: int, scope, coefficients, dimensions: int) -> Candidate:
+    def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:
         """The candidate with its likelihood."""
         trial = self.table.trials[k]
-        left = replace(self.rows, residual=self.residual(k, coefficients, scope, inverse))
-        after = np.sum(left.residual**2, axis=1)
-        before = np.sum(self.residual(None, coefficients, scope, inverse) ** 2, axis=1)
+        bare = Candidate(trial, k, scope, coefficients, 0.0, dimensions, 0.0, 0.0)
+        left = replace(self.rows, residual=self.left_by(bare))
+        after, before = (np.sum(x**2, axis=1) for x in (left.residual, self.left_by()))
         ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
         shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
         penalty = chance(dimensions + shape, self.counts, self.tests)
         chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
         least = penalty if isinstance(trial.effect, Empirical) else min(penalty, significant(dimensions + shape, self.tests))
         likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
-        return Candidate(trial, k, scope, coefficients, likelihood, dimensions, penalty + chosen, least + chosen)
+        return replace(bare, likelihood=likelihood, penalty=penalty + chosen, least=least + chosen)
 
-    def residual(self, k: int | None, coefficients, scope, inverse) -> np.ndarray:
-        """Residuals after the parameters and a trial are fitted, (n, M)."""
-        total = self.products.sum(axis=0)[: self.size]
-        change = np.zeros_like(self.rows.residual) if k is None else self.signature(k, scope) @ coefficients
-        if k is None:
-            shift = inverse @ total[:, -1]
-        else:
-            within = self._within(scope)
-            cross = np.einsum("r,rab->ab", within, self.products[:, : self.size][:, :, self._columns(k)])
-            shift = inverse @ (total[:, -1] - cross @ coefficients)
-        return self.rows.residual - self.rows.jacobian @ shift - change
-
-    def left_by(self, candidate: Candidate) -> np.ndarray:
-        """Residuals after the parameters and a candidate are fitted, (n, M)."""
-        inverse = pseudo_inverse(self.products.sum(axis=0)[: self.size, : self.size])
-        return self.residual(candidate.number, candidate.coefficients, candidate.scope, inverse)
+    def left_by(self, *candidates: Candidate) -> np.ndarray:
+        """Residuals after the parameters are fitted beside candidates with the coefficients that they have, (n, M)."""
+        target, change = self._total[: self.size, -1], np.zeros_like(self.rows.residual)
+        for c in candidates:
+            cross = np.einsum("r,rab->ab", self._within(c.scope), self.products[:, : self.size][:, :, self._columns(c.number)])
+            target = target - cross @ c.coefficients
+            change = change + self.signature(c.number, c.scope) @ c.coefficients
+        return self.rows.residual - self.rows.jacobian @ (self.inverse @ target) - change
 
     def confirmed(self, candidate: Candidate) -> float:
         """Fall of the squared residual on recordings left out of the fit, over that on recordings in it; 1 for a law that holds.
@@ -352,11 +353,10 @@ def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
 
 def robust_p(evidence: Evidence, candidate: Candidate) -> float:
     """P-value of a trial that holds up where residuals are autocorrelated and of unequal variance: scores by block of time."""
-    inverse = pseudo_inverse(evidence.products.sum(axis=0)[: evidence.size, : evidence.size])
     after = evidence.left_by(candidate)
     whole = evidence.signature(candidate.number, candidate.scope)
     cross = np.einsum("jka,j,jkb->ab", evidence.rows.jacobian, evidence.weights, whole)
-    clean = whole - evidence.rows.jacobian @ (inverse @ cross)
+    clean = whole - evidence.rows.jacobian @ (evidence.inverse @ cross)
     scores = np.einsum("jkm,jk,j->km", clean, after, evidence.weights)
     matrix = np.einsum("jka,j,jkb->ab", clean, evidence.weights, clean)
     blocks = evidence.bench.by_block(scores)
