@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.sparse import csr_matrix
 
+from rrr_oc import parallel
 from rrr_oc.calibrated import CalibratedModel, Physics
 from rrr_oc.model import CHAIN, Model, along
 from rrr_oc.recordings import Recording, RecordingSet
@@ -139,7 +140,7 @@ def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = 
 
     Derivatives by the inertial parameters follow, link by link in the order of `Robot.inertial`.
     """
-    parts = [_rows(p, model, inertial) for p in prepared]
+    parts = parallel.threaded(lambda p: _rows(p, model, inertial), prepared)
     stretches, start = [], 0
     for part in parts:
         stretches += [slice(start + s.start, start + s.stop) for s in part.stretches]
