@@ -14,7 +14,7 @@ from chains import random_chain
 from recorded import Plant, as_set, multisine, record
 from scipy.optimize import lsq_linear
 
-from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model
+from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model, with_widths
 from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, Term, load_model, nominal_term, save_model
 from rrr_oc.effects.parallel_spring import ParallelSpring
@@ -91,6 +91,16 @@ def test_abrupt_friction_gets_its_own_width(tmp_path):
     model = calibrate(as_set(plant, [record(plant, f"{i}.csv", rng, 20.0) for i in range(2)]))
     assert model.terms[0].width == 0.01
     np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2], rtol=0.02)
+
+
+def test_friction_that_falls_off_is_not_taken_for_an_abrupt_sign(tmp_path):
+    plant, rng = one(folder=tmp_path), np.random.default_rng(5)
+    made = [record(plant, f"{i}.csv", rng, 20.0) for i in range(2)]
+    made = [replace(r, tau=r.tau + 2.0 * np.exp(-((r.dq / 0.2) ** 2)) * np.tanh(r.dq / plant.width)) for r in made]
+    recordings = as_set(plant, made)
+    prepared, start = prepare(recordings), plain_model(recordings)
+    assert with_widths(prepared, start).terms[0].width < plant.width  # the plain model has no other way
+    assert with_widths(prepared, start, free=True).terms[0].width == plant.width
 
 
 def test_spikes_are_taken_out_and_counted(concealed):
