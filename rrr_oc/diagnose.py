@@ -95,9 +95,13 @@ class Finding:
         return float(min(1.0, self.tests * chi2.sf(self.likelihood, self.dimensions)))
 
 
-def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
-    """All parameters of a model, fitted to a bench within their bounds; inertial ones freely where they are unknown."""
-    found = rows(bench.prepared, model, bench.identify)
+def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last: Rows | None = None) -> Fitted:
+    """All parameters of a model, fitted to a bench within their bounds; inertial ones freely where they are unknown.
+
+    Args:
+        without_last: Rows of the model without its last term; their derivatives then serve all along, which is nearly as good.
+    """
+    found = rows(bench.prepared, model, bench.identify, without_last)
     straight = not bench.identify and all(_straight(term.effect) for term in model.terms)
     for _ in range(steps):
         found = _without_rounding(found, model)
@@ -114,7 +118,7 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS) -> Fitted:
         for share in (1.0, 0.4, 0.1):
             there = _moved(model, values + share * step[:size], share * step[size:])
             known = replace(found, residual=found.residual - share * (found.jacobian @ step)) if straight else None
-            tried = known or rows(bench.prepared, there, bench.identify)
+            tried = known or rows(bench.prepared, there, bench.identify, without_last)
             after = float(weights @ np.sum(tried.residual**2, axis=1))
             if after < cost:
                 break
@@ -214,9 +218,9 @@ def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidat
     """The model with a candidate, fitted; where all is linear, as the evidence has it already."""
     model, effect = extended(fitted.model, candidate), candidate.trial.effect
     if effect.simulated:
-        return _best_start(bench, model, (1.0,))
+        return _best_start(bench, model, (1.0,), fitted.rows)
     if not effect.linear:
-        return refit(bench, model)
+        return refit(bench, model, without_last=fitted.rows)
     return Fitted(model, replace(fitted.rows, residual=evidence.left_by(candidate)))
 
 
@@ -291,13 +295,13 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
     return result
 
 
-def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float]) -> Fitted:
+def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float], without_last: Rows | None = None) -> Fitted:
     """The best fit from several starts of the last term, of which the prediction is no smooth function: all forms, these shares."""
     last, fits = model.terms[-1], []
     for effect in last.effect.forms():
         for share in shares:
             start = replace(last, effect=effect).with_values(share * last.values)
-            fits.append(refit(bench, replace(model, terms=(*model.terms[:-1], start)), 3))
+            fits.append(refit(bench, replace(model, terms=(*model.terms[:-1], start)), 3, without_last))
     return min(fits, key=lambda f: f.misfit)
 
 

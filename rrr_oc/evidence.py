@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from rrr_oc import parallel
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Trial
 from rrr_oc.effects.empirical import Empirical
@@ -133,7 +132,7 @@ class Evidence:
     def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
-        signatures = table(parallel.threaded(lambda p: context(p, model), bench.prepared), every)
+        signatures = table([context(p, model) for p in bench.prepared], every)
         nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
         return cls(bench, model, found, signatures, *nothing).under(found)
 

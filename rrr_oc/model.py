@@ -1,8 +1,11 @@
 """A model: a robot with effects. One symbolic definition for optimal control, simulation and identification."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import pairwise
+from threading import Thread
 from typing import Literal
 
 import casadi as ca
@@ -15,26 +18,43 @@ from rrr_oc.rigid_body import RigidBody, rigid_body, with_payload
 from rrr_oc.robot import Robot, ToolPoint
 
 CHAIN = ("q", "dq", "ddq", "time", "payload", "theta", "widths", "inertial")  # arguments of `Model.motor_inverse`
+CORES = os.cpu_count() or 1
+SHARED = 1000  # instants, from which on a thread is worth its start
 LISTED = ("parallel_spring", "biarticular_spring")  # what recordings may list
 
 
 def along(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
     """Outputs of a Function at K instants, without casadi's copies; each (rows, columns · K), the instants side by side.
 
+    Many instants are shared out to threads. Only the evaluation is: casadi's expressions and Functions are made in one thread.
+
     Args:
         arguments: (rows, columns · K) each, or (rows, columns) for what is the same at all instants.
     """
     arrays = [np.asfortranarray(np.reshape(a, (len(a), 1)) if np.ndim(a) < 2 else a, float) for a in arguments]
-    counts = [a.shape[1] // max(function.size2_in(i), 1) for i, a in enumerate(arrays)]
+    wide = [max(function.size2_in(i), 1) for i in range(len(arrays))]
+    counts = [a.shape[1] // w for a, w in zip(arrays, wide, strict=True)]
     count = max(counts)
-    mapped = _mapped(function, count, tuple(i for i, c in enumerate(counts) if c != count))
-    results = [np.empty(mapped.size_out(i), order="F") for i in range(mapped.n_out())]
-    buffer, evaluate = mapped.buffer()
-    for i, a in enumerate(arrays):
-        buffer.set_arg(i, a.reshape(-1, order="F").data)  # pyright: ignore[reportCallIssue, reportArgumentType]
-    for i, a in enumerate(results):
-        buffer.set_res(i, a.reshape(-1, order="F").data)  # pyright: ignore[reportCallIssue, reportArgumentType]
-    evaluate()
+    same = tuple(i for i, c in enumerate(counts) if c != count)
+    results = [np.empty((function.size1_out(i), function.size2_out(i) * count), order="F") for i in range(function.n_out())]
+    edges = np.linspace(0, count, max(1, min(CORES, count // SHARED)) + 1).astype(int)
+    evaluations = []
+    for k, end in pairwise(edges.tolist()):
+        buffer, evaluate = _mapped(function, end - k, same).buffer()
+        for i, (a, w) in enumerate(zip(arrays, wide, strict=True)):
+            part = a if i in same else a[:, k * w : end * w]
+            buffer.set_arg(i, part.reshape(-1, order="F").data)  # pyright: ignore[reportCallIssue, reportArgumentType]
+        for i, a in enumerate(results):
+            w = function.size2_out(i)
+            part = a[:, k * w : end * w].reshape(-1, order="F")
+            buffer.set_res(i, part.data)  # pyright: ignore[reportCallIssue, reportArgumentType]
+        evaluations.append((evaluate, buffer))
+    others = [Thread(target=evaluate) for evaluate, _ in evaluations[1:]]
+    for thread in others:
+        thread.start()
+    evaluations[0][0]()
+    for thread in others:
+        thread.join()
     return results
 
 

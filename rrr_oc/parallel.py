@@ -1,16 +1,13 @@
 """Many independent calls at once, on all cores of this machine or on a Dask cluster."""
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import joblib
 
 from rrr_oc.errors import UserError
 
-A, B = TypeVar("A"), TypeVar("B")
 LOCAL = "local"
 PATIENCE = 30.0  # [s] for a scheduler to answer
 
@@ -31,12 +28,6 @@ def ordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = 
     """The same, in the order of the arguments."""
     pool = joblib.Parallel(n_jobs=jobs, batch_size=cast(Any, 1))
     return cast(list[Any], pool(joblib.delayed(function)(*a) for a in arguments))
-
-
-def threaded(function: Callable[[A], B], arguments: Iterable[A]) -> list[B]:
-    """The same for one argument, from threads: for work most of which casadi does, which then holds up no other thread."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(function, arguments))
 
 
 @contextmanager

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.sparse import csr_matrix
 
-from rrr_oc import parallel
 from rrr_oc.calibrated import CalibratedModel, Physics
 from rrr_oc.model import CHAIN, Model, along
 from rrr_oc.recordings import Recording, RecordingSet
@@ -135,19 +134,28 @@ def _thinned(prepared: Prepared, stride: int, share: float) -> Prepared:
     return replace(prepared, recording=coarse, measured=measured[:, rows], moving=prepared.moving[:, rows])
 
 
-def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False) -> Rows:
+def rows(
+    prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False, without_last: Rows | None = None
+) -> Rows:
     """The rows of a model: derivatives by the parameters of its terms in their order and, if wanted, by (10, n) inertial ones.
 
     Derivatives by the inertial parameters follow, link by link in the order of `Robot.inertial`.
+
+    Args:
+        without_last: Rows of the model without its last term, from which all other derivatives are taken as they are.
     """
-    parts = parallel.threaded(lambda p: _rows(p, model, inertial), prepared)
+    parts = [_rows(p, model, inertial, without_last is not None) for p in prepared]
     stretches, start = [], 0
     for part in parts:
         stretches += [slice(start + s.start, start + s.stop) for s in part.stretches]
         start += part.residual.shape[1]
+    jacobian = np.concatenate([p.jacobian for p in parts], axis=1)
+    if without_last is not None:
+        at = sum(len(t.estimates) for t in model.terms[:-1])
+        jacobian = np.concatenate([without_last.jacobian[:, :, :at], jacobian, without_last.jacobian[:, :, at:]], axis=2)
     return Rows(
         residual=np.concatenate([p.residual for p in parts], axis=1),
-        jacobian=np.concatenate([p.jacobian for p in parts], axis=1),
+        jacobian=jacobian,
         moving=np.concatenate([p.moving for p in parts], axis=1),
         stretches=tuple(stretches),
         durations=tuple(d for p in parts for d in p.durations),
@@ -242,11 +250,11 @@ def _moving(recording: Recording) -> np.ndarray:
     return fastest >= REST_SPEED
 
 
-def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
+def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
     r = prepared.recording
     true = model.true_torque(r)
     residual = prepared.measured - model.physics(r).recorded(r, true)
-    jacobian = derivatives(model, r, inertial, true)
+    jacobian = derivatives(model, r, inertial and not last, true, last)
     kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]
     moving = prepared.moving[:, kept]
@@ -295,41 +303,50 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
 
 
 def derivatives(
-    model: CalibratedModel, recording: Recording, inertial: bool = False, true: np.ndarray | None = None
+    model: CalibratedModel, recording: Recording, inertial: bool = False, true: np.ndarray | None = None, last: bool = False
 ) -> np.ndarray:
     """d predicted / d (parameters of the terms, inertial parameters), (n, K, p).
 
     Args:
         true: `model.true_torque(recording)`, where it is known.
+        last: Whether only those by the parameters of the last term are wanted.
     """
     physics, n, count = model.physics(recording), model.robot.n, len(recording.t)
-    by_theta = _sensitivity(physics, recording, model.torque, "theta")
-    listed = sum(len(effect.parameters) for effect, _ in recording.springs)
-    result = np.zeros((n, count, sum(len(t.estimates) for t in model.terms)))
-    column = 0
-    for term in model.terms:
-        size = len(term.estimates)
-        if term.holds_for(recording):
-            result[:, :, column : column + size] = by_theta[:, :, listed : listed + size]
-            listed += size
-        column += size
+    wanted = model.terms[-1:] if last else model.terms
+    special = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in wanted]
+    result = np.zeros((n, count, sum(len(t.estimates) for t in wanted)))
+    if not all(special):
+        by_theta = _sensitivity(physics, recording, model.torque, "theta")
+        listed = by_theta.shape[2] - sum(len(t.estimates) for t in wanted if t.holds_for(recording))
+        column = 0
+        for term in wanted:
+            size = len(term.estimates)
+            if term.holds_for(recording):
+                result[:, :, column : column + size] = by_theta[:, :, listed : listed + size]
+                listed += size
+            column += size
     if inertial:
         result = np.concatenate([result, _sensitivity(physics, recording, model.torque, "inertial")], axis=2)
-    return _beyond_the_torque(model, recording, physics, result, true)
+    for k in range(result.shape[2]) if any(t.effect.side == "sensor" for t in model.terms) else ():
+        result[:, :, k] = physics.passed_on(recording, result[:, :, k])
+    if any(special):
+        _differences(model, recording, physics, special, result, true)
+    return result
 
 
-def _beyond_the_torque(
-    model: CalibratedModel, recording: Recording, physics: Physics, jacobian: np.ndarray, true: np.ndarray | None
-) -> np.ndarray:
-    """The derivatives as sensors pass them on, with differences for terms that do not add a torque of the instant."""
-    special = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in model.terms]
-    if not any(special):
-        return jacobian
-    for k in range(jacobian.shape[2]):
-        jacobian[:, :, k] = physics.passed_on(recording, jacobian[:, :, k])
+def _differences(
+    model: CalibratedModel,
+    recording: Recording,
+    physics: Physics,
+    special: Sequence[bool],
+    jacobian: np.ndarray,
+    true: np.ndarray | None,
+) -> None:
+    """Fill in the derivatives by the parameters of those of the last terms that do not add a torque of the instant."""
     true = model.true_torque(recording) if true is None else true
-    base, column = physics.recorded(recording, true), 0
-    for i, (term, other) in enumerate(zip(model.terms, special, strict=True)):
+    base, column, first = physics.recorded(recording, true), 0, len(model.terms) - len(special)
+    for i, other in enumerate(special, first):
+        term = model.terms[i]
         for k, value in enumerate(term.values if other and term.holds_for(recording) else ()):
             step = DIFFERENCE * max(abs(value), 1.0 if value else DIFFERENCE)
             moved = term.with_values(term.values + step * (np.arange(len(term.values)) == k))
@@ -337,7 +354,6 @@ def _beyond_the_torque(
             torque = true if term.effect.side == "sensor" else there.true_torque(recording)
             jacobian[:, :, column + k] = (there.physics(recording).recorded(recording, torque) - base) / step
         column += len(term.estimates)
-    return jacobian
 
 
 def _sensitivity(physics: Physics, recording: Recording, torque: str, by) -> np.ndarray:
