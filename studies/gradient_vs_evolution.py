@@ -29,7 +29,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rrr_oc import parallel
 from rrr_oc.candidates import Encoding
 from rrr_oc.codesign import CONFIGURATIONS
-from rrr_oc.comparison import FREE_MOTION, NEAR, summarise, tables
+from rrr_oc.comparison import FREE_MOTION, NEAR, evolved_of, summarise, tables
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.evolution import Protocol
 from rrr_oc.experiments import (
@@ -145,8 +145,8 @@ def _motions(out: Path, preset: str, summary: dict) -> None:
     for name, entry in summary["rest"].items():
         design = experiment(task, name)
         chosen = {}
-        if "evolution-engine" in entry:
-            best = entry["evolution-engine"]
+        best = evolved_of(entry)
+        if best is not None:
             chosen["evolution"] = candidate_motion(Encoding(design), np.array(best["x"])), best["parameters"]
         known = [r for r in runs if r.asked["experiment"] == name and r.asked["way"] in FREE_MOTION]
         if known:

@@ -1,10 +1,9 @@
 """The study of the paper's calibration: coverage, race and tables on made-up data whose answers are known."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
+import calibration
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
@@ -12,9 +11,6 @@ from recorded import Plant, as_set, record
 from rrr_oc.actuator import load_actuators
 from rrr_oc.calibrate import plain_model
 from rrr_oc.nrmse import error
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "studies"))
-import calibration
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
 

@@ -1,13 +1,12 @@
 """The comparison as its users run it, in a size of seconds; its tables from a store; what it says to those who ask wrongly."""
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
-from types import ModuleType
 
+import gradient_vs_evolution as study
 import numpy as np
 import pytest
+from commands import run
 
 from rrr_oc.comparison import summarise, tables
 from rrr_oc.runs import Run, all_runs
@@ -15,26 +14,7 @@ from rrr_oc.runs import Run, all_runs
 STUDY = Path(__file__).resolve().parents[1] / "studies" / "gradient_vs_evolution.py"
 
 
-@pytest.fixture(scope="module")
-def study() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("gradient_vs_evolution", STUDY)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["gradient_vs_evolution"] = module  # so that processes can be told of its functions
-    spec.loader.exec_module(module)
-    return module
-
-
-def run(study: ModuleType, monkeypatch, *arguments: str) -> int:
-    """The command line in this process; its exit status."""
-    monkeypatch.setattr(sys, "argv", [str(STUDY), *arguments])
-    with pytest.raises(SystemExit) as stop:
-        study.run()
-    return int(stop.value.code or 0)
-
-
-def test_a_small_study_leaves_tables_and_figures_and_is_not_run_twice(study, monkeypatch, tmp_path):
+def test_a_small_study_leaves_tables_and_figures_and_is_not_run_twice(monkeypatch, tmp_path):
     monkeypatch.setitem(study.SIZES, "reduced", study.Size(2, 3, 6, 60, 1, 2, 1, 1, (3.0,)))
     arguments = [
         "--experiments",
@@ -137,7 +117,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_one_sentence_and_status_2(study, monkeypatch, capsys, tmp_path, arguments, message):
+def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, arguments, message):
     assert run(study, monkeypatch, "--out", str(tmp_path / "results"), *arguments) == 2
     told = capsys.readouterr().err.strip()
     assert told.startswith("Error: ")

@@ -5,27 +5,25 @@ import ast
 import csv
 import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+from validation.concealed.arms import PROTOTYPE_MOTOR, Arm, generated_arm, rrr_arm
+from validation.concealed.build import Bench, Built, build, make_arm
+from validation.concealed.cases import Case, Concealed, declare
+from validation.concealed.catalogue import CATALOGUE, OUTSIDE, effect_type
+from validation.concealed.effect import Effect
+from validation.concealed.effects_friction import Backlash, JointElasticity, LoadDependentFriction
+from validation.concealed.plain import calibrate, thinned
+from validation.concealed.plant import Plant, Setup, bodies, signals
+from validation.concealed.sensors import sample
+from validation.concealed.springs import SpringBank, spring_torque
+from validation.concealed.write import write_case
 
-from validation.concealed.arms import PROTOTYPE_MOTOR, Arm, generated_arm, rrr_arm  # noqa: E402
-from validation.concealed.build import Bench, Built, build, make_arm  # noqa: E402
-from validation.concealed.cases import Case, Concealed, declare  # noqa: E402
-from validation.concealed.catalogue import CATALOGUE, OUTSIDE, effect_type  # noqa: E402
-from validation.concealed.effect import Effect  # noqa: E402
-from validation.concealed.effects_friction import Backlash, JointElasticity, LoadDependentFriction  # noqa: E402
-from validation.concealed.plain import calibrate, thinned  # noqa: E402
-from validation.concealed.plant import Plant, Setup, bodies, signals  # noqa: E402
-from validation.concealed.sensors import sample  # noqa: E402
-from validation.concealed.springs import SpringBank, spring_torque  # noqa: E402
-from validation.concealed.write import write_case  # noqa: E402
+ROOT = Path(__file__).resolve().parents[1]
 
 CONTRACT = {
     "coulomb_asymmetry": {"asymmetry"},

@@ -2,22 +2,16 @@
 
 import json
 import shutil
-import sys
-from pathlib import Path
 
+import concealed_physics as study
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "studies")]
-
-import concealed_physics as study  # noqa: E402
-
-from rrr_oc.errors import UserError  # noqa: E402
-from validation.concealed.build import build  # noqa: E402
-from validation.concealed.cases import Case, Concealed  # noqa: E402
-from validation.concealed.write import write_case  # noqa: E402
+from rrr_oc.errors import UserError
+from validation.concealed.build import build
+from validation.concealed.cases import Case, Concealed
+from validation.concealed.write import write_case
 
 
 @pytest.fixture(scope="module")

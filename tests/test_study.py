@@ -2,16 +2,16 @@
 
 import copy
 import importlib.resources
-import importlib.util
 import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
+import pea_bpea as study
 import pytest
 from chains import arm, joint, link, robot
+from commands import run
 
 ROOT = Path(__file__).resolve().parents[1]
 STUDY = ROOT / "studies" / "pea_bpea.py"
@@ -48,25 +48,6 @@ def out(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def summary(out) -> dict:
     return json.loads((out / "summary.json").read_text())
-
-
-@pytest.fixture(scope="module")
-def study() -> ModuleType:
-    """The study as a module, so that its process starts once."""
-    spec = importlib.util.spec_from_file_location("pea_bpea", STUDY)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def run(study: ModuleType, monkeypatch, *arguments: str) -> int:
-    """The command line in this process; its exit status."""
-    monkeypatch.setattr(sys, "argv", [str(STUDY), *arguments])
-    with pytest.raises(SystemExit) as stop:
-        study.run()
-    return int(stop.value.code or 0)
 
 
 def test_summary_holds_what_the_contract_says(summary):
@@ -219,7 +200,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_one_sentence_and_status_2(study, monkeypatch, capsys, tmp_path, arguments, message):
+def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, arguments, message):
     folder = tmp_path / "results"
     small = ["--configurations", "SA", "--starts", "2", "--catalogue", "none", "--jobs", "1", "--out", str(folder)]
     assert run(study, monkeypatch, *small, *arguments(tmp_path)) == 2
@@ -231,9 +212,9 @@ def test_bad_input_is_one_sentence_and_status_2(study, monkeypatch, capsys, tmp_
     assert not folder.exists()
 
 
-def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(study, monkeypatch, capsys, tmp_path):
+def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypatch, capsys, tmp_path):
     (tmp_path / "results").write_text("mine")
-    monkeypatch.setattr(study, "search", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr("search", lambda *a: pytest.fail("it began to solve"))
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"

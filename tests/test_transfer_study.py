@@ -1,7 +1,6 @@
 """The study of transfer: the repaired design against the independent plant, and its stages on a model that is known."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +20,6 @@ from rrr_oc.solve import Refinement
 from rrr_oc.sweeps import PROTOTYPE_SWEEP, PlannedRecording
 from rrr_oc.task import load_task
 from rrr_oc.transfer import repaired
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from studies import transfer as study
 
 ARMS = study.prototypes(3)

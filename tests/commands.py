@@ -1,0 +1,14 @@
+"""Studies run as their users run them, but in this process."""
+
+import sys
+from types import ModuleType
+
+import pytest
+
+
+def run(study: ModuleType, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The exit status of a study's command line."""
+    monkeypatch.setattr(sys, "argv", [str(study.__file__), *arguments])
+    with pytest.raises(SystemExit) as stop:
+        study.run()
+    return int(stop.value.code or 0)
