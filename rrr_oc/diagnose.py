@@ -364,7 +364,7 @@ def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, 
 
     def superfluous(less: Fitted, i: int, by: float = 1.0) -> bool:
         share = np.max((less.squares - fitted.squares) / plain.squares)
-        return share < by * LEAST_SHARE or fitted.better_than(less) < by * _least(fitted, i, tests)
+        return bool(share < by * LEAST_SHARE) or fitted.better_than(less) < by * _least(fitted, i, tests)
 
     i = base
     while i < len(fitted.model.terms) - 1:

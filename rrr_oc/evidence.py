@@ -207,7 +207,7 @@ class Evidence:
                 gain, coefficients, dimensions = _solve(left[np.ix_(c, c)], left[c, -1], raw[c])
                 found.append((gain - 2 * dimensions, pair, np.split(coefficients, [len(self._columns(pair[0]))])))
         best = sorted(found, key=lambda one: -one[0])[:count]
-        return [tuple(self._bare(k, x) for k, x in zip(pair, parts, strict=True)) for _, pair, parts in best]
+        return [(self._bare(a, x), self._bare(b, y)) for _, (a, b), (x, y) in best]
 
     def _bare(self, k: int, coefficients: np.ndarray) -> Candidate:
         return Candidate(self.table.trials[k], k, None, coefficients, 0.0, len(coefficients), 0.0, 0.0)
