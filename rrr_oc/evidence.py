@@ -205,12 +205,13 @@ class Evidence:
             if sum(len(self.table.trials[k].effect.parameters) for k in pair) < parameters:
                 c = np.concatenate([self._columns(k) for k in pair])
                 gain, coefficients, dimensions = _solve(left[np.ix_(c, c)], left[c, -1], raw[c])
-                found.append((gain - 2 * dimensions, pair, np.split(coefficients, [len(self._columns(pair[0]))])))
-        best = sorted(found, key=lambda one: -one[0])[:count]
-        return [(self._bare(a, x), self._bare(b, y)) for _, (a, b), (x, y) in best]
+                parts = np.split(coefficients, [len(self._columns(pair[0]))])
+                if all(self._possible(k, None, x) for k, x in zip(pair, parts, strict=True)):
+                    found.append((gain - 2 * dimensions, *(self._bare(k, x) for k, x in zip(pair, parts, strict=True))))
+        return [(one, other) for _, one, other in sorted(found, key=lambda f: -f[0])[:count]]
 
-    def _bare(self, k: int, coefficients: np.ndarray) -> Candidate:
-        return Candidate(self.table.trials[k], k, None, coefficients, 0.0, len(coefficients), 0.0, 0.0)
+    def _bare(self, k: int, coefficients: np.ndarray, scope: tuple[str, ...] | None = None) -> Candidate:
+        return Candidate(self.table.trials[k], k, scope, coefficients, 0.0, len(coefficients), 0.0, 0.0)
 
     @property
     def tests(self) -> int:
@@ -255,7 +256,7 @@ class Evidence:
     def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:
         """The candidate with its likelihood."""
         trial = self.table.trials[k]
-        bare = Candidate(trial, k, scope, coefficients, 0.0, dimensions, 0.0, 0.0)
+        bare = replace(self._bare(k, coefficients, scope), dimensions=dimensions)
         left = replace(self.rows, residual=self.left_by(bare))
         after, before = (np.sum(x**2, axis=1) for x in (left.residual, self.left_by()))
         ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
