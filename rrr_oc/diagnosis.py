@@ -134,9 +134,8 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         start, begin = (replace(model, terms=fitted.model.terms[: len(model.terms)]) for model in (start, begin))
         findings = _ordered(folds, begin, findings)
         shares = _shares(folds, begin, findings)
-        kept = [k for k, share in enumerate(shares.share) if share > LEAST_SHARE]
-        if len(kept) < len(findings):
-            findings = [findings[k] for k in kept]
+        while (worst := min(shares.share, default=1.0)) <= LEAST_SHARE:
+            findings = [f for f, share in zip(findings, shares.share, strict=True) if share > worst]
             shares = _shares(folds, begin, findings)
         model = _final(recordings, whole, _with(start, findings))
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
