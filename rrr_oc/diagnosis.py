@@ -24,6 +24,7 @@ FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
 SMALL = 4
 BLOCKS = 4  # of the only recording
 LEAST_SHARE = 0.002  # of the squared residual on recordings held out, for an effect to stay
+HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 LEAST_GROWTH = 0.005  # of the squared residual without the effects, for a joint to be called one of the mismatch
 BINS = 12  # of a variable, when it is asked where the error is
 NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
@@ -37,11 +38,13 @@ class Shares:
     Attributes:
         share: Fall of the squared residual with the effect, over what it was before any effect, one an effect.
         before, after: NRMSE of the effect's joints without and with it, one an effect.
+        least: As `share`, in the fold where it is least.
     """
 
     share: tuple[float, ...]
     before: tuple[float, ...]
     after: tuple[float, ...]
+    least: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -122,9 +125,10 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     begin = replace(start, robot=plain.robot) if unknown else start
     fitted, findings = search(bench, begin, report)
     way, folds = _folds(bench)
-    model, shares = plain, Shares((), (), ())
+    model, shares = plain, Shares((), (), (), ())
     empirical = any(isinstance(f.term.effect, Empirical) for f in findings)
-    held = [(bench, begin, fold, bool(findings), empirical) for bench, fold in folds]
+    every = [fold for _, fold in folds]
+    held = [(bench, begin, every, k, bool(findings), empirical) for k, (bench, _) in enumerate(folds)]
     report("fitting without the recordings that are held out")
     outcomes = parallel.ordered(_held_out, held, 1 if not findings else jobs)
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
@@ -133,11 +137,9 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         # far from where the effects were fitted, those that are not linear would lead astray
         start, begin = (replace(model, terms=fitted.model.terms[: len(model.terms)]) for model in (start, begin))
         findings = _ordered(folds, begin, findings)
-        shares = _shares(folds, begin, findings)
-        while (worst := min(shares.share, default=1.0)) <= LEAST_SHARE:
-            findings = [f for f, share in zip(findings, shares.share, strict=True) if share > worst]
-            shares = _shares(folds, begin, findings)
-        model = _final(recordings, whole, _with(start, findings))
+        kept, shares = _worth_keeping(folds, begin, [f.term for f in findings])
+        findings = [findings[k] for k in kept]
+        model = _final(recordings, whole, _with(start, [f.term for f in findings]))
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     mismatch = _mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
@@ -189,11 +191,23 @@ def _blocks(bench: Bench) -> Bench:
     return replace(bench, prepared=tuple(pieces))
 
 
-def _held_out(bench: Bench, start: CalibratedModel, fold: list[int], look: bool, unnamed_too: bool) -> Fold:
-    """The plain and the extended model, fitted to and chosen on what is not in the fold, and their errors on the fold."""
-    train = bench.part([i for i in range(len(bench.prepared)) if i not in fold])
-    plain = refit(train, replace(start, compiled={}))
-    after = search(train, plain.model, contest=False, unnamed_too=unnamed_too)[0] if look else plain
+def _held_out(
+    bench: Bench, start: CalibratedModel, folds: Sequence[list[int]], number: int, look: bool, unnamed_too: bool
+) -> Fold:
+    """The plain and the extended model, fitted to and chosen on what is not in a fold, and their errors on the fold.
+
+    Where terms that no law stands behind are not worth keeping on the other folds, the search is repeated without such.
+    """
+    fold, rest = folds[number], [i for i in range(len(bench.prepared)) if i not in folds[number]]
+    train = bench.part(rest)
+    plain = after = refit(train, replace(start, compiled={}))
+    if look:
+        after = search(train, plain.model, contest=False, unnamed_too=unnamed_too)[0]
+        inner = [(train, [rest.index(i) for i in other]) for k, other in enumerate(folds) if k != number]
+        found = after.model.terms[len(start.terms) :]
+        doubtful = [k for k, t in enumerate(found) if isinstance(t.effect, Empirical)] if len(inner) > 1 else []
+        if doubtful and not set(doubtful) <= set(_worth_keeping(inner, plain.model, found)[0]):
+            after = search(train, plain.model, contest=False, unnamed_too=False)[0]
     before, then = (_errors(bench.part(fold), fitted.model) for fitted in (plain, after))
     return Fold(tuple(fold), replace(plain.model, compiled={}), replace(after.model, compiled={}), before, then)
 
@@ -217,37 +231,56 @@ def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
     return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
-def _with(start: CalibratedModel, findings: Sequence[Finding]) -> CalibratedModel:
-    return replace(start, terms=(*start.terms, *(f.term for f in findings)))
+def _with(start: CalibratedModel, terms: Sequence[Term]) -> CalibratedModel:
+    return replace(start, terms=(*start.terms, *terms))
 
 
 def _ordered(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, findings: Sequence[Finding]) -> list[Finding]:
     """The effects by what each, alone, is worth on recordings held out, most first."""
     if len(findings) < 2:
         return list(findings)
-    worth = [_shares(folds, start, [f]).share[0] for f in findings]
+    worth = [_shares(folds, start, [f.term]).share[0] for f in findings]
     return [findings[k] for k in np.argsort(worth, kind="stable")[::-1]]
 
 
-def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, findings: Sequence[Finding]) -> Shares:
+def _worth_keeping(
+    folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]
+) -> tuple[list[int], Shares]:
+    """Numbers of the terms that are worth something on recordings held out, and their shares; the worst leave one by one.
+
+    A term that no law stands behind must do harm on none of the folds, too: it may fit motions that are alike, and no others.
+    """
+    kept = list(range(len(terms)))
+    while True:
+        shares = _shares(folds, start, [terms[k] for k in kept])
+        doing_harm = [isinstance(terms[k].effect, Empirical) and x < -HARM for k, x in zip(kept, shares.least, strict=True)]
+        worth = np.where(doing_harm, -np.inf, shares.share)
+        if not kept or worth.min() > LEAST_SHARE:
+            return kept, shares
+        kept.pop(int(np.argmin(worth)))
+
+
+def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]) -> Shares:
     """Effects are added one after the other, in their order; everything is fitted to the rest of the recordings each time."""
-    model, base, count = _with(start, findings), len(start.terms), len(findings)
-    squares, errors = np.zeros((count + 1, model.robot.n)), []
-    for bench, fold in folds:
+    model, base, count = _with(start, terms), len(start.terms), len(terms)
+    squares, errors = np.zeros((len(folds), count + 1, model.robot.n)), []
+    for f, (bench, fold) in enumerate(folds):
         train, test = bench.part([i for i in range(len(bench.prepared)) if i not in fold]), bench.part(fold)
         found = []
         for k in range(count + 1):
             there = refit(train, replace(model, terms=model.terms[: base + k]), steps=5).model
-            squares[k] += np.sum(rows(test.prepared, there).residual ** 2, axis=1)
+            squares[f, k] = np.sum(rows(test.prepared, there).residual ** 2, axis=1)
             found.append(_errors(test, there))
         errors.append(found)
     nrmse = np.array([_mean([e[k] for e in errors]) for k in range(count + 1)])
-    total = np.sum(squares / np.maximum(squares[-1], 1e-300), axis=1)  # joints weigh by the noise that is left
-    joints = [list(f.term.effect.joints) or list(range(model.robot.n)) for f in findings]
+    by_fold = np.sum(squares / np.maximum(squares.sum(axis=0)[-1], 1e-300), axis=2)  # joints weigh by the noise that is left
+    total, least = by_fold.sum(axis=0), np.min(-np.diff(by_fold, axis=1) / by_fold[:, :1], axis=0)
+    joints = [list(t.effect.joints) or list(range(model.robot.n)) for t in terms]
     return Shares(
         tuple(float((total[k] - total[k + 1]) / total[0]) for k in range(count)),
         tuple(float(np.nanmean(nrmse[k][j])) for k, j in enumerate(joints)),
         tuple(float(np.nanmean(nrmse[k + 1][j])) for k, j in enumerate(joints)),
+        tuple(map(float, least)),
     )
 
 

@@ -28,6 +28,7 @@ class Empirical(Effect):
         orders: Highest k (and l).
         signed: Whether it turns with the direction of its own joint.
         edges: (±1, edge in [0, 1], power) of what begins at an edge, upwards or downwards.
+        largest: Bound of a series' coefficients [Nm]: terms that cancel each other where recordings are mean nothing beyond them.
     """
 
     name = "empirical"
@@ -41,6 +42,7 @@ class Empirical(Effect):
     orders: tuple[int, ...] = field(default=())
     signed: bool = field(default=False)
     edges: tuple[tuple[int, float, int], ...] = field(default=())
+    largest: float = field(default=1e6)
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:
@@ -49,8 +51,10 @@ class Empirical(Effect):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        names = ["above" if side > 0 else "below" for side, _, _ in self.edges] or ["_".join(map(str, p)) for p in self.powers]
-        return tuple(Parameter(f"c_{name}", "Nm", 0.0) for name in names)
+        if self.edges:
+            return tuple(Parameter("c_above" if side > 0 else "c_below", "Nm", 0.0) for side, _, _ in self.edges)
+        bounds = -self.largest, self.largest
+        return tuple(Parameter("c_" + "_".join(map(str, p)), "Nm", 0.0, *bounds) for p in self.powers)
 
     @cached_property
     def amplitudes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -101,6 +105,7 @@ class Empirical(Effect):
             acceleration: Largest of each joint [rad/s²], (n,).
         """
         n, ranges = view.n, {("time", -1): (0.0, view.duration)}
+        largest = float(max(abs(motor[0][j]), abs(motor[1][j])))
         for i in range(n):
             ranges |= {("q", i): (view.low[i], view.high[i]), ("dq", i): (-view.speed[i], view.speed[i])}
             ranges |= {("ddq", i): (-acceleration[i], acceleration[i])}
@@ -109,7 +114,14 @@ class Empirical(Effect):
         def one(variables, orders=(), signed=False, edges=()):
             low, high = zip(*(ranges[v] for v in variables), strict=True)
             effect = cls(
-                (j,), tuple(variables), tuple(map(float, low)), tuple(map(float, high)), tuple(orders), signed, tuple(edges)
+                (j,),
+                tuple(variables),
+                tuple(map(float, low)),
+                tuple(map(float, high)),
+                tuple(orders),
+                signed,
+                tuple(edges),
+                largest,
             )
             zero = dict.fromkeys(effect.amplitudes, 0.0)
             return Trial(effect, tuple(zero | {a: 1.0} for a in effect.amplitudes), width=effect.sign_width(view))
