@@ -31,6 +31,7 @@ FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
+CALL = 10.0  # times that, within which it takes an exact fit to say so
 DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
 MANY = 3  # parameters, beyond which two effects may be the simpler explanation
 NEAR = 0.6  # of the likelihood of what is in place, for others to be fitted there
@@ -413,6 +414,8 @@ def _contested(bench: Bench, plain: Fitted, fitted: Fitted, base: int, first: Ev
         rivals, best = [], None
         for candidate in _rivals(evidence, less.model, own):
             tried = fit_of(bench, evidence, less, candidate)
+            if tried.better_than(fitted) > -CALL * SAME:
+                tried = refit(bench, tried.model)
             better = tried.better_than(fitted)
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
             likelier = int(candidate.scope is not None) * (candidate.trial.effect.mounted - own.effect.mounted)
