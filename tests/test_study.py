@@ -132,7 +132,7 @@ def test_report_and_figures_are_there(out, summary):
     assert not list(out.glob("*.tmp*"))
 
 
-def test_repeating_the_command_takes_the_saved_results(out, summary, study, monkeypatch, capsys):
+def test_repeating_the_command_takes_the_saved_results(out, summary, monkeypatch, capsys):
     assert run(study, monkeypatch, *TINY, "--out", str(out)) == 0
     told = capsys.readouterr().out
     assert all(f"{name}: taken from" in told.replace("\n", " ") for name in ("SA", "PEA"))
@@ -214,7 +214,7 @@ def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, a
 
 def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypatch, capsys, tmp_path):
     (tmp_path / "results").write_text("mine")
-    monkeypatch.setattr("search", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(study, "search", lambda *a: pytest.fail("it began to solve"))
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"
