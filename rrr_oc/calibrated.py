@@ -5,16 +5,16 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from rrr_oc.effects import CATALOGUE, Effect, Signals
+from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.files import write_json
-from rrr_oc.model import Model, along
+from rrr_oc.model import Model
+from rrr_oc.physics import Physics
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.robot import BUNDLED, Robot, ToolPoint, load_robot
 
@@ -82,157 +82,6 @@ def nominal_term(effect: Effect) -> Term:
     """A term at its parameters' nominal values, for all recordings."""
     width = None if effect.width is None else effect.width.nominal
     return Term(effect, tuple(Estimate(p.nominal) for p in effect.parameters), width)
-
-
-@dataclass(frozen=True)
-class Physics:
-    """What is at work in one recording: the model with listed springs and terms, and the numbers that go into it."""
-
-    model: Model
-    theta: np.ndarray
-    widths: np.ndarray
-    inertial: np.ndarray
-
-    @staticmethod
-    def inputs(recording: Recording) -> tuple[np.ndarray, ...]:
-        """q, dq, ddq, time and payload, the first arguments of `Model.motor_inverse`."""
-        r = recording
-        return r.q, r.dq, r.ddq, (r.t - r.t[0])[None], r.payload[None]
-
-    def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-        """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
-        inputs, states = self.inputs(recording), self.states(recording)
-        values = (self.theta, self.widths, self.inertial)
-        if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
-            motor, load = along(self.model.motor_inverse, *inputs, *values)
-            return motor, load
-        motor, load = along(self.model.recorded_inverse, *inputs, *values, self.shift(recording), states)
-        return motor, load
-
-    def shift(self, recording: Recording) -> np.ndarray:
-        """What the links move otherwise than the recorded motion: q, dq, ddq, one below the other, (3 n, K)."""
-        total = np.zeros((3 * len(recording.q), len(recording.t)))
-        motion = [one for one in self.named() if one[0].side == "motion"]
-        inputs, states = self.inputs(recording), np.zeros((len(self.model.states), len(recording.t)))
-        for kind in (False, True):  # what a link does in its gap follows from the motion that all else makes
-            effects = [one for one in motion if one[0].simulated == kind]
-            if effects:  # of first order: to let load and shift agree would differentiate noise twice for each time
-                (load,) = along(self.model.recorded_load, *inputs, self.theta, self.widths, self.inertial, total, states)
-                reaction = partial(self.reaction, shift=total)
-                total = total + sum(moved(recording, *effect, load, reaction) for effect in effects)
-        return total
-
-    def reaction(
-        self, recording: Recording, load: np.ndarray, j: int, shift: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """By how much joint j's load torque grows with its own position and acceleration, K [Nm/rad] and M [kg m²], each (K,).
-
-        Args:
-            load: Load torque (n, K) [Nm] of the motion that differs from the recorded one by `shift` (3 n, K).
-        """
-        n, inputs = self.model.robot.n, self.inputs(recording)
-        states, found = np.zeros((len(self.model.states), len(recording.t))), []
-        for row, step in ((j, 1e-4), (2 * n + j, 1.0)):
-            there = np.zeros((3 * n, len(recording.t))) if shift is None else shift.copy()
-            there[row] += step
-            (torque,) = along(self.model.recorded_load, *inputs, self.theta, self.widths, self.inertial, there, states)
-            found.append((torque[j] - load[j]) / step)
-        return found[0], found[1]
-
-    def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
-        """What sensors make of a torque (n, K), as the effects of the side "sensor" say."""
-        result, delay = np.array(torque), 0.0
-        for effect, theta, width in self.named():
-            if effect.side == "sensor":
-                delay += theta.get("delay", 0.0)
-                for j, more in zip(effect.joints, effect.torque(Signals(recording.q, load=torque), theta, width), strict=True):
-                    result[j] += more
-        return later(recording, result, delay) if delay else result
-
-    def passed_on(self, recording: Recording, change: np.ndarray) -> np.ndarray:
-        """What sensors make of a change (n, K) of the true torque."""
-        if all(effect.side != "sensor" for effect in self.model.effects):
-            return change
-        return self.recorded(recording, change) - self.recorded(recording, np.zeros_like(change))
-
-    def states(self, recording: Recording) -> np.ndarray:
-        """Internal states of the effects along the recording, (number of states, K)."""
-        signals, found = Signals(recording.q, recording.dq, recording.ddq), []
-        for effect, theta, width in self.named():
-            if effect.states:
-                found.append(
-                    states_along(
-                        recording, effect, lambda z, e=effect, t=theta, w=width: e.rate(replace(signals, states=z), t, w)
-                    )
-                )
-        return np.concatenate([*found, np.zeros((0, len(recording.t)))])
-
-    def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
-        """Each effect with its parameters by name and its width."""
-        numbers, widths = iter(self.theta.tolist()), iter(self.widths.tolist())
-        return [
-            (e, {p.name: next(numbers) for p in e.parameters}, next(widths) if e.width is not None else None)
-            for e in self.model.effects
-        ]
-
-
-def moved(
-    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray, reaction: Any
-) -> np.ndarray:
-    """What the links move otherwise than the recorded motion because of one effect: q, dq, ddq, one below the other, (3 n, K).
-
-    Args:
-        load: Torque that the rigid motion needs (n, K) [Nm].
-        reaction: From recording, load and joint to what `Physics.reaction` returns.
-    """
-    n, result = len(recording.q), np.zeros((3 * len(recording.q), len(recording.t)))
-    if effect.simulated:
-        for j in effect.joints:
-            stiffness, inertia = reaction(recording, load, j)
-            for s in recording.segments:
-                result[[j, n + j, 2 * n + j], s] = effect.motion(recording.t[s], load[j, s], stiffness[s], inertia[s], theta)
-        return result
-    for j, shift in zip(effect.joints, effect.shift(Signals(recording.q, load=load), theta, width), strict=True):
-        result[j] = np.array(shift).reshape(-1)
-    for k, derivative in enumerate(recording.differentiators, 1):
-        result[k * n : (k + 1) * n] = (derivative @ result[:n].T).T
-    return result
-
-
-def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
-    """Signals (m, K) as they were a delay [s] before, within each segment."""
-    result = np.array(x)
-    for s in recording.segments:
-        t = recording.t[s]
-        for row in result:
-            row[s] = np.interp(t - delay, t, row[s])
-    return result
-
-
-def states_along(recording: Recording, effect: Effect, rate: Any) -> np.ndarray:
-    """States (number, K) of rates that are affine in them, each in its own, exactly over every sample's step.
-
-    Args:
-        rate: From states, a list of (K,), to rates.
-    """
-    count, length = len(effect.states), len(recording.t)
-    constant, unit = (
-        [np.broadcast_to(np.array(v).reshape(-1), (length,)) for v in rate([np.full(length, z)] * count)] for z in (0.0, 1.0)
-    )
-    result = np.empty((count, length))
-    for i, state in enumerate(effect.states):
-        slope = unit[i] - constant[i]
-        for s in recording.segments:
-            h = np.diff(recording.t[s])
-            a, b = (((x[s][1:] + x[s][:-1]) / 2) * h for x in (constant[i], slope))
-            keep = np.exp(np.clip(b, -700, 50))
-            gain = np.where(np.abs(b) > 1e-8, np.expm1(np.clip(b, -700, 50)) / np.where(b == 0, 1, b), 1.0) * a
-            z, values = state.nominal, [state.nominal]
-            for k, g in zip(keep.tolist(), gain.tolist(), strict=True):
-                z = k * z + g
-                values.append(z)
-            result[i, s] = values
-    return result
 
 
 @dataclass(frozen=True)

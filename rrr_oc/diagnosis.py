@@ -1,6 +1,6 @@
 """The diagnosis of a recording set: where a calibrated model fails, what it lacks, and how well it predicts once that is added."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,26 +8,25 @@ import numpy as np
 
 from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
-from rrr_oc.calibrated import CalibratedModel, Term, number
-from rrr_oc.diagnose import Finding, Fitted, refit, search
+from rrr_oc.calibrated import CalibratedModel, Term
+from rrr_oc.contest import Finding, contested
+from rrr_oc.diagnose import Lawless, search
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
+from rrr_oc.fitting import refit
+from rrr_oc.locate import mismatch
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import RecordingSet
-from rrr_oc.regression import Prepared, prepare, rows, thinned, through_filter, without_spikes
+from rrr_oc.regression import Prepared, prepare, rows, thinned, without_spikes
 from rrr_oc.signatures import view
 from rrr_oc.suggest import Suggestion, suggest
 
-FORMAT = "rrr_oc-diagnosis/1"
 FOLDS = 4  # of the recordings, each held out once
 FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
 SMALL = 4
 BLOCKS = 4  # of the only recording
 LEAST_SHARE = 0.002  # of the squared residual on recordings held out, for an effect to stay
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
-LEAST_GROWTH = 0.005  # of the squared residual without the effects, for a joint to be called one of the mismatch
-BINS = 12  # of a variable, when it is asked where the error is
-NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
 
@@ -123,12 +122,12 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     report("looking for effects")
     start = with_widths(bench.prepared, start, free=True)
     begin = replace(start, robot=plain.robot) if unknown else start
-    fitted, findings = search(bench, begin, report)
+    fitted, findings = contested(bench, search(bench, begin, report), report)
     way, folds = _folds(bench)
     model, shares = plain, Shares((), (), (), ())
     empirical = any(isinstance(f.term.effect, Empirical) for f in findings)
     every = [fold for _, fold in folds]
-    held = [(bench, begin, every, k, bool(findings), empirical) for k, (bench, _) in enumerate(folds)]
+    held = [(bench, begin, every, k, bool(findings), "beside" if empirical else "never") for k, (bench, _) in enumerate(folds)]
     report("fitting without the recordings that are held out")
     outcomes = parallel.ordered(_held_out, held, 1 if not findings else jobs)
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
@@ -138,11 +137,16 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         start, begin = (replace(model, terms=fitted.model.terms[: len(model.terms)]) for model in (start, begin))
         findings = _ordered(folds, begin, findings)
         kept, shares = _worth_keeping(folds, begin, [f.term for f in findings])
+        if empirical and not kept:
+            report("looking for effects of the catalogue first")
+            fitted, findings = contested(bench, search(bench, begin, report, "after"), report)
+            findings = _ordered(folds, begin, findings)
+            kept, shares = _worth_keeping(folds, begin, [f.term for f in findings])
         findings = [findings[k] for k in kept]
         model = _final(recordings, whole, _with(start, [f.term for f in findings]))
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
-    mismatch = _mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
+    where = mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
     suggestions = suggest(recordings, plain, findings, view(prepared, plain))
     return Diagnosis(
         recordings,
@@ -153,7 +157,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         calibration,
         held_out,
         way,
-        mismatch,
+        where,
         tuple(suggestions),
         tuple(outcomes),
     )
@@ -192,7 +196,7 @@ def _blocks(bench: Bench) -> Bench:
 
 
 def _held_out(
-    bench: Bench, start: CalibratedModel, folds: Sequence[list[int]], number: int, look: bool, unnamed_too: bool
+    bench: Bench, start: CalibratedModel, folds: Sequence[list[int]], number: int, look: bool, lawless: Lawless
 ) -> Fold:
     """The plain and the extended model, fitted to and chosen on what is not in a fold, and their errors on the fold.
 
@@ -202,12 +206,12 @@ def _held_out(
     train = bench.part(rest)
     plain = after = refit(train, replace(start, compiled={}))
     if look:
-        after = search(train, plain.model, contest=False, unnamed_too=unnamed_too)[0]
+        after = search(train, plain.model, lawless=lawless).fitted
         inner = [(train, [rest.index(i) for i in other]) for k, other in enumerate(folds) if k != number]
         found = after.model.terms[len(start.terms) :]
         doubtful = [k for k, t in enumerate(found) if isinstance(t.effect, Empirical)] if len(inner) > 1 else []
         if doubtful and not set(doubtful) <= set(_worth_keeping(inner, plain.model, found)[0]):
-            after = search(train, plain.model, contest=False, unnamed_too=False)[0]
+            after = search(train, plain.model, lawless="never").fitted
     before, then = (_errors(bench.part(fold), fitted.model) for fitted in (plain, after))
     return Fold(tuple(fold), replace(plain.model, compiled={}), replace(after.model, compiled={}), before, then)
 
@@ -282,227 +286,3 @@ def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, te
         tuple(float(np.nanmean(nrmse[k + 1][j])) for k, j in enumerate(joints)),
         tuple(map(float, least)),
     )
-
-
-def _mismatch(
-    bench: Bench, plain: Fitted, fitted: Fitted, findings: Sequence[Finding], calibration: np.ndarray, held_out: np.ndarray
-) -> tuple[dict[str, Any], ...]:
-    """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end."""
-    result, joints = [], plain.model.joints
-    growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)
-    variables = _variables(bench, plain.model)
-    for j, joint in enumerate(joints):
-        own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
-        p = min((f.p_value for f in own), default=1.0)
-        significant = bool(own and growth[j] > LEAST_GROWTH)
-        if not significant and findings and growth[j] > 0.1:  # an effect elsewhere shows here too
-            significant, p = True, min(f.p_value for f in findings)
-        moving = plain.rows.moving[j]
-        error = (plain.rows.residual[j] ** 2) * moving
-        left = np.array([float(np.mean(e)) for e in np.split(error, bench.edges[1:-1])])
-        floor = float(np.mean((fitted.rows.residual[j] ** 2) * moving))
-        files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor]
-        result.append(
-            {
-                "joint": joint,
-                "significant": significant,
-                "p_value": p,
-                "nrmse": {"calibration": number(calibration[j]), "held_out": number(held_out[j])},
-                "where": _where(error, moving, j, joint, variables) if significant else [],
-                "recordings": list(dict.fromkeys(files)) if significant else [],
-            }
-        )
-    return tuple(result)
-
-
-def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
-    """What error may depend on, at the rows kept: (n, M) by name, with units."""
-    parts: dict[str, list[np.ndarray]] = {}
-    units = {
-        "q": "rad",
-        "dq": "rad/s",
-        "ddq": "rad/s²",
-        "load_torque": "Nm",
-        "time": "s",
-        "payload": "kg",
-        "spring_torque": "Nm",
-    }
-    for p in bench.prepared:
-        r, n = p.recording, model.robot.n
-        load = model.torques(r)[1]
-        springs = replace(model, terms=())
-        without = replace(r, springs=())
-        pull = springs.torques(without)[1] - springs.torques(r)[1] if r.springs else np.zeros_like(load)
-        values = {
-            "q": r.q,
-            "dq": r.dq,
-            "ddq": r.ddq,
-            "load_torque": load,
-            "time": np.tile(r.t - r.t[0], (n, 1)),
-            "payload": np.tile(r.payload, (n, 1)),
-            "spring_torque": pull,
-        }
-        for name, value in values.items():
-            parts.setdefault(name, []).append(through_filter(value, p))
-    return {name: (np.concatenate(found, axis=1), units[name]) for name, found in parts.items()}
-
-
-def _where(
-    error: np.ndarray, moving: np.ndarray, j: int, joint: str, variables: Mapping[str, tuple[np.ndarray, str]]
-) -> list[dict[str, Any]]:
-    """The ranges of up to three variables in which the error is densest: half of it and more, in the least time."""
-    found = []
-    total = float(error.sum()) or 1.0
-    for name, (values, unit) in variables.items():
-        x = values[j][moving]
-        if not len(x) or np.ptp(x) <= 1e-9:
-            continue
-        edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
-        bins = np.clip(np.searchsorted(edges, values[j], side="right") - 1, 0, len(edges) - 2)
-        power = np.bincount(bins, weights=error, minlength=len(edges) - 1) / total
-        time = np.bincount(bins, weights=moving, minlength=len(edges) - 1) / max(moving.sum(), 1)
-        best = None
-        for a in range(len(power)):
-            for b in range(a + 1, len(power) + 1):
-                inside, lasting = float(power[a:b].sum()), float(time[a:b].sum())
-                if inside >= 0.5 and lasting > 0 and (best is None or inside - lasting > best[0]):
-                    best = (inside - lasting, a, b, inside, lasting)
-        if best is not None and best[0] > 0.05:
-            label = f"{name}_{joint}" if name in ("q", "dq", "ddq") else name
-            found.append((best[0], {
-                "variable": label, "range": [float(edges[best[1]]), float(edges[best[2]])], "unit": unit,
-                "share_of_error": best[3], "share_of_time": best[4],
-            }))  # fmt: skip
-    return [entry for _, entry in sorted(found, key=lambda one: -one[0])[:3]]
-
-
-def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The content of `diagnosis.json`."""
-    model, joints = diagnosis.model, diagnosis.model.joints
-    effects, unexplained = [], []
-    for i, finding in enumerate(diagnosis.findings):
-        if isinstance(finding.term.effect, Empirical):
-            unexplained.append(_unexplained(diagnosis, i))
-        else:
-            effects.append(_effect(diagnosis, i))
-    by_joint = {
-        key: {
-            when: dict(zip(joints, map(number, values), strict=True))
-            for when, values in zip(("before", "after"), pair, strict=True)
-        }
-        for key, pair in (("calibration", diagnosis.calibration), ("held_out", diagnosis.held_out))
-    }
-    return {
-        "format": FORMAT,
-        "verdict": diagnosis.verdict,
-        "held_out": diagnosis.way,
-        "mismatch": list(diagnosis.mismatch),
-        "effects": effects,
-        "unexplained": unexplained,
-        "suggested_recordings": [
-            {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}
-            for k, s in enumerate(diagnosis.suggestions, 1)
-        ],
-        "nrmse": by_joint,
-        "versions": dict(model.versions),
-    }
-
-
-def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
-    finding, shares = diagnosis.findings[i], diagnosis.shares
-    return {
-        "effect": finding.term.effect.name,
-        "joint": _joint(finding.term, diagnosis.model.joints),
-        "recordings": files_of(finding.term, diagnosis.recordings),
-        "equation": finding.term.effect.equation,
-        "parameters": _parameters(finding.term),
-        "share_of_error": shares.share[i],
-        "p_value": finding.p_value,
-        "nrmse": {"held_out_before": number(shares.before[i]), "held_out_after": number(shares.after[i])},
-        "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
-        "rivals": [{"effect": name, "joint": _names(j, diagnosis.model.joints)} for name, j in finding.rivals],
-    }
-
-
-def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
-    finding, joints = diagnosis.findings[i], diagnosis.model.joints
-    effect = finding.term.effect
-    assert isinstance(effect, Empirical)
-    named = [_variable(kind, j, joints) for kind, j in effect.depends_on]
-    validity = [
-        {"variable": _variable(kind, j, joints), "range": [low, high]}
-        for (kind, j), low, high in zip(effect.variables, effect.low, effect.high, strict=True)
-    ]
-    joint = joints[effect.joints[0]]
-    return {
-        "joint": joint,
-        "depends_on": named,
-        "recordings": files_of(finding.term, diagnosis.recordings),
-        "share_of_error": diagnosis.shares.share[i],
-        "p_value": finding.p_value,
-        "validity": validity,
-        "description": f"a torque on {joint} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
-        f"the model carries it as {_form(effect)}, valid in the ranges given",
-    }
-
-
-def _form(effect: Empirical) -> str:
-    count = len(effect.amplitudes)
-    if not effect.edges:
-        return f"a sum of {count} cosines"
-    low, high = effect.low[0], effect.high[0]
-    where = " and ".join(
-        f"{'above' if side > 0 else 'below'} {low + edge * (high - low):.4g}, power {power}"
-        for side, edge, power in effect.edges
-    )
-    return f"something that begins {where}"
-
-
-def _variable(kind: str, j: int, joints: Sequence[str]) -> str:
-    if kind in ("load", "motor"):
-        return "load_torque"
-    if kind == "time":
-        return "time"
-    return f"sign(dq_{joints[j]})" if kind == "sign" else f"{kind}_{joints[j]}"
-
-
-def files_of(term: Term, recordings: RecordingSet) -> str | list[str]:
-    """The recordings that have an effect, as in the file."""
-    if term.recordings == "all":
-        return "all"
-    return [r.file for r in recordings.recordings if term.holds_for(r)]
-
-
-def _parameters(term: Term) -> dict[str, Any]:
-    """Values with standard errors and intervals; the components of a vector or matrix under one name."""
-    if term.effect.name == "link_inertial":
-        e = term.estimates
-        order = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
-        std = [x.std for x in e]
-        return {
-            "mass": {"value": e[0].value, "std": std[0], "unit": "kg"},
-            "first_moment": {"value": [x.value for x in e[1:4]], "std": std[1:4], "unit": "kg m"},
-            "inertia": {
-                "value": [[e[k].value for k in row] for row in order],
-                "std": [[std[k] for k in row] for row in order],
-                "unit": "kg m²",
-            },
-        }
-    result: dict[str, Any] = {}
-    for p, e in zip(term.effect.parameters, term.estimates, strict=True):
-        interval = None if e.interval is None else list(e.interval)
-        result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": interval}
-    for option in ("active", "winding", "form"):
-        if hasattr(term.effect, option):
-            value = getattr(term.effect, option)
-            result[option] = {"value": list(value) if isinstance(value, tuple) else value, "std": None, "unit": ""}
-    return result
-
-
-def _joint(term: Term, joints: Sequence[str]) -> Any:
-    return _names(term.effect.joints, joints)
-
-
-def _names(numbers: Sequence[int], joints: Sequence[str]) -> Any:
-    named = [joints[j] for j in numbers]
-    return None if not named else named[0] if len(named) == 1 else named

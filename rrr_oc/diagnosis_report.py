@@ -12,7 +12,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rrr_oc.before_after import intervals
 from rrr_oc.calibrated import CalibratedModel, save_model
-from rrr_oc.diagnosis import Diagnosis, to_json
+from rrr_oc.diagnosis import Diagnosis
+from rrr_oc.diagnosis_file import to_json
 from rrr_oc.evaluate import SIGNALS
 from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text

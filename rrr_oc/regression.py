@@ -13,8 +13,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.sparse import csr_matrix
 
-from rrr_oc.calibrated import CalibratedModel, Physics
+from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.model import CHAIN, Model, along
+from rrr_oc.physics import Physics
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
 
@@ -26,7 +27,6 @@ ENDS = 0.1  # [s] left out at both ends of a stretch, where the filter is one-si
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
-DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
 THIN = 0.012  # [s] between samples of recordings that were sampled faster, where many models are to be compared
 LONGEST, PIECE = 1200.0, 20.0  # [s]: what many models are compared on at most, and the pieces it is then made of
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
@@ -330,30 +330,22 @@ def derivatives(
     for k in range(result.shape[2]) if any(t.effect.side == "sensor" for t in model.terms) else ():
         result[:, :, k] = physics.passed_on(recording, result[:, :, k])
     if any(special):
-        _differences(model, recording, physics, special, result, true)
+        true = model.true_torque(recording) if true is None else true
+        _fill_in(result, model, wanted, special, recording, true)
     return result
 
 
-def _differences(
-    model: CalibratedModel,
-    recording: Recording,
-    physics: Physics,
-    special: Sequence[bool],
-    jacobian: np.ndarray,
-    true: np.ndarray | None,
-) -> None:
-    """Fill in the derivatives by the parameters of those of the last terms that do not add a torque of the instant."""
-    true = model.true_torque(recording) if true is None else true
-    base, column, first = physics.recorded(recording, true), 0, len(model.terms) - len(special)
-    for i, other in enumerate(special, first):
-        term = model.terms[i]
-        for k, value in enumerate(term.values if other and term.holds_for(recording) else ()):
-            step = DIFFERENCE * max(abs(value), 1.0 if value else DIFFERENCE)
-            moved = term.with_values(term.values + step * (np.arange(len(term.values)) == k))
-            there = replace(model, terms=(*model.terms[:i], moved, *model.terms[i + 1 :]))
-            torque = true if term.effect.side == "sensor" else there.true_torque(recording)
-            jacobian[:, :, column + k] = (there.physics(recording).recorded(recording, torque) - base) / step
-        column += len(term.estimates)
+def _fill_in(jacobian: np.ndarray, model: CalibratedModel, wanted, special, recording: Recording, true: np.ndarray) -> None:
+    """The derivatives by the parameters of those terms that do not add a torque of the instant."""
+    physics = model.physics(recording)
+    holding = [t.holds_for(recording) for t in wanted]
+    last = len(physics.model.effects) - sum(holding)  # effects of a recording: springs listed, then the terms that hold
+    numbers = np.cumsum(holding) - 1 + last
+    columns = np.cumsum([0, *(len(t.estimates) for t in wanted)])
+    which = [i for i, (other, holds) in enumerate(zip(special, holding, strict=True)) if other and holds]
+    found = physics.by_differences(recording, [int(numbers[i]) for i in which], true, model.torque == "load")
+    for i, part in zip(which, found, strict=True):
+        jacobian[:, :, columns[i] : columns[i + 1]] = part
 
 
 def _sensitivity(physics: Physics, recording: Recording, torque: str, by) -> np.ndarray:

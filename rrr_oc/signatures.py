@@ -11,10 +11,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rrr_oc.calibrated import CalibratedModel, Physics, later, moved, states_along
+from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import CATALOGUE, Body, Signals, Trial, View
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.model import along
+from rrr_oc.physics import Physics, later, moved, states_along
 from rrr_oc.recordings import Recording
 from rrr_oc.regression import Prepared, kept_rows, through_filter
 from rrr_oc.rigid_body import with_payload
@@ -206,10 +207,8 @@ def _of_body(at: Context, effect, theta) -> np.ndarray:
 
 
 def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:
-    def reaction(_: Recording, __: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
-        return at.partials[0][j, j], at.partials[2][j, j]
-
-    shift = moved(at.recording, trial.effect, theta, trial.width, at.load, reaction)
+    own = at.partials[0], at.partials[2]
+    shift = moved(at.recording, trial.effect, theta, trial.width, at.load, lambda j: (own[0][j, j], own[1][j, j]))
     parts = np.split(shift, 3)
     return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], parts, strict=True)], axis=0)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.diagnose import Finding
+from rrr_oc.contest import Finding
 from rrr_oc.effects import Trial, View
 from rrr_oc.evidence import pseudo_inverse
 from rrr_oc.recordings import Recording, RecordingSet

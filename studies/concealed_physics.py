@@ -31,13 +31,15 @@ from scipy.stats import beta, chi2
 from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.diagnose import refit, term
-from rrr_oc.diagnosis import diagnose, to_json
+from rrr_oc.diagnose import term
+from rrr_oc.diagnosis import diagnose
+from rrr_oc.diagnosis_file import to_json
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.evaluate import evaluate_inverse
 from rrr_oc.evidence import Bench, Evidence
 from rrr_oc.figures import save_figure
 from rrr_oc.files import write_json, write_text
+from rrr_oc.fitting import refit
 from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.regression import prepare, thinned, without_spikes
 from rrr_oc.report import wide_console

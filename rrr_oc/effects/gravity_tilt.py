@@ -1,5 +1,6 @@
 """A base that is not level."""
 
+import math
 from dataclasses import dataclass, replace
 
 from rrr_oc.effects.effect import Effect, Trial
@@ -13,7 +14,7 @@ class GravityTilt(Effect):
 
     name = "gravity_tilt"
     equation = "gravity in the base frame = (R_y(about_y) R_x(about_x))^T g"
-    parameters = (Parameter("about_x", "rad", 0.0), Parameter("about_y", "rad", 0.0))
+    parameters = tuple(Parameter(name, "rad", 0.0, -math.pi / 2, math.pi / 2) for name in ("about_x", "about_y"))
     amplitudes = ("about_x", "about_y")
     side = "body"
     local = True

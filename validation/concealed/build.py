@@ -162,8 +162,15 @@ class Bench:
         return subset(thinned(smoothed(x) if self.rings else x, 25.0), slice(self.seen))
 
     def measure(self, effect: Effect) -> np.ndarray:
-        """Residual RMS after plain calibration over noise, per joint, in the seen recordings that have the effect."""
-        fit = self.fit(self.signals([effect]))
+        """Residual RMS after plain calibration over noise, per joint, in the seen recordings that have the effect.
+
+        Infinite where the effect is so strong that the arm is not to be controlled.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = self.signals([effect])
+        if not all(np.all(np.isfinite(x)) for x in (found.q, found.dq, found.ddq, found.tau)):
+            return np.full(self.arm.n, np.inf)
+        fit = self.fit(found)
         change = fit.residual - self.floor if self.case.motor else fit.residual
         has = effect.mask[: self.seen] > 0
         return np.sqrt(np.mean(change[has] ** 2, axis=(0, 2))) / self.sensing.torque_noise

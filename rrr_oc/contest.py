@@ -1,0 +1,140 @@
+"""Each effect that was found against all others in its place: the better ones take it, the equal ones are named."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from scipy.stats import chi2
+
+from rrr_oc.calibrated import CalibratedModel, Term
+from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, present, rarity, without
+from rrr_oc.effects.empirical import Empirical
+from rrr_oc.evidence import Bench, Candidate, Evidence
+from rrr_oc.fitting import Fitted, refit
+
+CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of two models does better
+MANY = 3  # parameters, beyond which two effects may be the simpler explanation
+NEAR = 0.6  # of the likelihood of what is in place, for others to be fitted there
+PAIRS = 6  # of them that are tried
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect that the model lacked.
+
+    Attributes:
+        term: In the model.
+        likelihood: What twice the log-likelihood falls by without it.
+        dimensions: Coefficients.
+        tests: Effects at their joints that competed.
+        rivals: Names and joints of effects that do as well in its place.
+    """
+
+    term: Term
+    likelihood: float
+    dimensions: int
+    tests: int
+    rivals: tuple[tuple[str, tuple[int, ...]], ...] = ()
+
+    @property
+    def p_value(self) -> float:
+        """Of the likelihood, all trials together."""
+        return float(min(1.0, self.tests * chi2.sf(self.likelihood, self.dimensions)))
+
+
+def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda _: None) -> tuple[Fitted, list[Finding]]:
+    """The model in which each effect holds against all others in its place, and what speaks for each, most important first.
+
+    Two simpler effects may take the place of one, too.
+    """
+    plain, fitted = found.plain, found.fitted
+    base = len(plain.model.terms)
+    findings, i = [], base
+    while i < len(fitted.model.terms):
+        alone = len(fitted.model.terms) == base + 1
+        less = plain if alone else refit(bench, without(fitted.model, i))
+        evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
+        own = fitted.model.terms[i]
+        rivals, best = [], None
+        for candidate in _rivals(evidence, less.model, own):
+            tried = fit_of(bench, evidence, less, candidate)
+            if tried.better_than(fitted) > -CALL * SAME:
+                tried = refit(bench, tried.model)
+            better = tried.better_than(fitted)
+            simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
+            likelier = int(candidate.scope is not None) * (candidate.trial.effect.mounted - own.effect.mounted)
+            lead = better + (simpler + 2 * likelier) * SAME
+            if simpler <= 0:  # the simplest of equals needs no excuse
+                lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
+            lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
+            if lead > (0 if simpler > 0 else SAME) and better > -SAME and (best is None or lead > best[0]):
+                best = (lead, tried, candidate)
+            if better > -SAME:
+                rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
+        two = None if best is not None else _in_two(bench, less, fitted, own, evidence)
+        if two is not None:
+            names = " and ".join(t.effect.name for t in two.model.terms[-2:])
+            report(f"{names} take the place of {own.effect.name}")
+            fitted = _in_place(bench, i, two.model, 2)
+            continue  # with the two in its place
+        if best is not None:
+            ousted = (own.effect.name, own.effect.joints)
+            taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
+            rivals = [r for r in rivals if r != taker] + ([ousted] if fitted.better_than(best[1]) > -SAME else [])
+            report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
+            fitted = _in_place(bench, i, best[1].model, 1)
+        dimensions = len(fitted.model.terms[i].effect.amplitudes)
+        findings.append(
+            Finding(
+                fitted.model.terms[i],
+                fitted.better_than(less),
+                dimensions,
+                evidence.tests,
+                tuple(dict.fromkeys(rivals)),
+            )
+        )
+        i += 1
+    order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
+    return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
+
+
+def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:
+    """The model with two effects in the place of one with more parameters that explains no more; None without such.
+
+    Two laws of the catalogue must explain more than a term that is none, if need be with more parameters.
+    """
+    number, unnamed_ = len(own.estimates), isinstance(own.effect, Empirical)
+    if number <= MANY and not unnamed_:
+        return None
+    tried = []
+    for pair in evidence.pairs(max(number, 2 * MANY + 1) if unnamed_ else number, PAIRS):
+        foreseen = Fitted(less.model, replace(less.rows, residual=evidence.left_by(*pair)))
+        if foreseen.better_than(less) > NEAR * fitted.better_than(less):
+            tried.append(refit(bench, extended(extended(less.model, pair[0]), pair[1])))
+    found = min(tried, key=lambda f: f.misfit, default=None)
+    if found is None:
+        return None
+    more = max(sum(len(t.estimates) for t in found.model.terms[-2:]) - number, 0)
+    return found if found.better_than(fitted) > SAME * (1 + more if unnamed_ else -1) else None
+
+
+def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitted:
+    """The model with its last terms moved to number i, fitted."""
+    terms = list(model.terms)
+    terms[i:i] = terms[-count:]
+    return refit(bench, replace(model, terms=tuple(terms[: len(model.terms)])))
+
+
+def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candidate]:
+    """The best candidates in an effect's place other than itself, one for each effect at its joints."""
+    result: list[Candidate] = []
+    every = evidence.candidates()
+    most = max((c.likelihood for c in every), default=0.0)
+    for candidate in every:
+        effect = candidate.trial.effect
+        itself = (effect.name, effect.joints) == (own.effect.name, own.effect.joints)
+        if itself or any(key(c) == key(candidate) for c in result) or present(candidate, model):
+            continue
+        if candidate.likelihood < NEAR * most or len(result) >= TRIED:
+            break
+        result.append(candidate)
+    return result

@@ -1,0 +1,120 @@
+"""A model fitted to a bench: Gauss–Newton within bounds on filtered residuals, made for comparing many models."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rrr_oc.calibrate import bounds, parameter_values, with_parameter_values
+from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.effects import Effect
+from rrr_oc.evidence import Bench, independent
+from rrr_oc.inference import box_step, normal_equations
+from rrr_oc.regression import Rows, rows, with_residuals
+
+STEADY = 3.0  # standard errors by which a fit must be better
+ROUNDING = 1e-10  # Nm
+STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
+BEND = 0.01  # of the squared change in a step, by which the residual may miss what was foreseen before derivatives are renewed
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to a bench.
+
+    Attributes:
+        model: With the parameters found.
+        rows: There.
+    """
+
+    model: CalibratedModel
+    rows: Rows
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Sum of squared residuals of each joint (n,)."""
+        return np.maximum(np.sum(self.rows.residual**2, axis=1), 1e-300)
+
+    @property
+    def misfit(self) -> float:
+        """Sum of the logarithms of the joints' squared residuals; less is better."""
+        return float(np.sum(np.log(self.squares)))
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Independent rows of each joint (n,)."""
+        return independent(self.rows)
+
+    def better_than(self, other: "Fitted") -> float:
+        """Growth of twice the log-likelihood over another fit of the same rows."""
+        return float(self.counts @ np.log(other.squares / self.squares))
+
+
+def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last: Rows | None = None) -> Fitted:
+    """All parameters of a model, fitted to a bench within their bounds; inertial ones freely where they are unknown.
+
+    Args:
+        without_last: Rows of the model without its last term; their derivatives then serve all along, which is nearly as good.
+    """
+    found, fresh = rows(bench.prepared, model, bench.identify, without_last), True
+    straight = not bench.identify and all(_straight(term.effect) for term in model.terms)
+    for _ in range(steps):
+        found = _without_rounding(found, model)
+        weights = found.deviation() ** -2
+        matrix, right = normal_equations(found, weights)
+        values = parameter_values(model)
+        low, high = bounds(model.terms)
+        size = len(values)
+        free = np.full(matrix.shape[0] - size, np.inf)
+        step = box_step(matrix, right, np.concatenate([low - values, -free]), np.concatenate([high - values, free]))
+        cost = float(weights @ np.sum(found.residual**2, axis=1))
+        if step @ (2 * right - matrix @ step) < TOLERANCE * cost:
+            break  # what is to be gained is nothing beside what is left
+        for share in (1.0, 0.4, 0.1):
+            there = _moved(model, values + share * step[:size], share * step[size:])
+            change = share * (found.jacobian @ step)
+            foreseen = replace(found, residual=found.residual - change)
+            tried = foreseen if straight else with_residuals(found, bench.prepared, there)
+            after = float(weights @ np.sum(tried.residual**2, axis=1))
+            if after < cost:
+                break
+        else:
+            if fresh:
+                break
+            found, fresh = rows(bench.prepared, model, bench.identify, without_last), True
+            continue
+        bend, way = (float(weights @ np.sum(x**2, axis=1)) for x in (tried.residual - foreseen.residual, change))
+        fresh = bend > BEND * way  # else the derivatives are still good
+        model, found = there, rows(bench.prepared, there, bench.identify, without_last) if fresh else tried
+        if after > cost * (1 - TOLERANCE):
+            break
+    return Fitted(model, found)
+
+
+def _straight(effect: Effect) -> bool:
+    """Whether the prediction stays linear in all parameters with this effect; gain and load multiply what others do."""
+    return effect.plain or (effect.linear and effect.side != "sensor" and not effect.load_dependent)
+
+
+def _without_rounding(found: Rows, model: CalibratedModel) -> Rows:
+    """The rows without derivatives that are nothing but rounding, as those by a mass that no motion shows."""
+    values = np.ones(found.jacobian.shape[2])
+    own = parameter_values(model)
+    values[: len(own)] = np.maximum(np.abs(own), 1.0)
+    nothing = np.max(np.abs(found.jacobian), axis=(0, 1)) * values < ROUNDING
+    return replace(found, jacobian=np.where(nothing, 0.0, found.jacobian)) if nothing.any() else found
+
+
+def steadily_better(bench: Bench, one: Fitted, other: Fitted) -> bool:
+    """Whether the fit is better all along, not by luck in a few places: differences of squares by block of time."""
+    weights = one.rows.deviation() ** -2
+    fall = weights @ (other.rows.residual**2 - one.rows.residual**2)
+    blocks = bench.by_block(fall)
+    return bool(blocks.sum() > STEADY * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
+
+
+def _moved(model: CalibratedModel, values: np.ndarray, inertial: np.ndarray) -> CalibratedModel:
+    terms = with_parameter_values(model.terms, values)
+    if not len(inertial):
+        return replace(model, terms=terms)
+    robot = replace(model.robot, inertial=model.robot.inertial + inertial.reshape(model.robot.n, 10).T)
+    return replace(model, terms=terms, robot=robot)

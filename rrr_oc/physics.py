@@ -1,0 +1,221 @@
+"""What is at work in one recording, with numbers: the torques that its motion needs, and what sensors make of them."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_banded
+
+from rrr_oc.effects import Effect, Signals
+from rrr_oc.model import Model, along
+from rrr_oc.recordings import Recording
+from rrr_oc.savitzky_golay import smooth
+
+DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
+Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
+Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What is at work in one recording: the model with listed springs and terms, and the numbers that go into it."""
+
+    model: Model
+    theta: np.ndarray
+    widths: np.ndarray
+    inertial: np.ndarray
+
+    @staticmethod
+    def inputs(recording: Recording) -> tuple[np.ndarray, ...]:
+        """q, dq, ddq, time and payload, the first arguments of `Model.motor_inverse`."""
+        r = recording
+        return r.q, r.dq, r.ddq, (r.t - r.t[0])[None], r.payload[None]
+
+    def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+        """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
+        states = self.states(recording)
+        if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
+            inputs = self.inputs(recording)
+            motor, load = along(self.model.motor_inverse, *inputs, self.theta, self.widths, self.inertial)
+            return motor, load
+        return self._moving(recording, self.shift(recording), states)
+
+    def _moving(self, recording: Recording, shift: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Motor torque and load torque with a shift of the links (3 n, K) and states of the effects."""
+        values = (self.theta, self.widths, self.inertial)
+        motor, load = along(self.model.recorded_inverse, *self.inputs(recording), *values, shift, states)
+        return motor, load
+
+    def shift(self, recording: Recording) -> np.ndarray:
+        """What the links move otherwise than the recorded motion: q, dq, ddq, one below the other, (3 n, K)."""
+        return _summed(self._moved(recording), recording)
+
+    def _moved(self, recording: Recording) -> Shifts:
+        """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift."""
+        found: Shifts = {}
+        total = _summed(found, recording)
+        motion = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
+        for simulated in (False, True):  # what a link does in its gap follows from the motion that all else makes
+            effects = [one for one in motion if one[1].simulated == simulated]
+            if effects:
+                load = self._load(recording, total)
+                if (
+                    not simulated
+                ):  # load and shift are to agree: once more with the shift, smooth, for it is differentiated twice
+                    first = np.sum([moved(recording, e, theta, width, load, None) for _, e, theta, width in effects], axis=0)
+                    slow = smooth(recording.t, first[: len(load)], recording.segments)
+                    load = self._load(recording, _with_derivatives(recording, slow))
+                reaction = cache(partial(self._reaction, recording, load, total))
+                for i, effect, theta, width in effects:
+                    shift = partial(moved, recording, effect, width=width, load=load, reaction=reaction)
+                    found[i] = shift, shift(theta)
+                total = _summed(found, recording)
+        return found
+
+    def _load(self, recording: Recording, shift: np.ndarray) -> np.ndarray:
+        """Load torque (n, K) [Nm] of the motion that differs from the recorded one by `shift` (3 n, K)."""
+        states = np.zeros((len(self.model.states), len(recording.t)))
+        values = (self.theta, self.widths, self.inertial)
+        return along(self.model.recorded_load, *self.inputs(recording), *values, shift, states)[0]
+
+    def _reaction(self, recording: Recording, load: np.ndarray, shift: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
+        """By how much joint j's load torque grows with its own position and acceleration, K [Nm/rad] and M [kg m²], each (K,)."""
+        found = []
+        for row, step in ((j, 1e-4), (2 * self.model.robot.n + j, 1.0)):
+            there = shift.copy()
+            there[row] += step
+            found.append((self._load(recording, there)[j] - load[j]) / step)
+        return found[0], found[1]
+
+    def by_differences(self, recording: Recording, numbers: Iterable[int], true: np.ndarray, load: bool) -> list[np.ndarray]:
+        """Derivatives of what is recorded by the parameters of effects that do not add a torque of the instant, (n, K, p) each.
+
+        Args:
+            numbers: Of those effects.
+            true: What a perfect sensor has, (n, K) [Nm].
+            load: Whether that is the load torque, not the motor torque.
+        """
+        named, shifts, states = self.named(), self._moved(recording), self.states(recording)
+        base, total, result = self.recorded(recording, true), _summed(shifts, recording), []
+        first = np.cumsum([0, *(len(effect.parameters) for effect, *_ in named)])
+        for i in numbers:
+            effect, theta, _ = named[i]
+            columns = np.empty((*base.shape, len(effect.parameters)))
+            for k, parameter in enumerate(effect.parameters):
+                value = theta[parameter.name]
+                step = DIFFERENCE * max(abs(value), 1.0 if value else DIFFERENCE)
+                there = replace(self, theta=self.theta + step * (np.arange(len(self.theta)) == first[i] + k))
+                torque = true
+                if effect.side != "sensor":
+                    shift = total
+                    if i in shifts:
+                        shift = total - shifts[i][1] + shifts[i][0](theta | {parameter.name: value + step})
+                    torque = there._moving(recording, shift, there.states(recording) if effect.states else states)[load]
+                columns[:, :, k] = (there.recorded(recording, torque) - base) / step
+            result.append(columns)
+        return result
+
+    def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
+        """What sensors make of a torque (n, K), as the effects of the side "sensor" say."""
+        result, delay = np.array(torque), 0.0
+        for effect, theta, width in self.named():
+            if effect.side == "sensor":
+                delay += theta.get("delay", 0.0)
+                for j, more in zip(effect.joints, effect.torque(Signals(recording.q, load=torque), theta, width), strict=True):
+                    result[j] += more
+        return later(recording, result, delay) if delay else result
+
+    def passed_on(self, recording: Recording, change: np.ndarray) -> np.ndarray:
+        """What sensors make of a change (n, K) of the true torque."""
+        if all(effect.side != "sensor" for effect in self.model.effects):
+            return change
+        return self.recorded(recording, change) - self.recorded(recording, np.zeros_like(change))
+
+    def states(self, recording: Recording) -> np.ndarray:
+        """Internal states of the effects along the recording, (number of states, K)."""
+        signals, found = Signals(recording.q, recording.dq, recording.ddq), []
+        for effect, theta, width in self.named():
+            if effect.states:
+                found.append(
+                    states_along(
+                        recording, effect, lambda z, e=effect, t=theta, w=width: e.rate(replace(signals, states=z), t, w)
+                    )
+                )
+        return np.concatenate([*found, np.zeros((0, len(recording.t)))])
+
+    def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
+        """Each effect with its parameters by name and its width."""
+        numbers, widths = iter(self.theta.tolist()), iter(self.widths.tolist())
+        return [
+            (e, {p.name: next(numbers) for p in e.parameters}, next(widths) if e.width is not None else None)
+            for e in self.model.effects
+        ]
+
+
+def _summed(shifts: Shifts, recording: Recording) -> np.ndarray:
+    return sum((shift for _, shift in shifts.values()), np.zeros((3 * len(recording.q), len(recording.t))))
+
+
+def moved(
+    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray, reaction: Reaction | None
+) -> np.ndarray:
+    """What the links move otherwise than the recorded motion because of one effect: q, dq, ddq, one below the other, (3 n, K).
+
+    Args:
+        load: Torque that the rigid motion needs (n, K) [Nm].
+        reaction: From joint j to by how much its load torque grows with its position [Nm/rad] and acceleration [kg m²], (K,) each;
+            of effects that are simulated.
+    """
+    n = len(recording.q)
+    if effect.simulated:
+        assert reaction is not None
+        result = np.zeros((3 * n, len(recording.t)))
+        for j in effect.joints:
+            stiffness, inertia = reaction(j)
+            for s in recording.segments:
+                result[[j, n + j, 2 * n + j], s] = effect.motion(recording.t[s], load[j, s], stiffness[s], inertia[s], theta)
+        return result
+    result = np.zeros((n, len(recording.t)))
+    for j, shift in zip(effect.joints, effect.shift(Signals(recording.q, load=load), theta, width), strict=True):
+        result[j] = np.array(shift).reshape(-1)
+    return _with_derivatives(recording, result)
+
+
+def _with_derivatives(recording: Recording, shift: np.ndarray) -> np.ndarray:
+    """Shift (n, K) and its first and second derivative, one below the other."""
+    return np.concatenate([shift, *((derivative @ shift.T).T for derivative in recording.differentiators)])
+
+
+def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
+    """Signals (m, K) as they were a delay [s] before, within each segment."""
+    result = np.array(x)
+    for s in recording.segments:
+        t = recording.t[s]
+        for row in result:
+            row[s] = np.interp(t - delay, t, row[s])
+    return result
+
+
+def states_along(recording: Recording, effect: Effect, rate: Any) -> np.ndarray:
+    """States (number, K) of rates that are affine in them, each in its own, exactly over every sample's step.
+
+    Args:
+        rate: From states, a list of (K,), to rates.
+    """
+    count, length = len(effect.states), len(recording.t)
+    constant, unit = (
+        [np.broadcast_to(np.array(v).reshape(-1), (length,)) for v in rate([np.full(length, z)] * count)] for z in (0.0, 1.0)
+    )
+    result = np.empty((count, length))
+    for i, state in enumerate(effect.states):
+        slope = unit[i] - constant[i]
+        for s in recording.segments:
+            h = np.diff(recording.t[s])
+            a, b = (((x[s][1:] + x[s][:-1]) / 2) * h for x in (constant[i], slope))
+            keep = np.exp(np.clip(b, -700, 50))
+            gain = np.where(np.abs(b) > 1e-8, np.expm1(np.clip(b, -700, 50)) / np.where(b == 0, 1, b), 1.0) * a
+            steps = np.array([np.ones(len(h) + 1), np.append(-keep, 0.0)])  # z_k+1 − keep_k z_k = gain_k
+            result[i, s] = solve_banded((1, 0), steps, np.append(state.nominal, gain), check_finite=False)
+    return result
