@@ -18,7 +18,8 @@ from rrr_oc.rigid_body import RigidBody, rigid_body, with_payload
 from rrr_oc.robot import Robot, ToolPoint
 
 CHAIN = ("q", "dq", "ddq", "time", "payload", "theta", "widths", "inertial")  # arguments of `Model.motor_inverse`
-CORES = os.cpu_count() or 1
+WANTED = os.environ.get("OMP_NUM_THREADS", "")  # joblib sets it, too, so that processes share the cores
+CORES = int(WANTED) if WANTED.isdigit() and int(WANTED) > 0 else os.cpu_count() or 1
 SHARED = 1000  # instants, from which on a thread is worth its start
 LISTED = ("parallel_spring", "biarticular_spring")  # what recordings may list
 
