@@ -148,8 +148,8 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool
 
 
 def _widened(term: Term, widths: dict[tuple[int, ...], float]) -> Term:
-    """The term with its joint's width, where its law changes sign with the speed."""
-    known = term.effect.width is not None and term.effect.width.unit == "rad/s" and term.width is not None
+    """The term with its joint's width, where its law changes sign with the speed, and not at once."""
+    known = term.effect.width is not None and term.effect.width.unit == "rad/s" and bool(term.width)
     return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 
 

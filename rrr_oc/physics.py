@@ -135,14 +135,7 @@ class Physics:
 
     def states(self, recording: Recording) -> np.ndarray:
         """Internal states of the effects along the recording, (number of states, K)."""
-        signals, found = Signals(recording.q, recording.dq, recording.ddq), []
-        for effect, theta, width in self.named():
-            if effect.states:
-                found.append(
-                    states_along(
-                        recording, effect, lambda z, e=effect, t=theta, w=width: e.rate(replace(signals, states=z), t, w)
-                    )
-                )
+        found = [states_along(recording, *one) for one in self.named() if one[0].states]
         return np.concatenate([*found, np.zeros((0, len(recording.t)))])
 
     def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
@@ -198,17 +191,16 @@ def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
     return result
 
 
-def states_along(recording: Recording, effect: Effect, rate: Any) -> np.ndarray:
-    """States (number, K) of rates that are affine in them, each in its own, exactly over every sample's step.
-
-    Args:
-        rate: From states, a list of (K,), to rates.
-    """
-    count, length = len(effect.states), len(recording.t)
+def states_along(recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
+    """Internal states (number, K) of an effect, whose rates are affine in them, each in its own, exactly over every sample's step."""
+    signals, states = Signals(recording.q, recording.dq, recording.ddq), np.zeros((len(effect.states), len(recording.t)))
     constant, unit = (
-        [np.broadcast_to(np.array(v).reshape(-1), (length,)) for v in rate([np.full(length, z)] * count)] for z in (0.0, 1.0)
+        [
+            np.broadcast_to(np.array(v).reshape(-1), recording.t.shape)
+            for v in effect.rate(replace(signals, states=z), theta, width)
+        ]
+        for z in (states, states + 1)
     )
-    result = np.empty((count, length))
     for i, state in enumerate(effect.states):
         slope = unit[i] - constant[i]
         for s in recording.segments:
@@ -217,5 +209,5 @@ def states_along(recording: Recording, effect: Effect, rate: Any) -> np.ndarray:
             keep = np.exp(np.clip(b, -700, 50))
             gain = np.where(np.abs(b) > 1e-8, np.expm1(np.clip(b, -700, 50)) / np.where(b == 0, 1, b), 1.0) * a
             steps = np.array([np.ones(len(h) + 1), np.append(-keep, 0.0)])  # z_k+1 − keep_k z_k = gain_k
-            result[i, s] = solve_banded((1, 0), steps, np.append(state.nominal, gain), check_finite=False)
-    return result
+            states[i, s] = solve_banded((1, 0), steps, np.append(state.nominal, gain), check_finite=False)
+    return states

@@ -180,11 +180,7 @@ def _add(change: np.ndarray, effect, torques, sign: float = 1.0) -> None:
 def _with_states(at: Context, trial: Trial, theta) -> Signals:
     if not trial.effect.states:
         return at.signals
-    signals = at.signals
-    states = states_along(
-        at.recording, trial.effect, lambda z: trial.effect.rate(replace(signals, states=z), theta, trial.width)
-    )
-    return replace(signals, states=list(states))
+    return replace(at.signals, states=list(states_along(at.recording, trial.effect, theta, trial.width)))
 
 
 def _of_body(at: Context, effect, theta) -> np.ndarray:

@@ -488,13 +488,13 @@ def test_bristles_give_back_no_more_than_they_took():
     """Dahl's state stays within ±1, and friction's work is what the bristles store and what is lost, which is never negative."""
     effect, rng = placed("presliding_hysteresis"), np.random.default_rng(16)
     arrays, theta = random_signals(rng), {"stiffness": 300.0, "level": 2.0}
-    torque, rate = law(effect, arrays, theta)
+    torque, rate = law(effect, arrays, theta, 0.0)
     z, dq = arrays["states"][0], arrays["dq"][1]
     stored = theta["level"] ** 2 / theta["stiffness"] * z * rate  # d/dt of level² z²/(2 stiffness)
     lost = -torque * dq - stored
     np.testing.assert_allclose(lost, theta["level"] * np.abs(dq) * z**2, atol=1e-12)
     edge = {**arrays, "states": np.sign(dq)[None]}
-    np.testing.assert_allclose(law(effect, edge, theta)[1], 0, atol=1e-9)  # it slips
+    np.testing.assert_allclose(law(effect, edge, theta, 0.0)[1], 0, atol=1e-9)  # it slips
 
 
 @each_effect
