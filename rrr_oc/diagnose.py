@@ -72,10 +72,17 @@ def search(
 
 
 def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
-    """The fit with dry friction as abrupt as the new model shows it; what was missing had distorted it."""
-    model = with_widths(bench.prepared, fitted.model, free=True)
-    changed = any(a.width != b.width for a, b in zip(model.terms, fitted.model.terms, strict=True))
-    return refit(bench, model) if changed else fitted
+    """The fit with dry friction as abrupt as the new model shows it; what was missing had distorted it.
+
+    With its course over speed left open and as it is: which is right depends on what is still missing.
+    """
+    tried = {tuple(t.width for t in fitted.model.terms): fitted}
+    for free in (True, False):
+        model = with_widths(bench.prepared, fitted.model, free)
+        widths = tuple(t.width for t in model.terms)
+        if widths not in tried:
+            tried[widths] = refit(bench, model)
+    return min(tried.values(), key=lambda f: f.misfit)
 
 
 def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> tuple[float, Fitted, Candidate] | None:
@@ -89,13 +96,41 @@ def _size(*candidates: Candidate) -> int:
 
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """The evidence for torques on a joint that no law of the catalogue describes."""
-    seen = view(bench.prepared, model)
-    torques = [
-        np.concatenate(parts, axis=1) for parts in zip(*(model.torques(p.recording) for p in bench.prepared), strict=True)
-    ]
-    motor, load = ((x.min(axis=1), np.maximum(x.max(axis=1), x.min(axis=1) + 1e-6)) for x in torques)
+    return Evidence.gather(bench, model, list(Empirical.surfaces(view(bench.prepared, model), j, _ranges(bench, model))))
+
+
+def _ranges(bench: Bench, model: CalibratedModel) -> dict[tuple[str, int], tuple[float, float]]:
+    """Least and greatest of what a torque may depend on, as the recordings show it, by name and joint."""
+    seen, torques = view(bench.prepared, model), [model.torques(p.recording) for p in bench.prepared]
+    motor, load = (np.concatenate(parts, axis=1) for parts in zip(*torques, strict=True))
     acceleration = np.quantile(np.concatenate([np.abs(p.recording.ddq) for p in bench.prepared], axis=1), 0.99, axis=1)
-    return Evidence.gather(bench, model, list(Empirical.surfaces(seen, j, load, motor, np.maximum(acceleration, 1e-3))))
+    found = {("time", -1): (0.0, float(seen.duration))}
+    for i in range(bench.n):
+        for name, size in (("dq", float(seen.speed[i])), ("ddq", max(float(acceleration[i]), 1e-3))):
+            found[name, i] = (-size, size)
+        for name, low, high in (
+            ("q", seen.low[i], seen.high[i]),
+            ("load", load[i].min(), load[i].max()),
+            ("motor", motor[i].min(), motor[i].max()),
+        ):
+            found[name, i] = (float(low), max(float(high), float(low) + 1e-6))
+    return found
+
+
+def as_seen(bench: Bench, model: CalibratedModel, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The terms for a fit to other recordings: series begin anew, over the ranges that these show and beyond which nothing is known."""
+    series = [isinstance(t.effect, Empirical) and not t.effect.edges for t in terms]
+    if not any(series):
+        return tuple(terms)
+    result, ranges = [], _ranges(bench, model)
+    for term, anew in zip(terms, series, strict=True):
+        if anew and isinstance(term.effect, Empirical):
+            low, high = np.array([ranges[v] for v in term.effect.variables]).T
+            low, high = np.maximum(low, term.effect.low), np.minimum(high, term.effect.high)
+            effect = replace(term.effect, low=tuple(low.tolist()), high=tuple(np.maximum(high, low + 1e-6).tolist()))
+            term = replace(term, effect=effect).with_values(0 * term.values)
+        result.append(term)
+    return tuple(result)
 
 
 def gathered(bench: Bench, model: CalibratedModel) -> Evidence:

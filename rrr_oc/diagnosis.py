@@ -10,7 +10,7 @@ from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnose import Lawless, search
+from rrr_oc.diagnose import Lawless, as_seen, search
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import refit
@@ -25,6 +25,7 @@ FOLDS = 4  # of the recordings, each held out once
 FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
 SMALL = 4
 BLOCKS = 4  # of the only recording
+FEW = 5  # effects, of which each is tried to leave where a term that no law stands behind is worth nothing
 LEAST_SHARE = 0.002  # of the squared residual on recordings held out, for an effect to stay
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
@@ -250,36 +251,54 @@ def _ordered(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, f
 def _worth_keeping(
     folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]
 ) -> tuple[list[int], Shares]:
-    """Numbers of the terms that are worth something on recordings held out, and their shares; the worst leave one by one.
+    """Numbers of the terms that are worth something on recordings held out, and their shares; the others leave one by one.
 
-    A term that no law stands behind must do harm on none of the folds, too: it may fit motions that are alike, and no others.
+    A term that no law stands behind must do harm on none of the folds, too: it may fit motions that are alike, and no others. Of
+    terms of which one must leave, the one leaves without which the others predict best: together they may do worse than alone.
     """
     kept = list(range(len(terms)))
     while True:
         shares = _shares(folds, start, [terms[k] for k in kept])
-        doing_harm = [isinstance(terms[k].effect, Empirical) and x < -HARM for k, x in zip(kept, shares.least, strict=True)]
-        worth = np.where(doing_harm, -np.inf, shares.share)
-        if not kept or worth.min() > LEAST_SHARE:
+        poor, lawless = [], False
+        for k, share, least in zip(kept, shares.share, shares.least, strict=True):
+            unnamed = isinstance(terms[k].effect, Empirical)
+            if share <= LEAST_SHARE or (unnamed and least < -HARM):
+                poor.append(k)
+                lawless |= unnamed
+        if not poor:
             return kept, shares
-        kept.pop(int(np.argmin(worth)))
+        if lawless and len(kept) <= FEW:
+            poor = kept
+        left = [_left(folds, start, [terms[i] for i in kept if i != k]) if len(poor) > 1 else 0.0 for k in poor]
+        kept = [k for k in kept if k != poor[int(np.argmin(left))]]
+
+
+def _left(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]) -> float:
+    """Sum over the joints of the logarithm of the squared residual on recordings held out, with these effects; less is better."""
+    squares = []
+    for bench, fold in folds:
+        train = bench.part([i for i in range(len(bench.prepared)) if i not in fold])
+        model = refit(train, _with(start, as_seen(train, start, terms))).model
+        squares.append(np.sum(rows(bench.part(fold).prepared, model).residual ** 2, axis=1))
+    return float(np.sum(np.log(np.maximum(np.sum(squares, axis=0), 1e-300))))
 
 
 def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]) -> Shares:
     """Effects are added one after the other, in their order; everything is fitted to the rest of the recordings each time."""
-    model, base, count = _with(start, terms), len(start.terms), len(terms)
-    squares, errors = np.zeros((len(folds), count + 1, model.robot.n)), []
+    base, count = len(start.terms), len(terms)
+    squares, errors = np.zeros((len(folds), count + 1, start.robot.n)), []
     for f, (bench, fold) in enumerate(folds):
         train, test = bench.part([i for i in range(len(bench.prepared)) if i not in fold]), bench.part(fold)
-        found = []
+        model, found = _with(start, as_seen(train, start, terms)), []
         for k in range(count + 1):
-            there = refit(train, replace(model, terms=model.terms[: base + k]), steps=5).model
+            there = refit(train, replace(model, terms=model.terms[: base + k])).model
             squares[f, k] = np.sum(rows(test.prepared, there).residual ** 2, axis=1)
             found.append(_errors(test, there))
         errors.append(found)
     nrmse = np.array([_mean([e[k] for e in errors]) for k in range(count + 1)])
     by_fold = np.sum(squares / np.maximum(squares.sum(axis=0)[-1], 1e-300), axis=2)  # joints weigh by the noise that is left
     total, least = by_fold.sum(axis=0), np.min(-np.diff(by_fold, axis=1) / by_fold[:, :1], axis=0)
-    joints = [list(t.effect.joints) or list(range(model.robot.n)) for t in terms]
+    joints = [list(t.effect.joints) or list(range(start.robot.n)) for t in terms]
     return Shares(
         tuple(float((total[k] - total[k + 1]) / total[0]) for k in range(count)),
         tuple(float(np.nanmean(nrmse[k][j])) for k, j in enumerate(joints)),

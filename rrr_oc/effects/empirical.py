@@ -97,32 +97,17 @@ class Empirical(Effect):
         return iter(())
 
     @classmethod
-    def surfaces(cls, view, j: int, load, motor, acceleration: np.ndarray):
+    def surfaces(cls, view, j: int, ranges):
         """Trials for one joint: of one variable, coarse and fine, or beginning at an edge; and of two.
 
         Args:
-            load, motor: Least and largest load torque and motor torque of each joint [Nm], two of (n,) each.
-            acceleration: Largest of each joint [rad/s²], (n,).
+            ranges: (least, greatest) of every variable that there is, by name and joint as in `variables`.
         """
-        n, ranges = view.n, {("time", -1): (0.0, view.duration)}
-        largest = float(max(abs(motor[0][j]), abs(motor[1][j])))
-        for i in range(n):
-            ranges |= {("q", i): (view.low[i], view.high[i]), ("dq", i): (-view.speed[i], view.speed[i])}
-            ranges |= {("ddq", i): (-acceleration[i], acceleration[i])}
-            ranges |= {("load", i): (load[0][i], load[1][i]), ("motor", i): (motor[0][i], motor[1][i])}
+        n, largest = view.n, max(map(abs, ranges["motor", j]))
 
         def one(variables, orders=(), signed=False, edges=()):
             low, high = zip(*(ranges[v] for v in variables), strict=True)
-            effect = cls(
-                (j,),
-                tuple(variables),
-                tuple(map(float, low)),
-                tuple(map(float, high)),
-                tuple(orders),
-                signed,
-                tuple(edges),
-                largest,
-            )
+            effect = cls((j,), tuple(variables), low, high, tuple(orders), signed, tuple(edges), largest)
             zero = dict.fromkeys(effect.amplitudes, 0.0)
             return Trial(effect, tuple(zero | {a: 1.0} for a in effect.amplitudes), width=effect.sign_width(view))
 
