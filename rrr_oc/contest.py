@@ -66,7 +66,8 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             if simpler <= 0:  # the simplest of equals needs no excuse
                 lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
             lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
-            if lead > (0 if simpler > 0 else SAME) and better > -SAME and (best is None or lead > best[0]):
+            worse = SAME * (max(simpler, 1) if isinstance(own.effect, Empirical) else 1)  # many coefficients also fit noise
+            if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
                 rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
@@ -79,7 +80,8 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         if best is not None:
             ousted = (own.effect.name, own.effect.joints)
             taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
-            rivals = [r for r in rivals if r != taker] + ([ousted] if fitted.better_than(best[1]) > -SAME else [])
+            equal = fitted.better_than(best[1]) > -SAME and not isinstance(own.effect, Empirical)
+            rivals = [r for r in rivals if r != taker] + ([ousted] if equal else [])
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
             fitted = _in_place(bench, i, best[1].model, 1)
         dimensions = len(fitted.model.terms[i].effect.amplitudes)
