@@ -251,7 +251,8 @@ def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float], w
     return min(fits, key=lambda f: f.misfit)
 
 
-def key(candidate: Candidate):
+def key(candidate: Candidate) -> tuple[str, tuple[int, ...]]:
+    """Name and joints of a candidate's effect."""
     effect = candidate.trial.effect
     return effect.name, effect.joints
 

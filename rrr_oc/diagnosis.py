@@ -13,7 +13,7 @@ from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnose import Lawless, as_seen, search
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
-from rrr_oc.fitting import refit
+from rrr_oc.fitting import Fitted, refit
 from rrr_oc.locate import mismatch
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import RecordingSet
@@ -134,17 +134,12 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
     if findings:
         report("what each effect is worth on recordings held out")
-        # far from where the effects were fitted, those that are not linear would lead astray
-        start, begin = (replace(model, terms=fitted.model.terms[: len(model.terms)]) for model in (start, begin))
-        findings = _ordered(folds, begin, findings)
-        kept, shares = _worth_keeping(folds, begin, [f.term for f in findings])
-        if empirical and not kept:
+        findings, shares = _weighed(folds, begin, fitted, findings)
+        if empirical and not findings:
             report("looking for effects of the catalogue first")
             fitted, findings = contested(bench, search(bench, begin, report, "after"), report)
-            findings = _ordered(folds, begin, findings)
-            kept, shares = _worth_keeping(folds, begin, [f.term for f in findings])
-        findings = [findings[k] for k in kept]
-        model = _final(recordings, whole, _with(start, [f.term for f in findings]))
+            findings, shares = _weighed(folds, begin, fitted, findings)
+        model = _final(recordings, whole, _with(_at(start, fitted), [f.term for f in findings]))
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     where = mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
@@ -238,6 +233,21 @@ def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
 
 def _with(start: CalibratedModel, terms: Sequence[Term]) -> CalibratedModel:
     return replace(start, terms=(*start.terms, *terms))
+
+
+def _at(start: CalibratedModel, fitted: Fitted) -> CalibratedModel:
+    """The plain model as it was fitted with the effects; far from there, those that are not linear would lead astray."""
+    return replace(start, terms=fitted.model.terms[: len(start.terms)])
+
+
+def _weighed(
+    folds: Sequence[tuple[Bench, list[int]]], begin: CalibratedModel, fitted: Fitted, findings: Sequence[Finding]
+) -> tuple[list[Finding], Shares]:
+    """The effects that are worth something on recordings held out, most first, with their shares."""
+    there = _at(begin, fitted)
+    ordered = _ordered(folds, there, findings)
+    kept, shares = _worth_keeping(folds, there, [f.term for f in ordered])
+    return [ordered[k] for k in kept], shares
 
 
 def _ordered(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, findings: Sequence[Finding]) -> list[Finding]:

@@ -61,9 +61,7 @@ class Physics:
             effects = [one for one in motion if one[1].simulated == simulated]
             if effects:
                 load = self._load(recording, total)
-                if (
-                    not simulated
-                ):  # load and shift are to agree: once more with the shift, smooth, for it is differentiated twice
+                if not simulated:  # load and shift are to agree: once more with the shift, smooth, for it is differentiated
                     first = np.sum([moved(recording, e, theta, width, load, None) for _, e, theta, width in effects], axis=0)
                     slow = smooth(recording.t, first[: len(load)], recording.segments)
                     load = self._load(recording, _with_derivatives(recording, slow))

@@ -331,19 +331,20 @@ def derivatives(
         result[:, :, k] = physics.passed_on(recording, result[:, :, k])
     if any(special):
         true = model.true_torque(recording) if true is None else true
-        _fill_in(result, model, wanted, special, recording, true)
+        _fill_in(result, physics, wanted, special, recording, true, model.torque == "load")
     return result
 
 
-def _fill_in(jacobian: np.ndarray, model: CalibratedModel, wanted, special, recording: Recording, true: np.ndarray) -> None:
+def _fill_in(
+    jacobian: np.ndarray, physics: Physics, wanted, special, recording: Recording, true: np.ndarray, load: bool
+) -> None:
     """The derivatives by the parameters of those terms that do not add a torque of the instant."""
-    physics = model.physics(recording)
     holding = [t.holds_for(recording) for t in wanted]
     last = len(physics.model.effects) - sum(holding)  # effects of a recording: springs listed, then the terms that hold
     numbers = np.cumsum(holding) - 1 + last
     columns = np.cumsum([0, *(len(t.estimates) for t in wanted)])
     which = [i for i, (other, holds) in enumerate(zip(special, holding, strict=True)) if other and holds]
-    found = physics.by_differences(recording, [int(numbers[i]) for i in which], true, model.torque == "load")
+    found = physics.by_differences(recording, [int(numbers[i]) for i in which], true, load)
     for i, part in zip(which, found, strict=True):
         jacobian[:, :, columns[i] : columns[i + 1]] = part
 

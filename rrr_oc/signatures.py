@@ -203,8 +203,8 @@ def _of_body(at: Context, effect, theta) -> np.ndarray:
 
 
 def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:
-    own = at.partials[0], at.partials[2]
-    shift = moved(at.recording, trial.effect, theta, trial.width, at.load, lambda j: (own[0][j, j], own[1][j, j]))
+    by_q, _, by_ddq = at.partials[:3]
+    shift = moved(at.recording, trial.effect, theta, trial.width, at.load, lambda j: (by_q[j, j], by_ddq[j, j]))
     parts = np.split(shift, 3)
     return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], parts, strict=True)], axis=0)
 
