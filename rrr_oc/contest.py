@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, present, rarity, without
 from rrr_oc.effects.empirical import Empirical
-from rrr_oc.evidence import Bench, Candidate, Evidence
+from rrr_oc.evidence import Bench, Candidate, Evidence, scope_cost
 from rrr_oc.fitting import Fitted, refit
 
 CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of two models does better
@@ -53,6 +53,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         alone = len(fitted.model.terms) == base + 1
         less = plain if alone else refit(bench, without(fitted.model, i))
         evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
+        fitted = _widened(bench, fitted, i, report)
         own = fitted.model.terms[i]
         rivals, best = [], None
         for candidate in _rivals(evidence, less.model, own):
@@ -97,6 +98,20 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         i += 1
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
+
+
+def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]) -> Fitted:
+    """The model with an effect of some groups in all of them, where the effects that were found later leave no reason for less."""
+    own = fitted.model.terms[i]
+    if not own.groups or own.effect.mounted:
+        return fitted
+    everywhere = replace(own, recordings="all", groups=())
+    terms = (*fitted.model.terms[:i], everywhere, *fitted.model.terms[i + 1 :])
+    tried = refit(bench, replace(fitted.model, terms=terms))
+    if tried.better_than(fitted) < -scope_cost(len(bench.labels), len(own.groups)):
+        return fitted
+    report(f"{own.effect.name} is everywhere")
+    return tried
 
 
 def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:

@@ -20,18 +20,22 @@ from rrr_oc.inference import normal_equations
 from rrr_oc.regression import Rows, noise
 from rrr_oc.signatures import trials, view
 
-MOST = 8  # effects
+MOST = 10  # effects
 TRIED = 5  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 0.05  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
-LEAST_SHARE = 0.007  # of the squared residual of a joint before any effect is added, for an effect to be named
+LEAST_SHARE = 0.007  # of a joint's squared residual, for an effect to be named
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
+TOGETHER = 4  # effects that may explain what an empirical term does
+HOPELESS = 0.25  # of what it explains, that two of them must
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
 DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
 Lawless = Literal["beside", "after", "never"]
+Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
+Best = tuple[float, Fitted, Candidate]  # score, fit with it, candidate
 
 
 @dataclass(frozen=True)
@@ -62,8 +66,9 @@ def search(
     base = len(model.terms)
     plain = fitted = refit(bench, model)
     first = evidence = gathered(bench, fitted.model)
+    planned: list[Key] = []
     while len(fitted.model.terms) - base < MOST:
-        chosen = _next(bench, evidence, plain, fitted, lawless, report)
+        chosen, planned = _next(bench, evidence, plain, fitted, lawless, planned, report)
         if chosen is None:
             break
         fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
@@ -85,7 +90,7 @@ def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
     return min(tried.values(), key=lambda f: f.misfit)
 
 
-def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> tuple[float, Fitted, Candidate] | None:
+def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best | None:
     evidence = unnamed(bench, fitted.model, j)
     return _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
 
@@ -139,25 +144,55 @@ def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
     return Evidence.gather(bench, model, trials(seen, model.torque))
 
 
-def _next(bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, lawless: Lawless, report) -> Fitted | None:
-    """The model with the best further effect, or empirical term where no effect comes near it; None where all is chance."""
+def _next(
+    bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, lawless: Lawless, planned: list[Key], report
+) -> tuple[Fitted | None, list[Key]]:
+    """The model with the best further effect, or empirical term where no effects come near it; None where all is chance.
+
+    And the effects that are then to come before any empirical term; `planned` are those to come now.
+    """
     named = _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
     joints = _noisy(bench, fitted) if named is None else [_joint(evidence, named[2])]
-    if lawless == "never" or (lawless == "after" and named is not None):
+    as_planned = named is not None and key(named[2]) in planned[:1]
+    if lawless == "never" or (lawless == "after" and named is not None) or as_planned:
         joints = []
     others = [_best_unnamed(bench, j, plain, fitted) for j in joints]
     other = max((o for o in others if o is not None), key=lambda o: o[0], default=None)
-    chosen = named or other
+    chosen, planned = named or other, planned[1:] if as_planned else []
     if chosen is None:
-        return None
+        return None, []
     if named is not None and other is not None and other[0] > MARGIN * named[0] + SAME:
-        both = _best_unnamed(bench, joints[0], plain, refit(bench, named[1].model))
-        if both is None or named[0] + both[0] < MARGIN * other[0] + SAME or _size(both[2], named[2]) >= _size(other[2]):
-            chosen = other  # else a law and a simpler term explain more
+        laws = _as_good(bench, plain, fitted, named, other[0])
+        if laws is None and not _beside(bench, joints[0], plain, named, other):
+            chosen = other
+        planned = laws or []
     report(f"{described(chosen[2], fitted.model)}: evidence {chosen[0]:.0f}")
     if chosen[2].trial.effect.simulated:
-        return _best_start(bench, chosen[1].model, (0.8, 1.0, 1.2))
-    return refit(bench, chosen[1].model)
+        return _best_start(bench, chosen[1].model, (0.8, 1.0, 1.2)), planned
+    return refit(bench, chosen[1].model), planned
+
+
+def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, goal: float) -> list[Key] | None:
+    """The further effects that together with one explain as much as an empirical term of this score; None without such."""
+    best, found, cost = named, [], 0.0
+    while best is not None and len(found) < TOGETHER:
+        found.append(key(best[2]))
+        cost += best[2].penalty
+        there = _rewidened(bench, refit(bench, best[1].model))
+        reached = there.better_than(fitted) - cost
+        if reached >= goal:
+            return found[1:]
+        if len(found) > 1 and reached < HOPELESS * goal:
+            return None
+        evidence = gathered(bench, there.model)
+        best = _best(bench, evidence, contenders(evidence, there.model), plain, there)
+    return None
+
+
+def _beside(bench: Bench, j: int, plain: Fitted, named: Best, other: Best) -> bool:
+    """Whether an effect and a simpler empirical term explain more than an empirical term."""
+    both = _best_unnamed(bench, j, plain, refit(bench, named[1].model))
+    return both is not None and named[0] + both[0] >= MARGIN * other[0] + SAME and _size(both[2], named[2]) < _size(other[2])
 
 
 def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> Fitted:
@@ -170,16 +205,14 @@ def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidat
     return Fitted(model, replace(fitted.rows, residual=evidence.left_by(candidate)))
 
 
-def _best(
-    bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted
-) -> tuple[float, Fitted, Candidate] | None:
+def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted) -> Best | None:
     """Score, fit and candidate of the best that is beyond chance and explains a share of the error worth a name."""
     best = None
     for candidate in candidates:
         tried = fit_of(bench, evidence, fitted, candidate)
         gain = tried.better_than(fitted)
         score = gain - candidate.penalty
-        share = np.max((fitted.squares - tried.squares) / plain.squares)
+        share = _share(plain, fitted, tried)
         steady = (
             candidate.trial.effect.linear
             or steadily_better(bench, tried, fitted)
@@ -191,6 +224,16 @@ def _best(
             score -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * gain
             best = (score, tried, candidate) if best is None or score > best[0] else best
     return best
+
+
+def _share(plain: Fitted, less: Fitted, more: Fitted) -> float:
+    """Share of a joint's squared residual by which it falls, of the joint where that is most.
+
+    Of the geometric mean of what the plain model leaves and what is left without the effect: of the first alone, nothing would
+    be worth a name beside an effect a hundred times as strong, and of the second, neither law of the plant nor of the catalogue
+    is as exact as the noise is small beside such an effect.
+    """
+    return float(np.max((less.squares - more.squares) / np.sqrt(plain.squares * less.squares)))
 
 
 def _settled(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> bool:
@@ -251,7 +294,7 @@ def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float], w
     return min(fits, key=lambda f: f.misfit)
 
 
-def key(candidate: Candidate) -> tuple[str, tuple[int, ...]]:
+def key(candidate: Candidate) -> Key:
     """Name and joints of a candidate's effect."""
     effect = candidate.trial.effect
     return effect.name, effect.joints
@@ -302,8 +345,7 @@ def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, 
     """The model without those earlier effects that the newest made superfluous."""
 
     def superfluous(less: Fitted, i: int, by: float = 1.0) -> bool:
-        share = np.max((less.squares - fitted.squares) / plain.squares)
-        return bool(share < by * LEAST_SHARE) or fitted.better_than(less) < by * _least(fitted, i, tests)
+        return _share(plain, less, fitted) < by * LEAST_SHARE or fitted.better_than(less) < by * _least(fitted, i, tests)
 
     i = base
     while i < len(fitted.model.terms) - 1:

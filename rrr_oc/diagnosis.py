@@ -16,7 +16,7 @@ from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.locate import mismatch
 from rrr_oc.nrmse import error
-from rrr_oc.recordings import RecordingSet
+from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.regression import Prepared, prepare, rows, thinned, without_spikes
 from rrr_oc.signatures import view
 from rrr_oc.suggest import Suggestion, suggest
@@ -26,7 +26,7 @@ FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
 SMALL = 4
 BLOCKS = 4  # of the only recording
 FEW = 5  # effects, of which each is tried to leave where a term that no law stands behind is worth nothing
-LEAST_SHARE = 0.002  # of the squared residual on recordings held out, for an effect to stay
+LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
@@ -37,11 +37,13 @@ class Shares:
 
     Attributes:
         share: Fall of the squared residual with the effect, over what it was before any effect, one an effect.
+        worth: The same fall, over the geometric mean of what it was before any effect and before this one.
         before, after: NRMSE of the effect's joints without and with it, one an effect.
         least: As `share`, in the fold where it is least.
     """
 
     share: tuple[float, ...]
+    worth: tuple[float, ...]
     before: tuple[float, ...]
     after: tuple[float, ...]
     least: tuple[float, ...]
@@ -125,7 +127,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     begin = replace(start, robot=plain.robot) if unknown else start
     fitted, findings = contested(bench, search(bench, begin, report), report)
     way, folds = _folds(bench)
-    model, shares = plain, Shares((), (), (), ())
+    model, shares = plain, Shares((), (), (), (), ())
     empirical = any(isinstance(f.term.effect, Empirical) for f in findings)
     every = [fold for _, fold in folds]
     held = [(bench, begin, every, k, bool(findings), "beside" if empirical else "never") for k, (bench, _) in enumerate(folds)]
@@ -173,8 +175,13 @@ def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
     else:
         way = "recordings"
     number = min(count, FOLDS if bench.n <= SMALL else FEWER)
-    by_group = sorted(range(count), key=lambda i: bench.labels.index(bench.groups[i]))  # recordings of a group fall apart
-    return way, [(bench, sorted(by_group[k::number])) for k in range(number)]
+    alike = sorted(range(count), key=lambda i: (*_mounted(bench.prepared[i].recording), bench.labels.index(bench.groups[i])))
+    return way, [(bench, sorted(alike[k::number])) for k in range(number)]  # those that are alike fall apart
+
+
+def _mounted(r: Recording) -> tuple[float, int]:
+    """Largest payload and number of springs that a recording lists."""
+    return float(r.payload.max()), len(r.springs)
 
 
 def _blocks(bench: Bench) -> Bench:
@@ -270,9 +277,9 @@ def _worth_keeping(
     while True:
         shares = _shares(folds, start, [terms[k] for k in kept])
         poor, lawless = [], False
-        for k, share, least in zip(kept, shares.share, shares.least, strict=True):
+        for k, worth, least in zip(kept, shares.worth, shares.least, strict=True):
             unnamed = isinstance(terms[k].effect, Empirical)
-            if share <= LEAST_SHARE or (unnamed and least < -HARM):
+            if worth <= LEAST_WORTH or (unnamed and least < -HARM):
                 poor.append(k)
                 lawless |= unnamed
         if not poor:
@@ -311,6 +318,7 @@ def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, te
     joints = [list(t.effect.joints) or list(range(start.robot.n)) for t in terms]
     return Shares(
         tuple(float((total[k] - total[k + 1]) / total[0]) for k in range(count)),
+        tuple(float((total[k] - total[k + 1]) / np.sqrt(total[0] * total[k])) for k in range(count)),
         tuple(float(np.nanmean(nrmse[k][j])) for k, j in enumerate(joints)),
         tuple(float(np.nanmean(nrmse[k + 1][j])) for k, j in enumerate(joints)),
         tuple(map(float, least)),

@@ -52,6 +52,7 @@ QUANTILES = (0.25, 0.5, 0.75, 0.95)
 FEW = ("single", "faint", "short", "some", "current", "load", "identify", "locked")  # kinds with one effect at most
 SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
+ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
 NORMAL = 1.96  # standard errors of a 95 % interval
 NOTHING, UNEXPLAINED, FAILED = "nothing", "unexplained", "failed"
 console = wide_console()
@@ -205,7 +206,7 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
     """What became of one case; `oracle` as `oracle_case` wrote it."""
     diagnosis = result.get("diagnosis") or {"verdict": FAILED, "effects": [], "unexplained": []}
     effects, unexplained, few = diagnosis["effects"], diagnosis["unexplained"], truth["kind"] in FEW
-    inside = [e for e in truth["effects"] if e["in_catalogue"]]
+    inside = [e for e in truth["effects"] if e["in_catalogue"] and e.get("ratio", {}).get("reached", 1.0) > ABSENT]
     found = matched(inside, effects[:1] if few else effects)
     seen = [r["file"] for r in truth["recordings"] if not r["unseen"]]
     entries = []

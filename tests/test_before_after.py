@@ -40,7 +40,7 @@ def diagnosis() -> Diagnosis:
     folds = tuple(Fold((k,), plain, model, before[k : k + 1], after[k : k + 1]) for k in range(3))
     none = np.zeros(3)
     return Diagnosis(
-        recordings, plain, model, (), Shares((), (), (), ()), (none, none), (none, none), "recordings", (), (), folds
+        recordings, plain, model, (), Shares((), (), (), (), ()), (none, none), (none, none), "recordings", (), (), folds
     )
 
 
