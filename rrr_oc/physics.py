@@ -1,7 +1,7 @@
 """What is at work in one recording, with numbers: the torques that its motion needs, and what sensors make of them."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
 
@@ -14,6 +14,7 @@ from rrr_oc.recordings import Recording
 from rrr_oc.savitzky_golay import smooth
 
 DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
+PARTS = 4  # of a sample's step, for internal states
 Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
 
@@ -26,6 +27,7 @@ class Physics:
     theta: np.ndarray
     widths: np.ndarray
     inertial: np.ndarray
+    known: dict[str, tuple[Recording, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @staticmethod
     def inputs(recording: Recording) -> tuple[np.ndarray, ...]:
@@ -54,6 +56,15 @@ class Physics:
 
     def _moved(self, recording: Recording) -> Shifts:
         """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift."""
+        return self._once("moved", self._find_moved, recording)
+
+    def _once(self, what: str, find: Callable[[Recording], Any], recording: Recording) -> Any:
+        """What is found, or what was for the same recording."""
+        if what not in self.known or self.known[what][0] is not recording:
+            self.known[what] = recording, find(recording)
+        return self.known[what][1]
+
+    def _find_moved(self, recording: Recording) -> Shifts:
         found: Shifts = {}
         total = _summed(found, recording)
         motion = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
@@ -133,6 +144,9 @@ class Physics:
 
     def states(self, recording: Recording) -> np.ndarray:
         """Internal states of the effects along the recording, (number of states, K)."""
+        return self._once("states", self._find_states, recording)
+
+    def _find_states(self, recording: Recording) -> np.ndarray:
         found = [states_along(recording, *one) for one in self.named() if one[0].states]
         return np.concatenate([*found, np.zeros((0, len(recording.t)))])
 
@@ -190,22 +204,35 @@ def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
 
 
 def states_along(recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
-    """Internal states (number, K) of an effect, whose rates are affine in them, each in its own, exactly over every sample's step."""
-    signals, states = Signals(recording.q, recording.dq, recording.ddq), np.zeros((len(effect.states), len(recording.t)))
-    constant, unit = (
-        [
-            np.broadcast_to(np.array(v).reshape(-1), recording.t.shape)
-            for v in effect.rate(replace(signals, states=z), theta, width)
-        ]
-        for z in (states, states + 1)
-    )
-    for i, state in enumerate(effect.states):
-        slope = unit[i] - constant[i]
-        for s in recording.segments:
-            h = np.diff(recording.t[s])
-            a, b = (((x[s][1:] + x[s][:-1]) / 2) * h for x in (constant[i], slope))
+    """Internal states (number, K) of an effect, whose rates are affine in them, each in its own.
+
+    Motion is taken as linear between samples, and the rates as constant over each of `PARTS` of a sample's step: where a joint turns
+    around, its way within the step is what a bristle feels.
+    """
+    states = np.zeros((len(effect.states), len(recording.t)))
+    for s in recording.segments:
+        signals = Signals(*(_finely(x[:, s]) for x in (recording.q, recording.dq, recording.ddq)))
+        count = signals.q.shape[1]
+        h = np.repeat(np.diff(recording.t[s]) / PARTS, PARTS)
+        constant, unit = (
+            [
+                np.broadcast_to(np.array(v).reshape(-1), (count,))
+                for v in effect.rate(replace(signals, states=np.full((len(states), count), z)), theta, width)
+            ]
+            for z in (0.0, 1.0)
+        )
+        for i, state in enumerate(effect.states):
+            slope = unit[i] - constant[i]
+            a, b = (((x[1:] + x[:-1]) / 2) * h for x in (constant[i], slope))
             keep = np.exp(np.clip(b, -700, 50))
             gain = np.where(np.abs(b) > 1e-8, np.expm1(np.clip(b, -700, 50)) / np.where(b == 0, 1, b), 1.0) * a
-            steps = np.array([np.ones(len(h) + 1), np.append(-keep, 0.0)])  # z_k+1 − keep_k z_k = gain_k
-            states[i, s] = solve_banded((1, 0), steps, np.append(state.nominal, gain), check_finite=False)
+            steps = np.array([np.ones(count), np.append(-keep, 0.0)])  # z_k+1 − keep_k z_k = gain_k
+            states[i, s] = solve_banded((1, 0), steps, np.append(state.nominal, gain), check_finite=False)[::PARTS]
     return states
+
+
+def _finely(x: np.ndarray) -> np.ndarray:
+    """Signals (n, K) with `PARTS` − 1 values between each two, on the line between them."""
+    share = np.arange(PARTS) / PARTS
+    between = x[:, :-1, None] + np.diff(x, axis=1)[:, :, None] * share
+    return np.concatenate([between.reshape(len(x), -1), x[:, -1:]], axis=1)

@@ -252,9 +252,10 @@ def _moving(recording: Recording) -> np.ndarray:
 
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
     r = prepared.recording
-    true = model.true_torque(r)
-    residual = prepared.measured - model.physics(r).recorded(r, true)
-    jacobian = derivatives(model, r, inertial and not last, true, last)
+    physics = model.physics(r)
+    true = physics.torques(r)[model.torque == "load"]
+    residual = prepared.measured - physics.recorded(r, true)
+    jacobian = derivatives(model, r, inertial and not last, last, physics, true)
     kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]
     moving = prepared.moving[:, kept]
@@ -303,15 +304,21 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
 
 
 def derivatives(
-    model: CalibratedModel, recording: Recording, inertial: bool = False, true: np.ndarray | None = None, last: bool = False
+    model: CalibratedModel,
+    recording: Recording,
+    inertial: bool = False,
+    last: bool = False,
+    physics: Physics | None = None,
+    true: np.ndarray | None = None,
 ) -> np.ndarray:
     """d predicted / d (parameters of the terms, inertial parameters), (n, K, p).
 
     Args:
-        true: `model.true_torque(recording)`, where it is known.
         last: Whether only those by the parameters of the last term are wanted.
+        physics: `model.physics(recording)`, where it is at hand.
+        true: `model.true_torque(recording)`, where it is known.
     """
-    physics, n, count = model.physics(recording), model.robot.n, len(recording.t)
+    physics, n, count = physics or model.physics(recording), model.robot.n, len(recording.t)
     wanted = model.terms[-1:] if last else model.terms
     special = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in wanted]
     result = np.zeros((n, count, sum(len(t.estimates) for t in wanted)))
