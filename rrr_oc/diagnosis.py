@@ -26,6 +26,7 @@ FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
 SMALL = 4
 BLOCKS = 4  # of the only recording
 FEW = 5  # effects, of which each is tried to leave where a term that no law stands behind is worth nothing
+SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
@@ -141,7 +142,11 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
             report("looking for effects of the catalogue first")
             fitted, findings = contested(bench, search(bench, begin, report, "after"), report)
             findings, shares = _weighed(folds, begin, fitted, findings)
-        model = _final(recordings, whole, _with(_at(start, fitted), [f.term for f in findings]))
+        model = _calibrated(recordings, whole, start, fitted, findings)
+        sure = [f for f, t in zip(findings, model.terms[len(start.terms) :], strict=True) if _sure(t)]
+        if len(sure) < len(findings):
+            findings, shares = _weighed(folds, begin, fitted, sure)
+            model = _calibrated(recordings, whole, start, fitted, findings)
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     where = mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
@@ -245,6 +250,19 @@ def _with(start: CalibratedModel, terms: Sequence[Term]) -> CalibratedModel:
 def _at(start: CalibratedModel, fitted: Fitted) -> CalibratedModel:
     """The plain model as it was fitted with the effects; far from there, those that are not linear would lead astray."""
     return replace(start, terms=fitted.model.terms[: len(start.terms)])
+
+
+def _calibrated(
+    recordings: RecordingSet, whole: Sequence[Prepared], start: CalibratedModel, fitted: Fitted, findings: Sequence[Finding]
+) -> CalibratedModel:
+    """The extended model on all recordings."""
+    return _final(recordings, whole, _with(_at(start, fitted), [f.term for f in findings]))
+
+
+def _sure(term: Term) -> bool:
+    """Whether the interval of a linear effect is clear of absence, beside everything else that was found."""
+    known = zip(term.effect.parameters, term.estimates, strict=True)
+    return not term.effect.linear or any(e.std is None or abs(e.value - p.nominal) > SURE * e.std for p, e in known)
 
 
 def _weighed(
