@@ -144,14 +144,15 @@ class CalibratedModel:
         """Motor torque and load torque that a recorded motion needs, each (n, K) [Nm]."""
         return self.physics(recording).torques(recording)
 
-    def true_torque(self, recording: Recording) -> np.ndarray:
+    def true_torque(self, recording: Recording, physics: Physics | None = None) -> np.ndarray:
         """The torque that is recorded, motor or load, as a perfect sensor has it, from the recorded motion, (n, K) [Nm]."""
-        motor, load = self.torques(recording)
+        motor, load = (physics or self.physics(recording)).torques(recording)
         return load if self.torque == "load" else motor
 
     def output_torque(self, recording: Recording) -> np.ndarray:
         """What `RecordingSet.output_torque` measures, from the recorded motion, (n, K) [Nm]."""
-        return self.physics(recording).recorded(recording, self.true_torque(recording))
+        physics = self.physics(recording)
+        return physics.recorded(recording, self.true_torque(recording, physics))
 
     def predict(self, recording: Recording) -> np.ndarray:
         """The recorded signal, in its own unit, from the recorded motion, (n, K), at every sample."""

@@ -50,10 +50,10 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     base = len(plain.model.terms)
     findings, i = [], base
     while i < len(fitted.model.terms):
+        fitted = _widened(bench, fitted, i, report)
         alone = len(fitted.model.terms) == base + 1
         less = plain if alone else refit(bench, without(fitted.model, i))
         evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
-        fitted = _widened(bench, fitted, i, report)
         own = fitted.model.terms[i]
         rivals, best = [], None
         for candidate in _rivals(evidence, less.model, own):

@@ -227,13 +227,18 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
 
 
 def _share(plain: Fitted, less: Fitted, more: Fitted) -> float:
-    """Share of a joint's squared residual by which it falls, of the joint where that is most.
+    """What an effect is worth on the joint where that is most."""
+    return float(np.max(worth(plain.squares, less.squares, more.squares)))
+
+
+def worth(plain, less, more):
+    """Fall of squared residuals, `less` without and `more` with an effect, as a share.
 
     Of the geometric mean of what the plain model leaves and what is left without the effect: of the first alone, nothing would
     be worth a name beside an effect a hundred times as strong, and of the second, neither law of the plant nor of the catalogue
     is as exact as the noise is small beside such an effect.
     """
-    return float(np.max((less.squares - more.squares) / np.sqrt(plain.squares * less.squares)))
+    return (less - more) / np.sqrt(plain * less)
 
 
 def _settled(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> bool:

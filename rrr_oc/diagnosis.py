@@ -10,7 +10,7 @@ from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnose import Lawless, as_seen, search
+from rrr_oc.diagnose import Lawless, as_seen, search, worth
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
@@ -38,7 +38,7 @@ class Shares:
 
     Attributes:
         share: Fall of the squared residual with the effect, over what it was before any effect, one an effect.
-        worth: The same fall, over the geometric mean of what it was before any effect and before this one.
+        worth: The same fall, as `diagnose.worth` has it.
         before, after: NRMSE of the effect's joints without and with it, one an effect.
         least: As `share`, in the fold where it is least.
     """
@@ -279,8 +279,8 @@ def _ordered(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, f
     """The effects by what each, alone, is worth on recordings held out, most first."""
     if len(findings) < 2:
         return list(findings)
-    worth = [_shares(folds, start, [f.term]).share[0] for f in findings]
-    return [findings[k] for k in np.argsort(worth, kind="stable")[::-1]]
+    alone = [_shares(folds, start, [f.term]).share[0] for f in findings]
+    return [findings[k] for k in np.argsort(alone, kind="stable")[::-1]]
 
 
 def _worth_keeping(
@@ -295,9 +295,9 @@ def _worth_keeping(
     while True:
         shares = _shares(folds, start, [terms[k] for k in kept])
         poor, lawless = [], False
-        for k, worth, least in zip(kept, shares.worth, shares.least, strict=True):
+        for k, value, least in zip(kept, shares.worth, shares.least, strict=True):
             unnamed = isinstance(terms[k].effect, Empirical)
-            if worth <= LEAST_WORTH or (unnamed and least < -HARM):
+            if value <= LEAST_WORTH or (unnamed and least < -HARM):
                 poor.append(k)
                 lawless |= unnamed
         if not poor:
@@ -336,7 +336,7 @@ def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, te
     joints = [list(t.effect.joints) or list(range(start.robot.n)) for t in terms]
     return Shares(
         tuple(float((total[k] - total[k + 1]) / total[0]) for k in range(count)),
-        tuple(float((total[k] - total[k + 1]) / np.sqrt(total[0] * total[k])) for k in range(count)),
+        tuple(float(worth(total[0], total[k], total[k + 1])) for k in range(count)),
         tuple(float(np.nanmean(nrmse[k][j])) for k, j in enumerate(joints)),
         tuple(float(np.nanmean(nrmse[k + 1][j])) for k, j in enumerate(joints)),
         tuple(map(float, least)),

@@ -37,6 +37,9 @@ class Physics:
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
+        return self._once("torques", self._find_torques, recording)
+
+    def _find_torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         states = self.states(recording)
         if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
             inputs = self.inputs(recording)

@@ -253,9 +253,8 @@ def _moving(recording: Recording) -> np.ndarray:
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
     r = prepared.recording
     physics = model.physics(r)
-    true = physics.torques(r)[model.torque == "load"]
-    residual = prepared.measured - physics.recorded(r, true)
-    jacobian = derivatives(model, r, inertial and not last, last, physics, true)
+    residual = prepared.measured - physics.recorded(r, model.true_torque(r, physics))
+    jacobian = derivatives(model, r, inertial and not last, last, physics)
     kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]
     moving = prepared.moving[:, kept]
@@ -309,14 +308,12 @@ def derivatives(
     inertial: bool = False,
     last: bool = False,
     physics: Physics | None = None,
-    true: np.ndarray | None = None,
 ) -> np.ndarray:
     """d predicted / d (parameters of the terms, inertial parameters), (n, K, p).
 
     Args:
         last: Whether only those by the parameters of the last term are wanted.
         physics: `model.physics(recording)`, where it is at hand.
-        true: `model.true_torque(recording)`, where it is known.
     """
     physics, n, count = physics or model.physics(recording), model.robot.n, len(recording.t)
     wanted = model.terms[-1:] if last else model.terms
@@ -337,7 +334,7 @@ def derivatives(
     for k in range(result.shape[2]) if any(t.effect.side == "sensor" for t in model.terms) else ():
         result[:, :, k] = physics.passed_on(recording, result[:, :, k])
     if any(special):
-        true = model.true_torque(recording) if true is None else true
+        true = model.true_torque(recording, physics)
         _fill_in(result, physics, wanted, special, recording, true, model.torque == "load")
     return result
 

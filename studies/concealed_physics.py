@@ -203,7 +203,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
 
 
 def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What became of one case; `oracle` as `oracle_case` wrote it."""
+    """What became of one case; `oracle` as `oracle_case` wrote it. Effects of the catalogue that no data show do not count."""
     diagnosis = result.get("diagnosis") or {"verdict": FAILED, "effects": [], "unexplained": []}
     effects, unexplained, few = diagnosis["effects"], diagnosis["unexplained"], truth["kind"] in FEW
     inside = [e for e in truth["effects"] if e["in_catalogue"] and e.get("ratio", {}).get("reached", 1.0) > ABSENT]
