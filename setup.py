@@ -1,4 +1,7 @@
-"""The extension of rrr_oc: Pinocchio's algorithms on casadi.SX, against the headers that the wheels themselves ship."""
+"""The extensions of rrr_oc: Pinocchio's algorithms on casadi.SX, and casadi Functions at many instants.
+
+Against the headers that the wheels themselves ship.
+"""
 
 from pathlib import Path
 
@@ -9,6 +12,8 @@ from setuptools import Extension, setup
 site = Path(cmeel.__file__).parent.parent
 include = site / "cmeel.prefix" / "include"
 casadi_dir = Path(casadi.__file__).parent
+# No run path: `import casadi` comes first and brings the library of this SONAME along.
+libcasadi = str(next(casadi_dir.glob("libcasadi.so.*")))
 
 setup(
     ext_modules=[
@@ -24,8 +29,14 @@ setup(
                 ("BOOST_FUSION_INVOKE_MAX_ARITY", "12"),
             ],
             extra_compile_args=["-std=c++17", "-O1", "-g0", "-w", "-fvisibility=hidden"],
-            # No run path: `import casadi` comes first and brings the library of this SONAME along.
-            extra_link_args=[str(next(casadi_dir.glob("libcasadi.so.*")))],
-        )
+            extra_link_args=[libcasadi],
+        ),
+        Extension(
+            "rrr_oc._along",
+            sources=["rrr_oc/_along.cpp"],
+            include_dirs=[str(casadi_dir / "include")],
+            extra_compile_args=["-std=c++17", "-O3", "-g0", "-w", "-fvisibility=hidden"],
+            extra_link_args=[libcasadi],
+        ),
     ],
 )

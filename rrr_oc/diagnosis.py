@@ -178,7 +178,7 @@ def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
     if count == 1:
         bench, count, way = _blocks(bench), BLOCKS, "blocks"
     else:
-        way = "recordings"
+        bench, way = replace(bench), "recordings"  # what it has found out so far is not for other processes
     number = min(count, FOLDS if bench.n <= SMALL else FEWER)
     alike = sorted(range(count), key=lambda i: (*_mounted(bench.prepared[i].recording), bench.labels.index(bench.groups[i])))
     return way, [(bench, sorted(alike[k::number])) for k in range(number)]  # those that are alike fall apart

@@ -17,7 +17,7 @@ from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Trial
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.regression import STRIDE, Prepared, Rows, kept_rows, rows
-from rrr_oc.signatures import Table, context, table
+from rrr_oc.signatures import Known, Table, context, table
 
 LONGEST = 2.0  # [s], of the lags over which residuals are correlated
 WHITE = 0.11  # [s], over which the common filter correlates white noise
@@ -47,6 +47,11 @@ class Bench:
     def edges(self) -> np.ndarray:
         """First row of each recording, and the end."""
         return np.concatenate([[0], np.cumsum([len(kept_rows(p.recording)[0]) for p in self.prepared])]).astype(int)
+
+    @cached_property
+    def known(self) -> tuple[Known, ...]:
+        """Signatures that no model changes, for each recording, as `signatures.table` fills them in."""
+        return tuple({} for _ in self.prepared)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -132,7 +137,7 @@ class Evidence:
     def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
-        signatures = table([context(p, model) for p in bench.prepared], every)
+        signatures = table([context(p, model) for p in bench.prepared], every, bench.known)
         nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
         return cls(bench, model, found, signatures, *nothing).under(found)
 
@@ -340,9 +345,9 @@ def correlation(found: Rows) -> np.ndarray:
     for r in found.residual:
         pieces = [r[s] for s in found.stretches]
         power = sum(float(p @ p) for p in pieces) or 1.0
-        rho = [sum(float(p[k:] @ p[:-k]) for p in pieces if len(p) > k) / power for k in range(1, lags)]
-        ends = next((i for i, x in enumerate(rho) if x <= 0.05), len(rho))  # beyond, it is noise
-        result.append(max(WHITE, STRIDE * (1 + 2 * sum(rho[:ends]))))
+        rho = (sum(float(p[k:] @ p[:-k]) for p in pieces if len(p) > k) / power for k in range(1, lags))
+        signal = itertools.takewhile(lambda x: x > 0.05, rho)  # beyond, it is noise
+        result.append(max(WHITE, STRIDE * (1 + 2 * sum(signal))))
     return np.array(result)
 
 

@@ -4,13 +4,12 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise
-from threading import Thread
 from typing import Literal
 
 import casadi as ca
 import numpy as np
 
+import rrr_oc._along as extension
 from rrr_oc.effects import Body, Effect, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.parameters import Parameter
@@ -25,44 +24,29 @@ LISTED = ("parallel_spring", "biarticular_spring")  # what recordings may list
 
 
 def along(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
-    """Outputs of a Function at K instants, without casadi's copies; each (rows, columns · K), the instants side by side.
+    """Outputs of a Function of scalar operations at K instants; each (rows, columns · K), the instants side by side.
 
-    Many instants are shared out to threads. Only the evaluation is: casadi's expressions and Functions are made in one thread.
+    Many instants are shared out to threads.
 
     Args:
         arguments: (rows, columns · K) each, or (rows, columns) for what is the same at all instants.
+
+    Raises:
+        ValueError: An argument has another size, or the Function is not made of `casadi.SX`.
     """
-    arrays = [np.asfortranarray(np.reshape(a, (len(a), 1)) if np.ndim(a) < 2 else a, float) for a in arguments]
-    wide = [max(function.size2_in(i), 1) for i in range(len(arrays))]
-    counts = [a.shape[1] // w for a, w in zip(arrays, wide, strict=True)]
+    arrays = [np.asarray(a, float) if np.ndim(a) > 1 else np.reshape(a, (len(a), 1)).astype(float) for a in arguments]
+    counts = [a.shape[1] // max(function.size2_in(i), 1) for i, a in enumerate(arrays)]
     count = max(counts)
-    same = tuple(i for i, c in enumerate(counts) if c != count)
+    given = [(a.reshape(-1, order="F"), c != count) for a, c in zip(arrays, counts, strict=True)]
     results = [np.empty((function.size1_out(i), function.size2_out(i) * count), order="F") for i in range(function.n_out())]
-    edges = np.linspace(0, count, max(1, min(CORES, count // SHARED)) + 1).astype(int)
-    evaluations = []
-    for k, end in pairwise(edges.tolist()):
-        buffer, evaluate = _mapped(function, end - k, same).buffer()
-        for i, (a, w) in enumerate(zip(arrays, wide, strict=True)):
-            part = a if i in same else a[:, k * w : end * w]
-            buffer.set_arg(i, part.reshape(-1, order="F").data)  # pyright: ignore[reportCallIssue, reportArgumentType]
-        for i, a in enumerate(results):
-            w = function.size2_out(i)
-            part = a[:, k * w : end * w].reshape(-1, order="F")
-            buffer.set_res(i, part.data)  # pyright: ignore[reportCallIssue, reportArgumentType]
-        evaluations.append((evaluate, buffer))
-    others = [Thread(target=evaluate) for evaluate, _ in evaluations[1:]]
-    for thread in others:
-        thread.start()
-    evaluations[0][0]()
-    for thread in others:
-        thread.join()
+    threads = max(1, min(CORES, count // SHARED))
+    extension.run(_program(function), given, [r.reshape(-1, order="F") for r in results], count, threads)
     return results
 
 
-@lru_cache(maxsize=2000)
-def _mapped(function: ca.Function, count: int, same: tuple[int, ...]) -> ca.Function:
-    """The Function at so many instants, to which these arguments are common."""
-    return function.map("along", "serial", count, list(same), [])
+@lru_cache(maxsize=500)
+def _program(function: ca.Function):
+    return extension.program(function.serialize())
 
 
 @dataclass(frozen=True)

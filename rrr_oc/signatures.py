@@ -4,7 +4,7 @@ They are linear in the effects' coefficients (`effects.Trial`) and pass the same
 what is missing is found by linear algebra on few numbers.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,8 +12,9 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.effects import CATALOGUE, Body, Signals, Trial, View
+from rrr_oc.effects import CATALOGUE, Body, Effect, Signals, Trial, View
 from rrr_oc.effects.dry_friction import DryFriction
+from rrr_oc.effects.empirical import Empirical
 from rrr_oc.model import along
 from rrr_oc.physics import Physics, later, moved, states_along
 from rrr_oc.recordings import Recording
@@ -83,22 +84,27 @@ class Context:
         return self.prepared.recording
 
     @cached_property
+    def of_motion(self) -> Signals:
+        """What effects may depend on, as arrays, without what the model has to say."""
+        r = self.recording
+        return Signals(r.q, r.dq, r.ddq, time=r.t - r.t[0], payload=r.payload)
+
+    @cached_property
     def signals(self) -> Signals:
         """What effects may depend on, as arrays."""
-        r = self.recording
-        springs = {}
-        for effect, theta, width in reversed(self.physics.named()[: len(r.springs)]):
-            springs[effect.joints] = (effect, theta, width)
-        return Signals(
-            r.q,
-            r.dq,
-            r.ddq,
-            load=self.load,
-            time=r.t - r.t[0],
-            payload=r.payload,
-            friction=self.friction,
-            springs=springs,
-        )
+        listed = reversed(self.physics.named()[: len(self.recording.springs)])
+        springs = {effect.joints: (effect, theta, width) for effect, theta, width in listed}
+        return replace(self.of_motion, load=self.load, friction=self.friction, springs=springs)
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Where each joint moves, at the rows that `regression.rows` keeps, (n, M)."""
+        return self.prepared.moving[:, kept_rows(self.recording)[0]]
+
+    @cached_property
+    def with_sensors(self) -> bool:
+        """Whether the model has effects of sensors."""
+        return any(effect.side == "sensor" for effect in self.physics.model.effects)
 
 
 def context(prepared: Prepared, model: CalibratedModel) -> Context:
@@ -149,27 +155,34 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
     result = np.zeros((len(trial.points), *r.q.shape))
     if effect.of_spring and effect.joints not in (at.signals.springs or {}):
         return result
-    for k, theta in enumerate(trial.points):
-        change = result[k]
-        if effect.side == "sensor":
-            true = at.load if at.torque == "load" else at.motor
-            if effect.of_arm:
-                change += later(r, true, theta["delay"]) - true
-            else:
-                _add(change, effect, effect.torque(replace(at.signals, load=true), theta, trial.width))
-            continue
-        if effect.side == "drive":
-            _add(change, effect, effect.torque(_with_states(at, trial, theta), theta, trial.width), -1.0)
-        elif effect.side == "link":
-            _add(change, effect, effect.torque(at.signals, theta, trial.width), -1.0)
-        elif effect.side == "body":
-            change += _of_body(at, effect, theta)
+    if effect.side in ("link", "drive"):
+        signals = at.signals if _needs_model(effect) else at.of_motion
+        if isinstance(effect, Empirical):
+            result[:, effect.joints[0]] = effect.basis(signals, trial.width)
+            result *= -1.0
         else:
-            change += _of_motion(at, trial, theta)
-        if effect.side != "drive":
-            change *= at.through
-        change[:] = at.physics.passed_on(r, change)
+            for k, theta in enumerate(trial.points):
+                _add(result[k], effect, effect.torque(_with_states(signals, r, trial, theta), theta, trial.width), -1.0)
+    else:
+        for k, theta in enumerate(trial.points):
+            if effect.side == "sensor":
+                true = at.load if at.torque == "load" else at.motor
+                if effect.of_arm:
+                    result[k] = later(r, true, theta["delay"]) - true
+                else:
+                    _add(result[k], effect, effect.torque(replace(at.signals, load=true), theta, trial.width))
+            else:
+                result[k] = _of_body(at, effect, theta) if effect.side == "body" else _of_motion(at, trial, theta)
+    if effect.side not in ("sensor", "drive"):
+        result *= at.through
+    if effect.side != "sensor" and at.with_sensors:
+        result = np.array([at.physics.passed_on(r, result[k]) for k in range(len(result))])
     return result / trial.size
+
+
+def _needs_model(effect: Effect) -> bool:
+    """Whether the torque of an effect depends on more than the recorded motion."""
+    return effect.side not in ("link", "drive") or effect.load_dependent or effect.of_spring or effect.of_friction
 
 
 def _add(change: np.ndarray, effect, torques, sign: float = 1.0) -> None:
@@ -177,10 +190,10 @@ def _add(change: np.ndarray, effect, torques, sign: float = 1.0) -> None:
         change[j] += sign * np.array(torque).reshape(-1)
 
 
-def _with_states(at: Context, trial: Trial, theta) -> Signals:
+def _with_states(signals: Signals, recording: Recording, trial: Trial, theta) -> Signals:
     if not trial.effect.states:
-        return at.signals
-    return replace(at.signals, states=list(states_along(at.recording, trial.effect, theta, trial.width)))
+        return signals
+    return replace(signals, states=list(states_along(recording, trial.effect, theta, trial.width)))
 
 
 def _of_body(at: Context, effect, theta) -> np.ndarray:
@@ -190,7 +203,7 @@ def _of_body(at: Context, effect, theta) -> np.ndarray:
     for k, mass in enumerate(masses):
         base = replace(at.body, payload=at.body.payload + mass)
         there = effect.change(base, theta)
-        links = [np.array(ca.evalf(with_payload(ca.SX(b.inertial), tool, b.payload, b.position))) for b in (base, there)]
+        links = [np.array(with_payload(ca.DM(b.inertial), tool, b.payload, b.position)) for b in (base, there)]
         gravity = ca.vertcat(*there.gravity) if isinstance(there.gravity, list) else there.gravity
         pull = np.array(ca.evalf(ca.SX(gravity) - ca.SX(base.gravity))).reshape(3)
         samples = which == k
@@ -226,25 +239,49 @@ class Table:
     used: tuple[np.ndarray, ...]
 
 
-def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
-    """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps."""
+Passed = tuple[np.ndarray, np.ndarray]  # where a trial's columns are not 0 (m, n), and these, filtered (number of them, M)
+Known = dict[Hashable, Passed]
+
+
+def table(contexts: Sequence[Context], every: Iterable[Trial], known: Sequence[Known] | None = None) -> Table:
+    """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps.
+
+    Args:
+        known: One a recording: signatures that no model changes; what is missing is added.
+    """
     every = tuple(every)
     start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
-    parts: list[list[np.ndarray]] = []
-    for at in contexts:
-        moving = at.prepared.moving[:, kept_rows(at.recording)[0]]
-        n, count = len(at.load), len(moving[0])
-        found = [np.zeros((count, n, 0))]
-        for trial in every:  # filtered one by one: unfiltered, all of them would fill the memory
-            raw = columns(at, trial)
-            passed = through_filter(raw.reshape(-1, raw.shape[2]), at.prepared)
-            found.append(passed.reshape(len(raw), n, count).transpose(2, 1, 0))
-        whole = np.concatenate(found, axis=2) * moving.T[:, :, None]
-        parts.append([whole[:, j] for j in range(n)])
+    known = known or [{} for _ in contexts]
+    found = [[_passed(at, trial, there) for trial in every] for at, there in zip(contexts, known, strict=True)]
+    live = np.array([np.concatenate([where for where, _ in part]) for part in found])  # (R, columns, n)
+    edges = np.cumsum([0, *(at.moving.shape[1] for at in contexts)])
     values, used = [], []
-    for j in range(len(parts[0])):
-        whole = np.concatenate([p[j] for p in parts])
-        live = np.flatnonzero(np.any(whole != 0, axis=0))
-        values.append(whole[:, live])
-        used.append(live)
+    for j in range(live.shape[2]):
+        own = np.flatnonzero(live[:, :, j].any(axis=0))
+        place = np.zeros(live.shape[1], int)
+        place[own] = np.arange(len(own))
+        whole = np.zeros((len(own), edges[-1]))
+        for part, first, end in zip(found, edges, edges[1:], strict=False):
+            for (where, passed), column in zip(part, start, strict=False):
+                if where[:, j].any():
+                    rows = np.cumsum(where).reshape(where.shape)[:, j] - 1
+                    here = np.flatnonzero(where[:, j])
+                    whole[place[column + here], first:end] = passed[rows[here]]
+        values.append(whole.T)
+        used.append(own)
     return Table(every, start, tuple(values), tuple(used))
+
+
+def _passed(at: Context, trial: Trial, known: Known) -> Passed:
+    effect = trial.effect
+    lasts = not (_needs_model(effect) or isinstance(effect, Empirical) or at.with_sensors)  # of series there are too many
+    lasts &= effect.side == "drive" or bool(np.all(at.through == 1.0))
+    key = (effect, trial.width, trial.size, *(tuple(point.items()) for point in trial.points))
+    if lasts and key in known:
+        return known[key]
+    raw = columns(at, trial)
+    where = np.any(raw != 0, axis=2)
+    passed = where, through_filter(raw[where], at.prepared) * at.moving[np.nonzero(where)[1]]
+    if lasts:
+        known[key] = passed
+    return passed

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import Plant, as_set, record
 from typer.testing import CliRunner
 
 from rrr_oc.calibrate import plain_model
 from rrr_oc.calibrated import Estimate, Term, load_model
 from rrr_oc.cli import app
+from rrr_oc.diagnosis import diagnose
 from rrr_oc.effects import Trial
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evaluate import evaluate_inverse
@@ -76,6 +78,13 @@ def test_names_two_simple_effects_rather_than_one_that_is_equal_to_both(made, tm
     assert {e["effect"] for e in found["effects"]} == {"payload_mass", "payload_com"}
 
 
+def test_names_laws_rather_than_a_series_that_explains_more_than_each(made, tmp_path):
+    case, _ = made("laws", "arm2", Concealed("quadratic_drag", 3.0), Concealed("torque_ripple", 3.0))
+    found = diagnosed(case, tmp_path / "out")
+    assert {e["effect"] for e in found["effects"]} == {"quadratic_drag", "torque_ripple"}
+    assert found["unexplained"] == []
+
+
 def test_repaired_model_predicts_unseen_recordings(made, tmp_path):
     case, truth = made("load_dependent_friction/arm2", "arm2", Concealed("load_dependent_friction", 2.0))
     found = diagnosed(case, tmp_path / "out")
@@ -100,6 +109,16 @@ def test_stays_silent_where_nothing_is_missing(made, tmp_path, robot):
     assert found["effects"] == []
     assert found["unexplained"] == []
     assert not any(m["significant"] for m in found["mismatch"])
+
+
+def test_what_is_held_out_leaves_recordings_of_its_kind_behind():
+    """Every other recording carries a payload: taking every other one out would leave none."""
+    plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(1)
+    made = [record(plant, f"{i}.csv", rng, 4.0, payload=2.0 * (i % 2)) for i in range(8)]
+    folds = diagnose(as_set(plant, made), jobs=1).folds
+    assert sorted(k for fold in folds for k in fold.held) == list(range(8))
+    for fold in folds:
+        assert {k % 2 for k in fold.held} == {0, 1}
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from recorded import Plant, as_set, record
+from scipy.integrate import solve_ivp
 
 from rrr_oc.calibrate import plain_model
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term, load_model, save_model
@@ -21,9 +22,11 @@ from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.model import Model
+from rrr_oc.physics import states_along
+from rrr_oc.recordings import Recording
 from rrr_oc.regression import prepare
 from rrr_oc.robot import load_robot
-from rrr_oc.signatures import columns, context, trials, view
+from rrr_oc.signatures import columns, context, table, trials, view
 from rrr_oc.smooth import ramp, ramp_integral
 
 WINDINGS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
@@ -497,6 +500,26 @@ def test_bristles_give_back_no_more_than_they_took():
     np.testing.assert_allclose(law(effect, edge, theta, 0.0)[1], 0, atol=1e-9)  # it slips
 
 
+def test_bristles_between_samples_follow_the_motion():
+    """Against an adaptive integrator on the motion itself, which turns around within the bristles' reach and few samples."""
+    t, size, turn = np.arange(200) / 100, 0.01, 30.0
+    theta, effect = {"stiffness": 3000.0, "level": 2.0}, placed("presliding_hysteresis")
+
+    def motion(at):
+        x = turn * at
+        return [np.array([0 * x, y, 0 * x]) for y in (size * np.sin(x), size * turn * np.cos(x), -size * turn**2 * np.sin(x))]
+
+    def slope(at, z):
+        return effect.rate(Signals(*motion(at)[:2], states=z), theta, 0.0)[0]
+
+    exact = solve_ivp(slope, (0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=1e-3).y
+    q, dq, ddq = motion(t)
+    found = states_along(Recording("", "", t, q, dq, ddq, q, 0 * t, segments=(slice(0, len(t)),)), effect, theta, 0.0)
+    assert np.abs(exact).max() > 0.99  # it slips
+    assert np.mean(np.abs(exact) < 0.9) > 0.1  # and turns around
+    assert np.abs(found - exact).max() < 0.03  # 0.020; with half as many steps 0.072
+
+
 @each_effect
 def test_what_is_said_of_an_effect_holds(name):
     """Whether it depends on the load, and that it has a torque where it acts on torques."""
@@ -608,6 +631,27 @@ def test_signatures_are_the_slopes_of_predictions(name, arm):
         tolerance = 5e-3 if name == "backlash" else 1e-3  # squares: 1.4e-3 of the gap of 2 mrad, 3e-4 of a compliance
         assert off < tolerance * spread, f"{trial.effect.name} {trial.effect.joints} {trial.points[0]}: {off / spread:.2g}"
     assert seen
+
+
+def test_signatures_that_are_kept_hold_for_other_models(arm):
+    """What a table found at one model serves at another with other friction, gains, loads and an elastic joint."""
+    model, prepared, by_name = arm
+    every = [trial for name in by_name for trial in some(by_name[name])]
+    known = [{} for _ in prepared]
+    before = table([context(p, model) for p in prepared], every, known)
+    assert 0.2 * len(every) < len(known[0]) < len(every)
+    more = {"load_dependent_friction": 0.1, "torque_gain": -0.2, "joint_elasticity": 800.0, "payload_mass": 1.0}
+    added = tuple(
+        Term(e, tuple(Estimate(v) for _ in e.parameters), e.width and 0.05) for e, v in ((placed(n), v) for n, v in more.items())
+    )
+    other = replace(model, terms=(*(t.with_values(1.3 * t.values) for t in model.terms), *added))
+    for there in (replace(other, terms=other.terms[:-3]), replace(other, terms=other.terms[:-4] + other.terms[-3:]), other):
+        at = [context(p, there) for p in prepared]
+        kept, anew = table(at, every, known), table(at, every)
+        for j in range(3):
+            np.testing.assert_array_equal(kept.used[j], anew.used[j])
+            np.testing.assert_allclose(kept.values[j], anew.values[j], rtol=1e-12, atol=1e-12)
+    assert any(np.abs(a - b).max() > 0.01 for a, b in zip(before.values, anew.values, strict=True) if a.shape == b.shape)
 
 
 @pytest.mark.parametrize("name", list(CATALOGUE))

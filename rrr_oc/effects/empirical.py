@@ -1,6 +1,7 @@
 """A torque that no law of the catalogue explains, as a smooth function of what it was found to depend on."""
 
 import itertools
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -61,26 +62,27 @@ class Empirical(Effect):
         return tuple(p.name for p in self.parameters)
 
     def torque(self, signals, theta, width):
+        total = 0.0
+        for name, value in zip(self.amplitudes, self.basis(signals, width), strict=True):
+            if not (isinstance(theta[name], float) and theta[name] == 0.0):
+                total = total + theta[name] * value
+        return (total,)
+
+    def basis(self, signals, width) -> list:
+        """Torque for each coefficient being 1 [Nm]."""
         scaled = []
         for (kind, j), low, high in zip(self.variables, self.low, self.high, strict=True):
             x = signals.time if kind == "time" else getattr(signals, "load" if kind == "motor" else kind)[j]
             if kind == "motor":
                 x = x - signals.friction[j]
             scaled.append(fmin(fmax((x - low) / (high - low), 0.0), 1.0))
-        total = 0.0
-        for name, (side, edge, power) in zip(self.amplitudes, self.edges, strict=False):
-            total = total + theta[name] * fmax(side * (scaled[0] - edge), 0.0) ** power
-        cosines = [_cosines(x, order) for x, order in zip(scaled, self.orders, strict=False)]
-        for name, powers in zip(self.amplitudes, () if self.edges else self.powers, strict=False):
-            value = theta[name]
-            if isinstance(value, float) and value == 0.0:
-                continue
-            for row, k in zip(cosines, powers, strict=True):
-                value = value * row[k] if k else value
-            total = total + value
-        if self.signed:
-            total = total * sign(signals.dq[self.joints[0]], width)
-        return (total,)
+        turned = sign(signals.dq[self.joints[0]], width) if self.signed else 1.0
+        if self.edges:
+            return [turned * fmax(side * (scaled[0] - edge), 0.0) ** power for side, edge, power in self.edges]
+        cosines = [_cosines(x, order) for x, order in zip(scaled, self.orders, strict=True)]
+        return [
+            math.prod((row[k] for row, k in zip(cosines, powers, strict=True) if k), start=turned) for powers in self.powers
+        ]
 
     @property
     def load_dependent(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
