@@ -102,9 +102,10 @@ class Context:
         return self.prepared.moving[:, kept_rows(self.recording)[0]]
 
     @cached_property
-    def with_sensors(self) -> bool:
-        """Whether the model has effects of sensors."""
-        return any(effect.side == "sensor" for effect in self.physics.model.effects)
+    def sensed(self) -> set[int]:
+        """Joints whose recorded torque the model takes for another than the true one."""
+        sensors = [effect for effect in self.physics.model.effects if effect.side == "sensor"]
+        return {j for effect in sensors for j in (range(len(self.load)) if effect.of_arm else effect.joints)}
 
 
 def context(prepared: Prepared, model: CalibratedModel) -> Context:
@@ -175,7 +176,8 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
                 result[k] = _of_body(at, effect, theta) if effect.side == "body" else _of_motion(at, trial, theta)
     if effect.side not in ("sensor", "drive"):
         result *= at.through
-    if effect.side != "sensor" and at.with_sensors:
+    reached = at.sensed.intersection(effect.joints) if effect.side in ("link", "drive") else at.sensed
+    if effect.side != "sensor" and reached:
         result = np.array([at.physics.passed_on(r, result[k]) for k in range(len(result))])
     return result / trial.size
 
@@ -274,8 +276,8 @@ def table(contexts: Sequence[Context], every: Iterable[Trial], known: Sequence[K
 
 def _passed(at: Context, trial: Trial, known: Known) -> Passed:
     effect = trial.effect
-    lasts = not (_needs_model(effect) or isinstance(effect, Empirical) or at.with_sensors)  # of series there are too many
-    lasts &= effect.side == "drive" or bool(np.all(at.through == 1.0))
+    lasts = not (_needs_model(effect) or isinstance(effect, Empirical)) and at.sensed.isdisjoint(effect.joints)
+    lasts &= effect.side == "drive" or bool(np.all(at.through == 1.0))  # of series there are too many to keep
     key = (effect, trial.width, trial.size, *(tuple(point.items()) for point in trial.points))
     if lasts and key in known:
         return known[key]

@@ -79,9 +79,9 @@ def test_names_two_simple_effects_rather_than_one_that_is_equal_to_both(made, tm
 
 
 def test_names_laws_rather_than_a_series_that_explains_more_than_each(made, tmp_path):
-    case, _ = made("laws", "arm2", Concealed("quadratic_drag", 3.0), Concealed("torque_ripple", 3.0))
+    case, _ = made("laws", "arm1", Concealed("parallel_spring", 3.0), Concealed("quadratic_drag", 3.0))
     found = diagnosed(case, tmp_path / "out")
-    assert {e["effect"] for e in found["effects"]} == {"quadratic_drag", "torque_ripple"}
+    assert {e["effect"] for e in found["effects"]} == {"parallel_spring", "quadratic_drag"}
     assert found["unexplained"] == []
 
 

@@ -642,7 +642,8 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
     assert 0.2 * len(every) < len(known[0]) < len(every)
     more = {"load_dependent_friction": 0.1, "torque_gain": -0.2, "joint_elasticity": 800.0, "payload_mass": 1.0}
     added = tuple(
-        Term(e, tuple(Estimate(v) for _ in e.parameters), e.width and 0.05) for e, v in ((placed(n), v) for n, v in more.items())
+        Term(e, tuple(Estimate(v) for _ in e.parameters), e.width and 0.05)
+        for e, v in ((placed(n), v) for n, v in more.items())
     )
     other = replace(model, terms=(*(t.with_values(1.3 * t.values) for t in model.terms), *added))
     for there in (replace(other, terms=other.terms[:-3]), replace(other, terms=other.terms[:-4] + other.terms[-3:]), other):
