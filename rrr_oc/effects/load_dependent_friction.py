@@ -1,4 +1,4 @@
-"""Friction that grows with the torque that the gear transmits."""
+"""Friction that changes with the torque that the gear transmits."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,14 @@ from rrr_oc.smooth import fabs, sign
 
 @dataclass(frozen=True)
 class LoadDependentFriction(Effect):
-    """tau = −mu |tau_l| sgn(dq): the dissipative form of c_12 in Eq. 9, which prints mu sgn(dq) tau_l."""
+    """tau = −mu |tau_l| sgn(dq): the dissipative form of c_12 in Eq. 9, which prints mu sgn(dq) tau_l; of either sign.
+
+    A negative one, as the paper has for joint 1, lowers the dry friction; beyond the loads recorded it might drive the joint.
+    """
 
     name = "load_dependent_friction"
     equation = "tau = -mu |tau_l| sgn(dq)"
-    parameters = (Parameter("mu", "1", 0.0, lower=0.0),)
+    parameters = (Parameter("mu", "1", 0.0, lower=-1.0),)
     amplitudes = ("mu",)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
