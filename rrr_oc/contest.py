@@ -5,9 +5,11 @@ from dataclasses import dataclass, replace
 
 from scipy.stats import chi2
 
-from rrr_oc.calibrated import CalibratedModel, Term
+from rrr_oc.calibrated import CalibratedModel, Term, nominal_term
 from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, present, rarity, without
+from rrr_oc.effects.cable_harness import CableHarness
 from rrr_oc.effects.empirical import Empirical
+from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.evidence import Bench, Candidate, Evidence, scope_cost
 from rrr_oc.fitting import Fitted, refit
 
@@ -51,11 +53,15 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     findings, i = [], base
     while i < len(fitted.model.terms):
         fitted = _widened(bench, fitted, i, report)
+        spring = _as_spring(bench, fitted, i)
+        if spring is not None and fitted.model.terms[i].groups:
+            report("parallel_spring takes the place of cable_harness")
+            fitted = spring
         alone = len(fitted.model.terms) == base + 1
         less = plain if alone else refit(bench, without(fitted.model, i))
         evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
         own = fitted.model.terms[i]
-        rivals, best = [], None
+        rivals, best = [] if spring is None or own.groups else [("parallel_spring", own.effect.joints)], None
         for candidate in _rivals(evidence, less.model, own):
             tried = fit_of(bench, evidence, less, candidate)
             if tried.better_than(fitted) > -CALL * SAME:
@@ -112,6 +118,24 @@ def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]
         return fitted
     report(f"{own.effect.name} is everywhere")
     return tried
+
+
+def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
+    """The model with a spring in the place of a harness, where that explains as much: both are one law where it always pulls.
+
+    What some recordings have and others have not is likelier a spring.
+    """
+    own = fitted.model.terms[i]
+    if not isinstance(own.effect, CableHarness):
+        return None
+    tried = []
+    for active in ("below", "above"):
+        spring = nominal_term(ParallelSpring(own.effect.joints, active)).with_values(own.values)
+        spring = replace(spring, recordings=own.recordings, groups=own.groups)
+        terms = (*fitted.model.terms[:i], spring, *fitted.model.terms[i + 1 :])
+        tried.append(refit(bench, replace(fitted.model, terms=terms)))
+    best = min(tried, key=lambda f: f.misfit)
+    return best if best.better_than(fitted) > -SAME else None
 
 
 def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:
