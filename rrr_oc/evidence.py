@@ -120,7 +120,8 @@ class Evidence:
         bench, model: As given.
         rows: Residuals and derivatives by the parameters of the model.
         table: Signatures.
-        weights: 1/variance of each joint's residual, times the share of independent rows, (n,).
+        weights: 1/variance of each joint's residual, times the share of rows that are independent where noise is white, (n,).
+            What is missing may be so slow that none of its own rows are independent: `_judged` sees what is left without it.
         counts: Independent rows of each joint, (n,).
         products: Products of (derivatives, signatures, residual) for each recording, weighted, (R, D, D).
     """
@@ -143,8 +144,7 @@ class Evidence:
 
     def under(self, noise: Rows) -> "Evidence":
         """The same, weighed by what another model leaves at the same rows."""
-        counts = independent(noise)
-        weights = counts / np.maximum(noise.moving.sum(axis=1), 1) / noise.deviation() ** 2
+        counts, weights = independent(noise), STRIDE / WHITE / noise.deviation() ** 2
         size = self.size + int(self.table.start[-1]) + 1
         products = np.zeros((len(self.bench.prepared), size, size))
         for j, weight in enumerate(weights):
