@@ -26,6 +26,7 @@ CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 0.05  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 LEAST_SHARE = 0.007  # of a joint's squared residual, for an effect to be named
+EXACT = 3e-4  # of a joint's torque (deviation): no law, and no simulation, is more exact than that
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
@@ -67,11 +68,16 @@ def search(
     plain = fitted = refit(bench, model)
     first = evidence = gathered(bench, fitted.model)
     planned: list[Key] = []
+    seen: set[frozenset] = set()
     while len(fitted.model.terms) - base < MOST:
         chosen, planned = _next(bench, evidence, plain, fitted, lawless, planned, report)
         if chosen is None:
             break
         fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
+        terms = frozenset((t.effect, t.groups) for t in fitted.model.terms[base:])
+        if terms in seen:
+            break  # two ways to say the same would oust each other for ever
+        seen.add(terms)
         evidence = gathered(bench, fitted.model)
     return Found(plain, fitted, first)
 
@@ -212,7 +218,7 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
         tried = fit_of(bench, evidence, fitted, candidate)
         gain = tried.better_than(fitted)
         score = gain - candidate.penalty
-        share = _share(plain, fitted, tried)
+        share = _share(bench, plain, fitted, tried)
         steady = (
             candidate.trial.effect.linear
             or steadily_better(bench, tried, fitted)
@@ -226,9 +232,10 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
     return best
 
 
-def _share(plain: Fitted, less: Fitted, more: Fitted) -> float:
-    """What an effect is worth on the joint where that is most."""
-    return float(np.max(worth(plain.squares, less.squares, more.squares)))
+def _share(bench: Bench, plain: Fitted, less: Fitted, more: Fitted) -> float:
+    """What an effect is worth on the joint where that is most, of those whose torque it changes by more than `EXACT`."""
+    felt = less.squares - more.squares > plain.rows.moving.sum(axis=1) * (EXACT * bench.torque) ** 2
+    return float(np.max(np.where(felt, worth(plain.squares, less.squares, more.squares), 0.0)))
 
 
 def worth(plain, less, more):
@@ -350,7 +357,7 @@ def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, 
     """The model without those earlier effects that the newest made superfluous."""
 
     def superfluous(less: Fitted, i: int, by: float = 1.0) -> bool:
-        return _share(plain, less, fitted) < by * LEAST_SHARE or fitted.better_than(less) < by * _least(fitted, i, tests)
+        return _share(bench, plain, less, fitted) < by * LEAST_SHARE or fitted.better_than(less) < by * _least(fitted, i, tests)
 
     i = base
     while i < len(fitted.model.terms) - 1:

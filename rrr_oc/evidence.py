@@ -24,6 +24,7 @@ WHITE = 0.11  # [s], over which the common filter correlates white noise
 NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
 BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
 ALARMS = 0.01  # chance that anything passes for an effect where nothing is missing
+SHARES = (1.0, 0.85, 0.7, 0.5)  # of coefficients, tried where they are out of bounds
 FIRST = 40  # effects, by quadratic gain, whose likelihood is worked out
 
 
@@ -52,6 +53,11 @@ class Bench:
     def known(self) -> tuple[Known, ...]:
         """Signatures that no model changes, for each recording, as `signatures.table` fills them in."""
         return tuple({} for _ in self.prepared)
+
+    @cached_property
+    def torque(self) -> np.ndarray:
+        """Deviation of each joint's recorded torque, (n,) [Nm]."""
+        return np.concatenate([p.measured for p in self.prepared], axis=1).std(axis=1)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -179,19 +185,15 @@ class Evidence:
         best: dict[tuple, tuple] = {}  # of each effect at its joints, everywhere and in some groups
         for k, trial in enumerate(self.table.trials):
             c = self._columns(k)
-            options = [(None, *_solve(left[np.ix_(c, c)], left[c, -1], np.diag(total)[c]))]
+            options = [(None, left[np.ix_(c, c)], left[c, -1], np.diag(total)[c])]
             if trial.effect.local and len(self.bench.labels) > 1:
-                options += self._scopes(c, total, inverse, options[0][1])
-            for scope, gain, coefficients, dimensions in options:
+                options += self._scopes(c, total, inverse, _solve(*options[0][1:])[0])
+            for scope, *quadratic in options:
+                gain, coefficients, dimensions = self._possibly(k, scope, *quadratic)
                 cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))
                 kind = (trial.effect if isinstance(trial.effect, Empirical) else trial.effect.name), trial.effect.joints
                 key = (*kind, scope is None)
-                if (
-                    dimensions
-                    and gain > 0
-                    and self._possible(k, scope, coefficients)
-                    and gain - cost > best.get(key, (0.0,))[0]
-                ):
+                if dimensions and gain - cost > best.get(key, (0.0,))[0]:
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
         found = sorted(best.values(), key=lambda one: -one[0])
         result = [self._judged(*one[1:]) for one in found[:FIRST]]
@@ -227,6 +229,28 @@ class Evidence:
         trial = self.table.trials[k]
         return trial.effect.possible(trial.effect.combined(trial.points, coefficients), self.bench.least_payload(scope))
 
+    def _possibly(self, k: int, scope, matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[float, np.ndarray, int]:
+        """Gain, coefficients and dimensions of a trial within the bounds of its effect; a gain of 0 where there is nothing.
+
+        Where the best coefficients are out of bounds, it may be by little, or for one of them that the recordings hardly know.
+        """
+        used, found = list(range(len(right))), (0.0, np.zeros(len(right)), 0)
+        alone = len(self.table.trials[k].effect.amplitudes) == len(right)  # each coefficient is a parameter
+        while used:
+            gain, some, dimensions = _solve(matrix[np.ix_(used, used)], right[used], raw[used])
+            coefficients = np.zeros(len(right))
+            coefficients[used] = some
+            for share in SHARES:
+                worth = share * (2 - share) * gain
+                if worth > found[0] and self._possible(k, scope, share * coefficients):
+                    found = worth, share * coefficients, dimensions
+                    break
+            if found[0] >= gain or not alone or len(used) == 1:
+                break
+            parts = [[i for i in used if i != out] for out in used]
+            used = max(parts, key=lambda part: _solve(matrix[np.ix_(part, part)], right[part], raw[part])[0])
+        return found
+
     def _columns(self, k: int) -> np.ndarray:
         return self.size + np.arange(self.table.start[k], self.table.start[k + 1])
 
@@ -250,12 +274,13 @@ class Evidence:
                 at = [*chosen, g]
                 x = cross[at].sum(axis=0)
                 matrix, target = own[at].sum(axis=0) - x @ inverse @ x.T, right[at].sum(axis=0) - x @ base
-                solved = _solve(matrix, target, np.diag(own[at].sum(axis=0)))
-                if best is None or solved[0] > best[1][0]:
-                    best = (g, solved)
+                quadratic = matrix, target, np.diag(own[at].sum(axis=0))
+                gain = _solve(*quadratic)[0]
+                if best is None or gain > best[1]:
+                    best = (g, gain, quadratic)
             assert best is not None
             chosen.append(best[0])
-            result.append((tuple(labels[i] for i in sorted(chosen)), *best[1]))
+            result.append((tuple(labels[i] for i in sorted(chosen)), *best[2]))
         return result
 
     def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:

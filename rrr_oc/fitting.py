@@ -12,7 +12,6 @@ from rrr_oc.inference import box_step, normal_equations
 from rrr_oc.regression import Rows, rows, with_residuals
 
 STEADY = 3.0  # standard errors by which a fit must be better
-ROUNDING = 1e-10  # Nm
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
 BEND = 0.01  # of the squared change in a step, by which the residual may miss what was foreseen before derivatives are renewed
 
@@ -58,7 +57,6 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
     found, fresh = rows(bench.prepared, model, bench.identify, without_last), True
     straight = not bench.identify and all(_straight(term.effect) for term in model.terms)
     for _ in range(steps):
-        found = _without_rounding(found, model)
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
         values = parameter_values(model)
@@ -93,15 +91,6 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
 def _straight(effect: Effect) -> bool:
     """Whether the prediction stays linear in all parameters with this effect; gain and load multiply what others do."""
     return effect.plain or (effect.linear and effect.side != "sensor" and not effect.load_dependent)
-
-
-def _without_rounding(found: Rows, model: CalibratedModel) -> Rows:
-    """The rows without derivatives that are nothing but rounding, as those by a mass that no motion shows."""
-    values = np.ones(found.jacobian.shape[2])
-    own = parameter_values(model)
-    values[: len(own)] = np.maximum(np.abs(own), 1.0)
-    nothing = np.max(np.abs(found.jacobian), axis=(0, 1)) * values < ROUNDING
-    return replace(found, jacobian=np.where(nothing, 0.0, found.jacobian)) if nothing.any() else found
 
 
 def steadily_better(bench: Bench, one: Fitted, other: Fitted) -> bool:

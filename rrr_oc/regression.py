@@ -27,6 +27,7 @@ ENDS = 0.1  # [s] left out at both ends of a stretch, where the filter is one-si
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
+ROUNDING = 1e-10  # Nm: derivatives by a parameter (of 1 or its value, if more) that are all below it are rounding
 THIN = 0.012  # [s] between samples of recordings that were sampled faster, where many models are to be compared
 LONGEST, PIECE = 1200.0, 20.0  # [s]: what many models are compared on at most, and the pieces it is then made of
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples
@@ -153,6 +154,9 @@ def rows(
     if without_last is not None:
         at = sum(len(t.estimates) for t in model.terms[:-1])
         jacobian = np.concatenate([without_last.jacobian[:, :, :at], jacobian, without_last.jacobian[:, :, at:]], axis=2)
+    values = np.concatenate([np.zeros(0), *(t.values for t in model.terms)])
+    sizes = np.maximum(np.abs(np.append(values, np.zeros(jacobian.shape[2] - len(values)))), 1.0)
+    jacobian[:, :, np.max(np.abs(jacobian), axis=(0, 1), initial=0.0) * sizes < ROUNDING] = 0.0  # as by a mass that nothing moves
     return Rows(
         residual=np.concatenate([p.residual for p in parts], axis=1),
         jacobian=jacobian,

@@ -4,17 +4,21 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import chains
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
 from typer.testing import CliRunner
 
 from rrr_oc.calibrate import plain_model
-from rrr_oc.calibrated import Estimate, Term, load_model
+from rrr_oc import diagnose as forward
+from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term
 from rrr_oc.cli import app
 from rrr_oc.diagnosis import diagnose
 from rrr_oc.effects import Trial
 from rrr_oc.effects.empirical import Empirical
+from rrr_oc.effects.quadratic_drag import QuadraticDrag
+from rrr_oc.effects.torque_offset import TorqueOffset
 from rrr_oc.evaluate import evaluate_inverse
 from rrr_oc.evidence import Bench, Evidence
 from rrr_oc.recordings import load_recordings
@@ -119,6 +123,57 @@ def test_what_is_held_out_leaves_recordings_of_its_kind_behind():
     assert sorted(k for fold in folds for k in fold.held) == list(range(8))
     for fold in folds:
         assert {k % 2 for k in fold.held} == {0, 1}
+
+
+@pytest.fixture
+def planar(tmp_path):
+    """Makes a plant of so many joints whose axes are horizontal and parallel."""
+
+    def make(joints: int) -> Plant:
+        urdf = tmp_path / "arm.urdf"
+        urdf.write_text(chains.arm(joints))
+        return Plant(urdf, np.ones(joints), np.ones(joints), 0.1 * np.ones(joints))
+
+    return make
+
+
+def test_a_tilt_is_found_where_one_of_its_angles_does_nothing(planar):
+    """Arms that move in a plane hardly feel a tilt about an axis in it; what is fitted to it is beyond all bounds."""
+    plant, rng = planar(2), np.random.default_rng(3)
+    plant.model.gravity.linear = 9.81 * np.array([np.sin(0.03), 0.0, -np.cos(0.03)])
+    found = diagnose(as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(4)]), jobs=1)
+    (finding,) = found.findings
+    equal = {"gravity_tilt", "encoder_offset", "backlash"}  # all turn the first link
+    assert finding.term.effect.name in equal
+    assert equal <= {finding.term.effect.name, *(name for name, _ in finding.rivals)}
+
+
+def test_friction_that_all_but_vanishes_is_found(planar):
+    """At the times and friction that trials are made of, its ratio would be below −1."""
+    plant, rng = planar(1), np.random.default_rng(4)
+    made = [record(plant, f"{i}.csv", rng, 10.0, noise=0.01) for i in range(4)]
+    friction = [np.exp(-r.t / 2.0) * (np.tanh(r.dq / plant.width) + r.dq) for r in made]
+    weak = [replace(r, tau=r.tau - 0.95 * f) for r, f in zip(made, friction, strict=True)]
+    found = diagnose(as_set(plant, weak), jobs=1).findings[0].term
+    assert found.effect.name == "friction_drift"
+    assert found.named["ratio"] == pytest.approx(-0.95, abs=0.05)
+    assert found.named["time_constant"] == pytest.approx(2.0, rel=0.15)
+
+
+def test_effects_that_oust_each_other_do_not_do_so_for_ever(planar, monkeypatch):
+    plant, rng = planar(1), np.random.default_rng(5)
+    prepared = prepare(recordings := as_set(plant, [record(plant, "0.csv", rng, 6.0)]))
+    plain, rounds = plain_model(recordings), []
+
+    def other(bench, evidence, plain, fitted, *_):
+        rounds.append(len(rounds))
+        assert len(rounds) < 9
+        terms = (*plain.model.terms, nominal_term((QuadraticDrag, TorqueOffset)[len(rounds) % 2]((0,))))
+        return forward.refit(bench, replace(plain.model, terms=terms)), []
+
+    monkeypatch.setattr(forward, "_next", other)
+    found = forward.search(Bench(prepared, False), plain).fitted.model
+    assert len(found.terms) == len(plain.terms) + 1
 
 
 @pytest.mark.parametrize("seconds", [6.0, 10.0])
