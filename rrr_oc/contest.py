@@ -70,11 +70,8 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
             likelier = int(candidate.scope is not None) * (candidate.trial.effect.mounted - own.effect.mounted)
             lead = better + (simpler + 2 * likelier) * SAME
-            unlikely = rarity(bench, tried, candidate.trial.effect, candidate.scope is None)
             if simpler <= 0:  # the simplest of equals needs no excuse
-                lead -= unlikely * tried.better_than(less)
-            elif unlikely and isinstance(own.effect, Empirical):
-                lead = 0.0  # nothing was mounted while what it does is hardly all that is left unexplained
+                lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
             lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
             worse = SAME * (max(simpler, 1) if isinstance(own.effect, Empirical) else 1)  # many coefficients also fit noise
             if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):

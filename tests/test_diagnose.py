@@ -10,8 +10,8 @@ import pytest
 from recorded import Plant, as_set, record
 from typer.testing import CliRunner
 
-from rrr_oc.calibrate import plain_model
 from rrr_oc import diagnose as forward
+from rrr_oc.calibrate import plain_model
 from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term
 from rrr_oc.cli import app
 from rrr_oc.diagnosis import diagnose
