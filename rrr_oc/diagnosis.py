@@ -28,6 +28,7 @@ BLOCKS = 4  # of the only recording
 FEW = 5  # effects, of which each is tried to leave where a term that no law stands behind is worth nothing
 SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
+WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
@@ -126,7 +127,8 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     report("looking for effects")
     start = with_widths(bench.prepared, start, free=True)
     begin = replace(start, robot=plain.robot) if unknown else start
-    fitted, findings = contested(bench, search(bench, begin, report), report)
+    found = search(bench, begin, report)
+    fitted, findings = contested(bench, found, report)
     way, folds = _folds(bench)
     model, shares = plain, Shares((), (), (), (), ())
     empirical = any(isinstance(f.term.effect, Empirical) for f in findings)
@@ -135,6 +137,10 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     report("fitting without the recordings that are held out")
     outcomes = parallel.ordered(_held_out, held, 1 if not findings else jobs)
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
+    if _refuted(findings, held_out):
+        report("what was found there predicts them worse")
+        fitted, findings, held_out = found.plain, [], (held_out[0], held_out[0])
+        outcomes = [replace(o, model=o.plain, after=o.before) for o in outcomes]
     if findings:
         report("what each effect is worth on recordings held out")
         findings, shares = _weighed(folds, begin, fitted, findings)
@@ -164,6 +170,16 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         tuple(suggestions),
         tuple(outcomes),
     )
+
+
+def _refuted(findings: Sequence[Finding], held_out: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Whether recordings held out speak against what was found: choosing and fitting without them makes errors larger.
+
+    An effect of some recordings only may be unknown to those that it was to be chosen from.
+    """
+    everywhere = all(f.term.recordings == "all" for f in findings)
+    change = np.nansum(np.log(np.maximum(held_out[1], 1e-300) / np.maximum(held_out[0], 1e-300)))
+    return bool(findings) and everywhere and change > WORSE
 
 
 def _final(recordings: RecordingSet, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:

@@ -14,7 +14,8 @@ from rrr_oc import diagnose as forward
 from rrr_oc.calibrate import plain_model
 from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term
 from rrr_oc.cli import app
-from rrr_oc.diagnosis import diagnose
+from rrr_oc.contest import Finding
+from rrr_oc.diagnosis import _refuted, diagnose
 from rrr_oc.effects import Trial
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.quadratic_drag import QuadraticDrag
@@ -218,3 +219,14 @@ def test_signature_of_an_unexplained_torque_is_its_exact_derivative(made, variab
     exact = evidence.rows.jacobian[:, :, len(start.terms) :]
     assert np.abs(exact).max() > 5e-3
     np.testing.assert_allclose(evidence.signature(0, None), exact, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("after", "groups", "refuted"),
+    [((0.05, 0.101), (), True), ((0.05, 0.1), (), False), ((0.04, 0.101), (), False), ((0.05, 0.101), ("a",), False)],
+)
+def test_what_predicts_held_out_recordings_worse_is_refuted(after, groups, refuted):
+    """But not what only one of several groups has, which nobody can know who has not seen it."""
+    offset = replace(nominal_term(TorqueOffset((0,))), recordings=() if groups else "all", groups=groups)
+    assert _refuted([Finding(offset, 20.0, 1, 9)], (np.array([0.05, 0.1]), np.array(after))) is refuted
+    assert not _refuted([], (np.array([0.05]), np.array([0.06])))
