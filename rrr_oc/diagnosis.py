@@ -179,7 +179,7 @@ def _refuted(findings: Sequence[Finding], held_out: tuple[np.ndarray, np.ndarray
     """
     everywhere = all(f.term.recordings == "all" for f in findings)
     change = np.nansum(np.log(np.maximum(held_out[1], 1e-300) / np.maximum(held_out[0], 1e-300)))
-    return bool(findings) and everywhere and change > WORSE
+    return bool(findings and everywhere and change > WORSE)
 
 
 def _final(recordings: RecordingSet, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
