@@ -156,9 +156,8 @@ def rows(
         jacobian = np.concatenate([without_last.jacobian[:, :, :at], jacobian, without_last.jacobian[:, :, at:]], axis=2)
     values = np.concatenate([np.zeros(0), *(t.values for t in model.terms)])
     sizes = np.maximum(np.abs(np.append(values, np.zeros(jacobian.shape[2] - len(values)))), 1.0)
-    jacobian[:, :, np.max(np.abs(jacobian), axis=(0, 1), initial=0.0) * sizes < ROUNDING] = (
-        0.0  # as by a mass that nothing moves
-    )
+    rounding = np.max(np.abs(jacobian), axis=(0, 1), initial=0.0) * sizes < ROUNDING  # as by a mass that nothing moves
+    jacobian[:, :, rounding] = 0.0
     return Rows(
         residual=np.concatenate([p.residual for p in parts], axis=1),
         jacobian=jacobian,
