@@ -7,7 +7,7 @@ How abruptly dry friction changes sign is a property of the joint too, and is ch
 
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any, cast
@@ -144,11 +144,11 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool
         law = dict(zip(tried[i], parts, strict=True))
         widths[model.terms[i].effect.joints] = _best_width(found, model.terms[i], int(columns[i]), law)
         row += len(tried[i]) * (1 + len(shares))
-    return replace(model, terms=tuple(_widened(term, widths) for term in model.terms))
+    return replace(model, terms=tuple(widened(term, widths) for term in model.terms))
 
 
-def _widened(term: Term, widths: dict[tuple[int, ...], float]) -> Term:
-    """The term with its joint's width, where its law changes sign with the speed, and not at once."""
+def widened(term: Term, widths: Mapping[tuple[int, ...], float]) -> Term:
+    """The term with its joint's width [rad/s], where its law changes sign with the speed, and not at once."""
     known = term.effect.width is not None and term.effect.width.unit == "rad/s" and bool(term.width)
     return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.calibrate import parameter_values, with_widths
+from rrr_oc.calibrate import WIDTHS, parameter_values, widened, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import Effect
 from rrr_oc.effects.empirical import Empirical
@@ -93,7 +93,27 @@ def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
         widths = tuple(t.width for t in model.terms)
         if widths not in tried:
             tried[widths] = refit(bench, model)
-    return min(tried.values(), key=lambda f: f.misfit)
+    return _widened_together(bench, min(tried.values(), key=lambda f: f.misfit))
+
+
+def _widened_together(bench: Bench, fitted: Fitted) -> Fitted:
+    """The fit with the newest law and all other friction of its joint more or less abrupt, where that is better beyond doubt.
+
+    A wide dry friction beside an abrupt newer law, or the reverse, may do worse than both as they are.
+    """
+    newest = fitted.model.terms[-1]
+    for step in (1, -1):
+        while True:
+            joints, width = newest.effect.joints, newest.width
+            further = sorted((w for w in WIDTHS if width is not None and step * (w - width) > 0), reverse=step < 0)
+            terms = tuple(widened(t, {joints: w}) for w in further[:1] for t in fitted.model.terms)
+            if not terms or terms[-1].width == width:
+                break
+            there = refit(bench, replace(fitted.model, terms=terms))
+            if there.better_than(fitted) < SAME:
+                break
+            fitted, newest = there, there.model.terms[-1]
+    return fitted
 
 
 def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best | None:

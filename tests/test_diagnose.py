@@ -11,12 +11,13 @@ from recorded import Plant, as_set, record
 from typer.testing import CliRunner
 
 from rrr_oc import diagnose as forward
-from rrr_oc.calibrate import plain_model
+from rrr_oc.calibrate import plain_model, widened
 from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term
 from rrr_oc.cli import app
 from rrr_oc.contest import Finding
 from rrr_oc.diagnosis import _refuted, diagnose
 from rrr_oc.effects import Trial
+from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.torque_offset import TorqueOffset
@@ -159,6 +160,21 @@ def test_friction_that_all_but_vanishes_is_found(planar):
     assert found.effect.name == "friction_drift"
     assert found.named["ratio"] == pytest.approx(-0.95, abs=0.05)
     assert found.named["time_constant"] == pytest.approx(2.0, rel=0.15)
+
+
+@pytest.mark.parametrize("begin", [0.0025, 0.01, 0.1])
+def test_friction_of_a_joint_becomes_as_abrupt_as_it_is_all_at_once(planar, begin):
+    """One law of the right width beside one of the wrong width does no better than both of the wrong one."""
+    plant, rng = planar(1), np.random.default_rng(6)
+    made = [record(plant, f"{i}.csv", rng, 10.0) for i in range(3)]
+    uneven = [replace(r, tau=r.tau + np.tanh(r.dq / plant.width) ** 2) for r in made]
+    prepared = prepare(recordings := as_set(plant, uneven))
+    model, bench = plain_model(recordings), Bench(prepared, False)
+    laws = (*model.terms, nominal_term(CoulombAsymmetry((0,))))
+    wrong = replace(model, terms=tuple(widened(t, {(0,): begin}) for t in laws))
+    right = forward._rewidened(bench, forward.refit(bench, wrong)).model.terms
+    assert [t.width for t in right if t.width is not None] == [plant.width, plant.width]
+    assert right[-1].values == pytest.approx([2.0], rel=0.03)
 
 
 def test_effects_that_oust_each_other_do_not_do_so_for_ever(planar, monkeypatch):
