@@ -137,6 +137,7 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool
         lambda r: np.vstack(
             [_unit_laws(model.terms[i], r, w, [s * fastest for s in shares]) for i in chosen for w in tried[i]]
         ),
+        [model.terms[i].effect.joints[0] for i in chosen for _ in tried[i] for _ in (None, *shares)],
     )
     widths, row = {}, 0
     for i in chosen:
@@ -161,7 +162,7 @@ def _best_width(found: Rows, term: Term, column: int, laws: dict[float, np.ndarr
     count = found.moving[j].sum() * STRIDE / CORRELATION
 
     def left(law: np.ndarray) -> float:
-        columns = np.column_stack([others, (law * found.moving[j]).T])
+        columns = np.column_stack([others, law.T])
         return float(np.sum((target - columns @ np.linalg.lstsq(columns, target, rcond=1e-9)[0]) ** 2))
 
     squares = {width: left(law) for width, law in laws.items()}
@@ -197,7 +198,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
 
 def _minimised(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows) -> tuple[np.ndarray, Rows]:
     """Parameters that minimise the weighted squares of the residuals within bounds, and the rows there; Gauss–Newton."""
-    (lower, upper), values, linear = bounds(model.terms), parameter_values(model), is_linear(prepared, model)
+    (lower, upper), values, linear = bounds(model.terms), model.values, is_linear(prepared, model)
     for _ in range(STEPS):
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
@@ -225,13 +226,13 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
 
     Raises `UserError` where no row is left.
     """
-    began, robot, size = time.perf_counter(), start.robot, len(parameter_values(start))
+    began, robot, size = time.perf_counter(), start.robot, len(start.values)
     guess, base = prior(robot), base_parameters(robot)
     xi = guess.centre.copy()
     found = _checked_rows(recordings, prepared, start, inertial=True)
     matrix, _ = normal_equations(found, np.ones(robot.n))
     open_ = _not_in_span(matrix, size)
-    values, model = parameter_values(start), start
+    values, model = start.values, start
     for cleaned in range(4):  # weights and spikes depend on the residual
         weights = found.deviation() ** -2 * STRIDE / CORRELATION
         values, xi = _consistent(found, weights, values, xi, guess, start.terms, open_)
@@ -247,7 +248,7 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
 
 def _identified(recordings, prepared, model, found: Rows, weights, matrix, xi, guess: Prior, base, open_, began) -> Fit:
     """The model with its estimates and report, at the optimum."""
-    size = len(parameter_values(model))
+    size = len(model.values)
     turn = _turn(_inertial(xi)[1], size)
     precision = np.concatenate([np.where(open_, 1e12, 0.0), guess.std**-2])
     bread = np.linalg.pinv(turn.T @ matrix @ turn + np.diag(precision), hermitian=True)
@@ -255,7 +256,7 @@ def _identified(recordings, prepared, model, found: Rows, weights, matrix, xi, g
     whole = Covariance(whole.matrix + bread @ np.diag(precision) @ bread, whole.freedom)
     spread = Covariance(whole.matrix[:size, :size], whole.freedom[:size])
     lower, upper = bounds(model.terms)
-    values = parameter_values(model)
+    values = model.values
     estimates = _described(values, values, spread, (lower, upper), ~open_)
     model = replace(model, terms=with_estimates(model.terms, estimates))
     report = {"way": "inverse dynamics, inertial parameters identified"} | _report(
@@ -309,11 +310,6 @@ def _checked_rows(recordings: RecordingSet, prepared: Sequence[Prepared], model:
             f"{recordings.path}: {found.residual.shape[1]} rows are left after the filter; pieces of 0.5 s and more are needed"
         )
     return found
-
-
-def parameter_values(model: CalibratedModel) -> np.ndarray:
-    """The parameters of a model's terms, in their order."""
-    return np.concatenate([np.zeros(0), *(term.values for term in model.terms)])
 
 
 def with_parameter_values(terms: Sequence[Term], values: np.ndarray) -> tuple[Term, ...]:

@@ -25,7 +25,6 @@ from rrr_oc.calibrate import (
     finished,
     fit_terms,
     identify,
-    parameter_values,
     plain_model,
     with_estimates,
     with_parameter_values,
@@ -139,7 +138,7 @@ class _Target:
     @classmethod
     def make(cls, response: Response, r: Recording) -> "_Target":
         by_theta = derivatives(response.model, r)
-        theta = parameter_values(response.model)
+        theta = response.model.values
         base = response.model.torques(r)[0] - by_theta @ theta
         recorded, gain = response.compared(r.dq, r.ddq, response.recordings.output_torque(r))
         kept = (r.t >= r.t[0] + DROPPED) & (r.t <= r.t[-1] - DROPPED)
@@ -198,7 +197,7 @@ def calibrate_evolution(
         "maxiter": generations,
         "tolfunrel": PATIENCE,
     }
-    theta = parameter_values(response.model)
+    theta = response.model.values
     varied = np.flatnonzero([t.effect.joints[0] in response.joints for t in response.model.terms for _ in t.estimates])
 
     def candidate(x: np.ndarray) -> np.ndarray:
@@ -234,7 +233,7 @@ def calibrate_response(
     `calibrate_evolution`.
     """
     began, response = time.perf_counter(), _response(recordings, drives, timestep)
-    theta = parameter_values(response.model)
+    theta = response.model.values
     lower, upper = bounds(response.model.terms)
     here = response.residuals([theta])
     cost, evaluations = float(response.objective(here)[0]), 1

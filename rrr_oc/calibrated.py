@@ -123,6 +123,11 @@ class CalibratedModel:
         """Names of the joints, base first."""
         return self.robot.joints
 
+    @property
+    def values(self) -> np.ndarray:
+        """The parameters of all terms, in their order."""
+        return np.concatenate([np.zeros(0), *(term.values for term in self.terms)])
+
     def physics(self, recording: Recording) -> Physics:
         """What is at work in a recording: the springs it lists, then the terms that hold for it."""
         terms = [term for term in self.terms if term.holds_for(recording)]

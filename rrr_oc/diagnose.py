@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.calibrate import WIDTHS, parameter_values, widened, with_widths
+from rrr_oc.calibrate import WIDTHS, widened, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import Effect
 from rrr_oc.effects.empirical import Empirical
@@ -20,7 +20,7 @@ from rrr_oc.inference import normal_equations
 from rrr_oc.regression import Rows, noise
 from rrr_oc.signatures import trials, view
 
-MOST = 10  # effects
+MOST = 12  # effects
 TRIED = 5  # candidates that are fitted exactly in each round
 CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 0.05  # p-value of the robust test, all effects together
@@ -97,28 +97,30 @@ def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
 
 
 def _widened_together(bench: Bench, fitted: Fitted) -> Fitted:
-    """The fit with the newest law and all other friction of its joint more or less abrupt, where that is better beyond doubt.
+    """The fit with the newest law and all other friction of its joint as abrupt as each other, where that is better beyond doubt.
 
-    A wide dry friction beside an abrupt newer law, or the reverse, may do worse than both as they are.
+    A wide dry friction beside an abrupt newer law, or the reverse, may do worse than both as they are. Bristles may also turn at
+    once.
     """
-    newest = fitted.model.terms[-1]
-    for step in (1, -1):
-        while True:
-            joints, width = newest.effect.joints, newest.width
-            further = sorted((w for w in WIDTHS if width is not None and step * (w - width) > 0), reverse=step < 0)
-            terms = tuple(widened(t, {joints: w}) for w in further[:1] for t in fitted.model.terms)
-            if not terms or terms[-1].width == width:
-                break
-            there = refit(bench, replace(fitted.model, terms=terms))
-            if there.better_than(fitted) < SAME:
-                break
-            fitted, newest = there, there.model.terms[-1]
-    return fitted
+    *others, newest = fitted.model.terms
+    if newest.effect.width is None or newest.effect.width.unit != "rad/s":
+        return fitted
+    joints, at_once = newest.effect.joints, [(*others, replace(newest, width=0.0))] if newest.effect.states else []
+    together = [(*(widened(t, {joints: w}) for t in others), replace(newest, width=w)) for w in WIDTHS]
+    tried = [refit(bench, replace(fitted.model, terms=terms)) for terms in at_once + together if terms != fitted.model.terms]
+    best = min(tried, key=lambda f: f.misfit)
+    return best if best.better_than(fitted) > SAME else fitted
 
 
 def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best | None:
     evidence = unnamed(bench, fitted.model, j)
     return _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
+
+
+def _exactly(bench: Bench, fitted: Fitted, best: Best) -> Best:
+    """The same with the fit and the score that all parameters together reach."""
+    there = _rewidened(bench, refit(bench, best[1].model))
+    return max(best[0], there.better_than(fitted) - best[2].penalty), there, best[2]
 
 
 def _size(*candidates: Candidate) -> int:
@@ -188,6 +190,7 @@ def _next(
     if chosen is None:
         return None, []
     if named is not None and other is not None and other[0] > MARGIN * named[0] + SAME:
+        other = _exactly(bench, fitted, other)
         laws = _as_good(bench, plain, fitted, named, other[0])
         if laws is None and not _beside(bench, joints[0], plain, named, other):
             chosen = other
@@ -405,7 +408,7 @@ def _foreseen(fitted: Fitted, i: int) -> Fitted | None:
         return None
     own = [k for k, _ in amplitudes]
     inverse = pseudo_inverse(normal_equations(found, found.deviation() ** -2)[0])
-    step = -inverse[:, own] @ np.linalg.pinv(inverse[np.ix_(own, own)]) @ parameter_values(model)[own]
+    step = -inverse[:, own] @ np.linalg.pinv(inverse[np.ix_(own, own)]) @ model.values[own]
     return Fitted(model, replace(found, residual=found.residual - found.jacobian @ step))
 
 

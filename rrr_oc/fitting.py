@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rrr_oc.calibrate import bounds, parameter_values, with_parameter_values
+from rrr_oc.calibrate import bounds, with_parameter_values
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Effect
 from rrr_oc.evidence import Bench, independent
@@ -52,21 +52,28 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
     """All parameters of a model, fitted to a bench within their bounds; inertial ones freely where they are unknown.
 
     Args:
-        without_last: Rows of the model without its last term; their derivatives then serve all along, which is nearly as good.
+        without_last: Rows of the model without its last term, which is new: first all that is linear in it is fitted, from where
+            its shape is not led astray. The other terms' derivatives then serve all along, which is nearly as good.
     """
     found, fresh = rows(bench.prepared, model, bench.identify, without_last), True
     straight = not bench.identify and all(_straight(term.effect) for term in model.terms)
-    for _ in range(steps):
+    shape = _shape_of_last(model) if without_last is not None else []
+    for _ in range(steps + bool(shape)):
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
-        values = parameter_values(model)
+        values = model.values
         low, high = bounds(model.terms)
+        low[shape] = high[shape] = values[shape]
         size = len(values)
         free = np.full(matrix.shape[0] - size, np.inf)
         step = box_step(matrix, right, np.concatenate([low - values, -free]), np.concatenate([high - values, free]))
         cost = float(weights @ np.sum(found.residual**2, axis=1))
         if step @ (2 * right - matrix @ step) < TOLERANCE * cost:
-            break  # what is to be gained is nothing beside what is left
+            if not shape:
+                break  # what is to be gained is nothing beside what is left
+            shape = []
+            continue
+        shape = []
         for share in (1.0, 0.4, 0.1):
             there = _moved(model, values + share * step[:size], share * step[size:])
             change = share * (found.jacobian @ step)
@@ -86,6 +93,13 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
         if after > cost * (1 - TOLERANCE):
             break
     return Fitted(model, found)
+
+
+def _shape_of_last(model: CalibratedModel) -> list[int]:
+    """Numbers of those parameters of the last term in which it is not linear."""
+    effect = model.terms[-1].effect
+    start = sum(len(t.estimates) for t in model.terms[:-1])
+    return [start + k for k, p in enumerate(effect.parameters) if p.name not in effect.amplitudes]
 
 
 def _straight(effect: Effect) -> bool:

@@ -8,6 +8,7 @@ measured by `validation/calibration_coverage.py`.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
@@ -23,7 +24,7 @@ FILTER = 0.2  # window of the common filter [s], applied twice
 CORRELATION = 0.2  # time over which filtered noise is correlated [s]
 SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # of the motion that enters the regressors [s]
 STRIDE = 0.04  # [s] between the rows kept; the filter has removed what is faster
-ENDS = 0.1  # [s] left out at both ends of a stretch, where the filter is one-sided
+ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
@@ -40,7 +41,8 @@ class Prepared:
     Attributes:
         recording: The recording with speeds and accelerations from short windows.
         measured: Recorded torque at the joints' output (n, K) [Nm].
-        moving: Where each joint moves, (n, K): at rest its dry friction may be anything below its level.
+        moving: Where each joint moves and its motion is not smoothed over a stop, (n, K): at rest its dry friction may be
+            anything below its level.
         window: Of the common filter [s].
         spikes: Samples of `measured` that were replaced, one count per joint (n,).
     """
@@ -64,6 +66,15 @@ class Prepared:
             self.recording.filters[self.window] = (once[kept_rows(self.recording)[0]] @ once).tocsr()
         return self.recording.filters[self.window]
 
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Rows, of those kept, of which at least half is what a moving joint showed, (n, kept)."""
+        return (self.matrix @ self.moving.T.astype(float)).T > 0.5
+
+    def passed(self, torques: np.ndarray, joints: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Torques (m, K) at these joints (m,), filtered, at the rows that are kept, (m, kept); those at rest count for nothing."""
+        return through_filter(torques * self.moving[joints], self) * self.counted[joints]
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -72,7 +83,7 @@ class Rows:
     Attributes:
         residual: (n, M) [Nm]; 0 where a joint rests.
         jacobian: (n, M, p); 0 where a joint rests.
-        moving: (n, M).
+        moving: Rows that count, (n, M).
         stretches: Slices of the rows without a gap; the filter crosses none of their ends.
         durations: Of the stretches [s].
     """
@@ -154,7 +165,7 @@ def rows(
     if without_last is not None:
         at = sum(len(t.estimates) for t in model.terms[:-1])
         jacobian = np.concatenate([without_last.jacobian[:, :, :at], jacobian, without_last.jacobian[:, :, at:]], axis=2)
-    values = np.concatenate([np.zeros(0), *(t.values for t in model.terms)])
+    values = model.values
     sizes = np.maximum(np.abs(np.append(values, np.zeros(jacobian.shape[2] - len(values)))), 1.0)
     rounding = np.max(np.abs(jacobian), axis=(0, 1), initial=0.0) * sizes < ROUNDING  # as by a mass that nothing moves
     jacobian[:, :, rounding] = 0.0
@@ -174,8 +185,7 @@ def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedM
     """
     parts = []
     for p in prepared:
-        kept = kept_rows(p.recording)[0]
-        parts.append(through_filter(residuals(p, model), p) * p.moving[:, kept])
+        parts.append(p.passed(residuals(p, model), range(len(p.measured))))
     return replace(found, residual=np.concatenate(parts, axis=1))
 
 
@@ -203,9 +213,9 @@ def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tupl
     return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
 
 
-def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray]) -> np.ndarray:
-    """Signals (m, K) that a function makes of a recording, filtered, at the samples that `rows` keeps, (m, M)."""
-    return np.concatenate([through_filter(law(p.recording), p) for p in prepared], axis=1)
+def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray], joints: Sequence[int]) -> np.ndarray:
+    """Torques (m, K) at joints (m,) that a function makes of a recording, filtered, at the samples that `rows` keeps, (m, M)."""
+    return np.concatenate([p.passed(law(p.recording), joints) for p in prepared], axis=1)
 
 
 def residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
@@ -248,11 +258,13 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
 
 
 def _moving(recording: Recording) -> np.ndarray:
-    """False where the speed stays below `REST_SPEED` over `REST_TIME` about a sample, (n, K)."""
-    fastest = np.empty_like(recording.dq)
+    """False where the speed stays below `REST_SPEED` for `REST_TIME`, and where windows of the motion reach into that, (n, K)."""
+    moving = np.empty(recording.dq.shape, bool)
     for s in recording.segments:
-        fastest[:, s] = maximum_filter1d(np.abs(recording.dq[:, s]), window_samples(recording.t[s], REST_TIME), axis=1)
-    return fastest >= REST_SPEED
+        stay, reach = (window_samples(recording.t[s], x) for x in (REST_TIME, REST_TIME + ACCELERATION_WINDOW))
+        resting = maximum_filter1d(np.abs(recording.dq[:, s]), stay, axis=1) < REST_SPEED
+        moving[:, s] = np.logical_not(maximum_filter1d(resting, reach, axis=1))
+    return moving
 
 
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
@@ -262,15 +274,14 @@ def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool
     jacobian = derivatives(model, r, inertial and not last, last, physics)
     kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]
-    moving = prepared.moving[:, kept]
     columns = np.moveaxis(jacobian, 2, 1).reshape(n * p, len(r.t))
     used = np.flatnonzero(np.any(columns != 0, axis=1))
     filtered = np.zeros((n * p, len(kept)))
-    filtered[used] = through_filter(columns[used], prepared)
+    filtered[used] = prepared.passed(columns[used], used // p)
     return Rows(
-        residual=through_filter(residual, prepared) * moving,
-        jacobian=np.moveaxis(filtered.reshape(n, p, len(kept)), 1, 2) * moving[:, :, None],
-        moving=moving,
+        residual=prepared.passed(residual, range(n)),
+        jacobian=np.moveaxis(filtered.reshape(n, p, len(kept)), 1, 2),
+        moving=prepared.counted,
         stretches=stretches,
         durations=durations,
     )
@@ -298,7 +309,8 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
     for s in recording.segments:
         t = recording.t[s]
         stride = max(1, round(STRIDE / np.median(np.diff(t)))) if len(t) > 1 else 1
-        inside = np.flatnonzero((t >= t[0] + ENDS) & (t <= t[-1] - ENDS))[::stride]
+        ends = min(ENDS, float(np.ptp(t)) / 5)
+        inside = np.flatnonzero((t >= t[0] + ends) & (t <= t[-1] - ends))[::stride]
         if len(inside) > 1:
             kept.append(inside + s.start)
             stretches.append(slice(count, count + len(inside)))

@@ -18,7 +18,7 @@ from rrr_oc.effects.empirical import Empirical
 from rrr_oc.model import along
 from rrr_oc.physics import Physics, later, moved, states_along
 from rrr_oc.recordings import Recording
-from rrr_oc.regression import Prepared, kept_rows, through_filter
+from rrr_oc.regression import Prepared
 from rrr_oc.rigid_body import with_payload
 
 SAMPLE = 400  # positions that trials look at
@@ -97,11 +97,6 @@ class Context:
         return replace(self.of_motion, load=self.load, friction=self.friction, springs=springs)
 
     @cached_property
-    def moving(self) -> np.ndarray:
-        """Where each joint moves, at the rows that `regression.rows` keeps, (n, M)."""
-        return self.prepared.moving[:, kept_rows(self.recording)[0]]
-
-    @cached_property
     def sensed(self) -> set[int]:
         """Joints whose recorded torque the model takes for another than the true one."""
         sensors = [effect for effect in self.physics.model.effects if effect.side == "sensor"]
@@ -159,8 +154,8 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
     if effect.side in ("link", "drive"):
         signals = at.signals if _needs_model(effect) else at.of_motion
         if isinstance(effect, Empirical):
-            result[:, effect.joints[0]] = effect.basis(signals, trial.width)
-            result *= -1.0
+            coefficients = np.array([[point[a] for a in effect.amplitudes] for point in trial.points])
+            result[:, effect.joints[0]] = -coefficients @ np.array(effect.basis(signals, trial.width))
         else:
             for k, theta in enumerate(trial.points):
                 _add(result[k], effect, effect.torque(_with_states(signals, r, trial, theta), theta, trial.width), -1.0)
@@ -256,7 +251,7 @@ def table(contexts: Sequence[Context], every: Iterable[Trial], known: Sequence[K
     known = known or [{} for _ in contexts]
     found = [[_passed(at, trial, there) for trial in every] for at, there in zip(contexts, known, strict=True)]
     live = np.array([np.concatenate([where for where, _ in part]) for part in found])  # (R, columns, n)
-    edges = np.cumsum([0, *(at.moving.shape[1] for at in contexts)])
+    edges = np.cumsum([0, *(at.prepared.counted.shape[1] for at in contexts)])
     values, used = [], []
     for j in range(live.shape[2]):
         own = np.flatnonzero(live[:, :, j].any(axis=0))
@@ -283,7 +278,7 @@ def _passed(at: Context, trial: Trial, known: Known) -> Passed:
         return known[key]
     raw = columns(at, trial)
     where = np.any(raw != 0, axis=2)
-    passed = where, through_filter(raw[where], at.prepared) * at.moving[np.nonzero(where)[1]]
+    passed = where, at.prepared.passed(raw[where], np.nonzero(where)[1])
     if lasts:
         known[key] = passed
     return passed
