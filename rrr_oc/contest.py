@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel, Term, nominal_term
-from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, present, rarity, without
+from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, noisy, present, rarity, without
 from rrr_oc.effects.cable_harness import CableHarness
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.parallel_spring import ParallelSpring
@@ -50,7 +50,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     """
     plain, fitted = found.plain, found.fitted
     base = len(plain.model.terms)
-    findings, i = [], base
+    findings, i, muddled = [], base, bool(noisy(bench, fitted))  # far from the noise, small effects take up what others lack
     while i < len(fitted.model.terms):
         fitted = _widened(bench, fitted, i, report)
         spring = _as_spring(bench, fitted, i)
@@ -68,7 +68,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
                 tried = refit(bench, tried.model)
             better = tried.better_than(fitted)
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
-            likelier = int(candidate.scope is not None) * (candidate.trial.effect.mounted - own.effect.mounted)
+            likelier = 0 if candidate.scope is None or muddled else candidate.trial.effect.mounted - own.effect.mounted
             lead = better + (simpler + 2 * likelier) * SAME
             if simpler <= 0:  # the simplest of equals needs no excuse
                 lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)

@@ -180,7 +180,7 @@ def _next(
     And the effects that are then to come before any empirical term; `planned` are those to come now.
     """
     named = _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
-    joints = _noisy(bench, fitted) if named is None else [_joint(evidence, named[2])]
+    joints = noisy(bench, fitted) if named is None else [_joint(evidence, named[2])]
     as_planned = named is not None and key(named[2]) in planned[:1]
     if lawless == "never" or (lawless == "after" and named is not None) or as_planned:
         joints = []
@@ -274,7 +274,7 @@ def worth(plain, less, more):
 def _settled(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> bool:
     """Whether a candidate that acts in a few places only leaves nothing but noise, and is beyond chance there."""
     effect = candidate.trial.effect
-    return not effect.simulated and not _noisy(bench, fitted) and robust_p(evidence, candidate) * evidence.tests < DOUBT
+    return not effect.simulated and not noisy(bench, fitted) and robust_p(evidence, candidate) * evidence.tests < DOUBT
 
 
 def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> float:
@@ -283,10 +283,10 @@ def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> fl
     That somebody mounted something for all recordings and listed it for none. While a model is far from the noise, all laws are
     wrong, and likelihoods alone compare what else they happen to take up.
     """
-    return RARE if effect.mounted and everywhere and _noisy(bench, fitted) else 0.0
+    return RARE if effect.mounted and everywhere and noisy(bench, fitted) else 0.0
 
 
-def _noisy(bench: Bench, fitted: Fitted) -> list[int]:
+def noisy(bench: Bench, fitted: Fitted) -> list[int]:
     """The joints with more residual than the noise of single samples accounts for."""
     passed = np.sqrt(
         np.mean(np.concatenate([np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]))
