@@ -183,10 +183,9 @@ def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedM
 
     Those of parameters that enter linearly (`is_linear`) change neither with the parameters nor with the torque.
     """
-    parts = []
-    for p in prepared:
-        parts.append(p.passed(residuals(p, model), range(len(p.measured))))
-    return replace(found, residual=np.concatenate(parts, axis=1))
+    return replace(
+        found, residual=np.concatenate([p.passed(residuals(p, model), range(len(p.measured))) for p in prepared], axis=1)
+    )
 
 
 def is_linear(prepared: Sequence[Prepared], model: CalibratedModel) -> bool:
