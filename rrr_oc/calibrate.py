@@ -7,12 +7,14 @@ How abruptly dry friction changes sign is a property of the joint too, and is ch
 
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any, cast
 
 import numpy as np
+from scipy.linalg import orth
+from scipy.optimize import minimize_scalar
 
 from rrr_oc import __version__
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term, nominal_term, urdf_text
@@ -29,6 +31,7 @@ from rrr_oc.inference import (
     covariance,
     intervals,
     normal_equations,
+    scales,
     undetermined,
 )
 from rrr_oc.nrmse import error
@@ -50,7 +53,8 @@ from rrr_oc.regression import (
 
 PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
-WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s]
+WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], between which the best is looked for
+FINE = 0.005  # of a width: a few per cent off already look like a law of low speeds
 COURSES = (0.1, 0.2, 0.4)  # of a joint's highest speed, beyond which friction may have fallen off
 DOUBT = 12.0  # of a squared residual over its variance: below 0.1 % by chance
 STEPS = 30  # of Gauss–Newton, at most
@@ -114,7 +118,7 @@ def calibrate(recordings: RecordingSet) -> CalibratedModel:
 
 
 def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False) -> CalibratedModel:
-    """The model with the width of each joint's dry friction, of `WIDTHS`, that leaves the least residual.
+    """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, that leaves the least residual.
 
     Another than the model's own only where it is better beyond doubt: where the squared residual, counted in independent
     samples, falls by more than `DOUBT`. Inertial parameters that are to be identified are free in the comparison. All friction of a
@@ -124,27 +128,16 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool
         free: Whether the course of friction over speed is left open in the comparison, so that a law which the model lacks is not
             taken for an abrupt sign.
     """
-    found = rows(prepared, model, inertial=model.inertial == "identify")
     columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
     chosen = [i for i, t in enumerate(model.terms) if isinstance(t.effect, DryFriction) and t.width is not None]
-    tried = {i: sorted({*WIDTHS, cast(float, model.terms[i].width)}) for i in chosen}
     if not chosen:
         return model
-    shares = COURSES if free else ()
+    found = rows(prepared, model, inertial=model.inertial == "identify")
     fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
-    laws = filtered(
-        prepared,
-        lambda r: np.vstack(
-            [_unit_laws(model.terms[i], r, w, [s * fastest for s in shares]) for i in chosen for w in tried[i]]
-        ),
-        [model.terms[i].effect.joints[0] for i in chosen for _ in tried[i] for _ in (None, *shares)],
-    )
-    widths, row = {}, 0
-    for i in chosen:
-        parts = laws[row : row + len(tried[i]) * (1 + len(shares))].reshape(len(tried[i]), 1 + len(shares), -1)
-        law = dict(zip(tried[i], parts, strict=True))
-        widths[model.terms[i].effect.joints] = _best_width(found, model.terms[i], int(columns[i]), law)
-        row += len(tried[i]) * (1 + len(shares))
+    speeds = np.array(COURSES if free else ())[:, None] * fastest
+    widths = {
+        model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds) for i in chosen
+    }
     return replace(model, terms=tuple(widened(term, widths) for term in model.terms))
 
 
@@ -154,28 +147,38 @@ def widened(term: Term, widths: Mapping[tuple[int, ...], float]) -> Term:
     return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 
 
-def _best_width(found: Rows, term: Term, column: int, laws: dict[float, np.ndarray]) -> float:
-    """Of the widths, each with its filtered laws of level 1 (m, M), the one that leaves least beside all other columns."""
+def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int, speeds: np.ndarray) -> float:
+    """The width of a joint's dry friction, free to fall off beyond speeds (m, n), that leaves least beside all other columns."""
     (j,), own = term.effect.joints, cast(float, term.width)
-    target = found.residual[j] + found.jacobian[j][:, column] * term.values[0]  # as if the joint had no dry friction yet
     others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
-    count = found.moving[j].sum() * STRIDE / CORRELATION
+    span = orth(others / scales(others.T @ others))
+    target = found.residual[j] + found.jacobian[j][:, column] * term.values[0]  # as if the joint had no dry friction yet
+    target = target - span @ (span.T @ target)
 
-    def left(law: np.ndarray) -> float:
-        columns = np.column_stack([others, law.T])
-        return float(np.sum((target - columns @ np.linalg.lstsq(columns, target, rcond=1e-9)[0]) ** 2))
+    def left(width: float) -> float:
+        laws = filtered(prepared, lambda r: _unit_laws(term, r, width, speeds[:, j]), [j] * (1 + len(speeds))).T
+        laws = laws - span @ (span.T @ laws)
+        return float(np.sum((target - laws @ np.linalg.lstsq(laws, target, rcond=1e-9)[0]) ** 2))
 
-    squares = {width: left(law) for width, law in laws.items()}
-    best = min(squares, key=lambda width: squares[width])
-    return best if count * (squares[own] / max(squares[best], 1e-300) - 1) > DOUBT else own
+    best, count = best_width(left), found.moving[j].sum() * STRIDE / CORRELATION
+    return best if count * (left(own) / max(left(best), 1e-300) - 1) > DOUBT else own
 
 
-def _unit_laws(term: Term, recording: Recording, width: float, speeds: Sequence[np.ndarray]) -> np.ndarray:
-    """Dry friction of level 1, constant and falling off beyond each of the speeds, (1 + speeds, K)."""
+def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:
+    """The width between the ends of `WIDTHS` that costs least, to a share `fine` of it."""
+    costs = [cost(width) for width in WIDTHS]
+    k = int(np.argmin(costs))
+    ends = WIDTHS[max(k - 1, 0)], WIDTHS[min(k + 1, len(WIDTHS) - 1)]
+    between = minimize_scalar(lambda x: cost(float(np.exp(x))), bounds=np.log(ends), method="bounded", options={"xatol": fine})
+    return min((costs[k], WIDTHS[k]), (float(between.fun), float(np.exp(between.x))))[1]
+
+
+def _unit_laws(term: Term, recording: Recording, width: float, speeds: np.ndarray) -> np.ndarray:
+    """Dry friction of level 1, constant and falling off beyond each of the speeds (m,), (1 + m, K)."""
     (j,), dq = term.effect.joints, recording.dq
     (torque,) = term.effect.torque(Signals(recording.q, dq), {"level": 1.0}, width)
     constant = np.array(torque).reshape(-1)
-    return np.array([constant, *(constant * np.exp(-((dq[j] / speed[j]) ** 2)) for speed in speeds)])
+    return np.array([constant, *(constant * np.exp(-((dq[j] / speed) ** 2)) for speed in speeds)])
 
 
 def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:
@@ -313,8 +316,8 @@ def _checked_rows(recordings: RecordingSet, prepared: Sequence[Prepared], model:
 
 
 def with_parameter_values(terms: Sequence[Term], values: np.ndarray) -> tuple[Term, ...]:
-    """The terms with other values of their parameters."""
-    return with_estimates(terms, [Estimate(float(v)) for v in values])
+    """The terms with other values of their parameters, which rounding may have carried over a bound."""
+    return with_estimates(terms, [Estimate(float(v)) for v in np.clip(values, *bounds(terms))])
 
 
 def with_estimates(terms: Sequence[Term], estimates: Sequence[Estimate]) -> tuple[Term, ...]:

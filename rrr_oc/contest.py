@@ -57,7 +57,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         if spring is not None and fitted.model.terms[i].groups:
             report("parallel_spring takes the place of cable_harness")
             fitted = spring
-        alone = len(fitted.model.terms) == base + 1
+        alone = [t.width for t in without(fitted.model, i).terms] == [t.width for t in plain.model.terms]
         less = plain if alone else refit(bench, without(fitted.model, i))
         evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
         own = fitted.model.terms[i]

@@ -6,11 +6,12 @@ superfluous leaves again, until nothing is left beyond chance.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
 
-from rrr_oc.calibrate import WIDTHS, widened, with_widths
+from rrr_oc.calibrate import best_width, widened, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import Effect
 from rrr_oc.effects.empirical import Empirical
@@ -32,6 +33,7 @@ MARGIN = 1.1  # by which an empirical term must do better than a law of the cata
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 TOGETHER = 4  # effects that may explain what an empirical term does
 HOPELESS = 0.25  # of what it explains, that two of them must
+ROUGH = 0.05  # of a width that several laws share, until that of dry friction alone is looked for again
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
 DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
 Lawless = Literal["beside", "after", "never"]
@@ -105,9 +107,14 @@ def _widened_together(bench: Bench, fitted: Fitted) -> Fitted:
     *others, newest = fitted.model.terms
     if newest.effect.width is None or newest.effect.width.unit != "rad/s":
         return fitted
-    joints, at_once = newest.effect.joints, [(*others, replace(newest, width=0.0))] if newest.effect.states else []
-    together = [(*(widened(t, {joints: w}) for t in others), replace(newest, width=w)) for w in WIDTHS]
-    tried = [refit(bench, replace(fitted.model, terms=terms)) for terms in at_once + together if terms != fitted.model.terms]
+    joints = newest.effect.joints
+
+    @cache
+    def at(width: float) -> Fitted:
+        together = (*(widened(t, {joints: width}) for t in others), replace(newest, width=width))
+        return refit(bench, replace(fitted.model, terms=together if width else (*others, replace(newest, width=width))))
+
+    tried = [at(best_width(lambda width: at(width).misfit, ROUGH))] + ([at(0.0)] if newest.effect.states else [])
     best = min(tried, key=lambda f: f.misfit)
     return best if best.better_than(fitted) > SAME else fitted
 

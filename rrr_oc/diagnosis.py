@@ -10,14 +10,14 @@ from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnose import Lawless, as_seen, search, worth
+from rrr_oc.diagnose import Found, Lawless, as_seen, search, worth
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.locate import mismatch
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet
-from rrr_oc.regression import Prepared, prepare, rows, thinned, without_spikes
+from rrr_oc.regression import Prepared, prepare, rows, thinned, variance, without_reversals, without_spikes
 from rrr_oc.signatures import view
 from rrr_oc.suggest import Suggestion, suggest
 
@@ -30,6 +30,7 @@ SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
+BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
 
@@ -128,6 +129,12 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     start = with_widths(bench.prepared, start, free=True)
     begin = replace(start, robot=plain.robot) if unknown else start
     found = search(bench, begin, report)
+    if np.any(blurred := _blurred(bench, found)):
+        names = ", ".join(np.array(recordings.joints)[blurred])
+        report(f"looking for effects without the moments at which these joints reverse: {names}")
+        whole, prepared = without_reversals(whole, blurred), without_reversals(prepared, blurred)
+        bench = Bench(prepared, unknown)
+        found = search(bench, begin, report)
     fitted, findings = contested(bench, found, report)
     way, folds = _folds(bench)
     model, shares = plain, Shares((), (), (), (), ())
@@ -257,6 +264,19 @@ def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
     whole = np.concatenate(errors)
     known = np.isfinite(whole)
     return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
+def _blurred(bench: Bench, found: Found) -> np.ndarray:
+    """The joints of which no law of the catalogue explains what happens when they reverse, (n,).
+
+    Abrupt dry friction may hold a joint for a moment then, and may be anything below its level; a term that no law stands behind
+    may take up even that.
+    """
+    clear = replace(bench, prepared=without_reversals(bench.prepared))
+    lawless = [j for t in found.fitted.model.terms if isinstance(t.effect, Empirical) for j in t.effect.joints]
+    models = found.fitted.model, refit(clear, found.plain.model).model
+    after, before = (variance(bench.prepared, m) > BLURRED * variance(clear.prepared, m) for m in models)
+    return after | (before & np.isin(range(bench.n), lawless))
 
 
 def _with(start: CalibratedModel, terms: Sequence[Term]) -> CalibratedModel:

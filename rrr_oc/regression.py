@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.sparse import csr_matrix
 
 from rrr_oc.calibrated import CalibratedModel
@@ -42,7 +42,7 @@ class Prepared:
         recording: The recording with speeds and accelerations from short windows.
         measured: Recorded torque at the joints' output (n, K) [Nm].
         moving: Where each joint moves and its motion is not smoothed over a stop, (n, K): at rest its dry friction may be
-            anything below its level.
+            anything below its level. Samples elsewhere count for nothing.
         window: Of the common filter [s].
         spikes: Samples of `measured` that were replaced, one count per joint (n,).
     """
@@ -115,6 +115,19 @@ def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared,
     total = sum(float(np.ptp(p.recording.t)) for p in prepared)
     share = min(1.0, LONGEST / max(total, 1e-9))
     return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01)), share) for p in prepared)
+
+
+def without_reversals(prepared: Sequence[Prepared], joints: np.ndarray | bool = True) -> tuple[Prepared, ...]:
+    """The recordings of which nothing counts near a joint's reversal, within the window that its speed comes from.
+
+    Which way abrupt friction points there is beyond what smoothed speeds can tell, and friction that turns a little too early or
+    too late looks like any law of low speeds.
+
+    Args:
+        joints: Whether this is so for each of them, (n,).
+    """
+    chosen = np.reshape(joints, (-1, 1))
+    return tuple(replace(p, moving=p.moving & ~(_turning(p.recording) & chosen)) for p in prepared)
 
 
 def _pieces(t: np.ndarray, segments: Sequence[slice], share: float) -> list[slice]:
@@ -235,6 +248,15 @@ def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
     return 1.4826 * np.median(np.concatenate(sizes, axis=1), axis=1)
 
 
+def variance(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
+    """Of the filtered residuals, over what samples of white noise of variance 1 would leave in the rows that count, (n,)."""
+    square = white = 0.0
+    for p in prepared:
+        square = square + np.sum(p.passed(residuals(p, model), range(len(p.measured))) ** 2, axis=1)
+        white = white + np.sum((p.matrix.multiply(p.matrix) @ p.moving.T).T * p.counted, axis=1)
+    return square / np.maximum(white, 1e-300)
+
+
 def _prepare(recordings: RecordingSet, recording: Recording, window: float) -> Prepared:
     sharp = _with_sharp_motion(recording, recordings.joints)
     return Prepared(sharp, recordings.output_torque(recording), _moving(sharp), window, np.zeros(recordings.robot.n, int))
@@ -244,7 +266,7 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
     r, dq, ddq = recording, recording.dq.copy(), recording.ddq.copy()
     given = np.array([f"dq_{joint}" not in r.computed for joint in joints])
     derived = np.array([f"ddq_{joint}" in r.computed for joint in joints])
-    speed, acceleration = window_samples(r.t, SPEED_WINDOW, 7), window_samples(r.t, ACCELERATION_WINDOW, 9)
+    speed, acceleration = _speed_samples(r.t), window_samples(r.t, ACCELERATION_WINDOW, 9)
     for s in r.segments:
         if s.stop - s.start < acceleration:
             continue  # what the reader computed stays
@@ -256,6 +278,10 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
     return replace(r, dq=dq, ddq=ddq)
 
 
+def _speed_samples(t: np.ndarray) -> int:
+    return window_samples(t, SPEED_WINDOW, 7)
+
+
 def _moving(recording: Recording) -> np.ndarray:
     """False where the speed stays below `REST_SPEED` for `REST_TIME`, and where windows of the motion reach into that, (n, K)."""
     moving = np.empty(recording.dq.shape, bool)
@@ -264,6 +290,16 @@ def _moving(recording: Recording) -> np.ndarray:
         resting = maximum_filter1d(np.abs(recording.dq[:, s]), stay, axis=1) < REST_SPEED
         moving[:, s] = np.logical_not(maximum_filter1d(resting, reach, axis=1))
     return moving
+
+
+def _turning(recording: Recording) -> np.ndarray:
+    """Where speeds on both sides of 0, or below `REST_SPEED`, lie within the window of the speed, (n, K)."""
+    turning = np.empty(recording.dq.shape, bool)
+    for s in recording.segments:
+        dq, width = recording.dq[:, s], _speed_samples(recording.t[s])
+        turning[:, s] = minimum_filter1d(dq, width, axis=1) < REST_SPEED
+        turning[:, s] &= maximum_filter1d(dq, width, axis=1) > -REST_SPEED
+    return turning
 
 
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
