@@ -1,6 +1,6 @@
 """The diagnosis of a recording set: where a calibrated model fails, what it lacks, and how well it predicts once that is added."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +11,8 @@ from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnose import Found, Lawless, as_seen, search, worth
+from rrr_oc.effects import Effect
+from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
@@ -134,6 +136,12 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         report(f"looking for effects without the moments at which these joints reverse: {names}")
         whole, prepared = without_reversals(whole, blurred), without_reversals(prepared, blurred)
         bench = Bench(prepared, unknown)
+        found = search(bench, begin, report)
+    while turned := _turned(bench, found):
+        names = ", ".join(recordings.joints[j] for j in turned)
+        report(f"looking for effects where dry friction changes sign in another way: {names}")
+        plain, start, begin = (_with_turns(m, turned) for m in (plain, start, begin))
+        plain = _final(recordings, whole, plain)
         found = search(bench, begin, report)
     fitted, findings = contested(bench, found, report)
     way, folds = _folds(bench)
@@ -277,6 +285,49 @@ def _blurred(bench: Bench, found: Found) -> np.ndarray:
     models = found.fitted.model, refit(clear, found.plain.model).model
     after, before = (variance(bench.prepared, m) > BLURRED * variance(clear.prepared, m) for m in models)
     return after | (before & np.isin(range(bench.n), lawless))
+
+
+def _turned(bench: Bench, found: Found) -> dict[int, Term]:
+    """Dry friction, by joint, that changes sign in another way than tanh and so explains what laws of speed were found for.
+
+    All of them or some: the model must fit better with the fewer.
+    """
+    base, fitted, result = len(found.plain.model.terms), found.fitted, {}
+    for number, plain in enumerate(found.plain.model.terms):
+        if plain.effect == DryFriction(joints := plain.effect.joints):
+            laws = [t for t in fitted.model.terms[base:] if t.effect.of_speed and t.effect.joints == joints]
+            ways = [_with_fewer(bench, fitted, number, form, laws) for form in plain.effect.forms()[1:]]
+            most = max(ways, key=lambda way: (way[0], -way[1].misfit))
+            if most[0]:
+                fitted, result[joints[0]] = most[1], most[1].model.terms[number]
+    return result
+
+
+def _with_fewer(bench: Bench, fitted: Fitted, number: int, form: Effect, laws: Sequence[Term]) -> tuple[int, Fitted]:
+    """How many of some terms leave where another has this form and the fit is still better, and the fit."""
+    terms, fewer, left = list(fitted.model.terms), fitted, list(laws)
+    terms[number] = replace(terms[number], effect=form)
+    while left:
+        tried = []
+        for law in left:
+            model = replace(fitted.model, terms=tuple(t for t in terms if t is not law))
+            tried.append(refit(bench, with_widths(bench.prepared, model)))
+        k = min(range(len(left)), key=lambda i: tried[i].misfit)
+        if tried[k].better_than(fitted) <= 0:
+            break
+        fewer, terms = tried[k], [t for t in terms if t is not left[k]]
+        del left[k]
+    return len(laws) - len(left), fewer
+
+
+def _with_turns(model: CalibratedModel, turned: Mapping[int, Term]) -> CalibratedModel:
+    """The model with dry friction that changes sign as these terms do."""
+
+    def alike(term: Term) -> Term:
+        other = turned.get(term.effect.joints[0]) if isinstance(term.effect, DryFriction) else None
+        return term if other is None else replace(term, effect=other.effect, width=other.width)
+
+    return replace(model, terms=tuple(alike(t) for t in model.terms))
 
 
 def _with(start: CalibratedModel, terms: Sequence[Term]) -> CalibratedModel:

@@ -21,14 +21,22 @@ def _either(symbolic: Callable[..., Any], numeric: Callable[..., Any]) -> Callab
 
 
 SYMBOLIC = (ca.SX, ca.MX, ca.DM)
-cos, sin, exp, tanh = (_either(getattr(ca, name), getattr(np, name)) for name in ("cos", "sin", "exp", "tanh"))
+TURNS = ("tanh", "root", "arctan")  # ways from −1 to 1
+cos, sin, exp, sqrt, tanh = (_either(getattr(ca, name), getattr(np, name)) for name in ("cos", "sin", "exp", "sqrt", "tanh"))
+arctan = _either(ca.atan, np.arctan)
 fabs, fmax, fmin = (_either(getattr(ca, name), getattr(np, name)) for name in ("fabs", "fmax", "fmin"))
 
 
-def sign(x, width):
-    """tanh(x / width), the smooth sign; `x` and `width` in the same unit, a width of 0 gives the exact sign."""
+def sign(x, width, turn="tanh"):
+    """The smooth sign: tanh(x / w), x / √(x² + w²) for the turn "root", or 2/π arctan(x / w).
+
+    `x` and `width` in the same unit; a width of 0 gives the exact sign.
+    """
     with np.errstate(over="ignore"):
-        return tanh(x / fmax(width, 1e-300))
+        if turn == "root":
+            return x / sqrt(x * x + fmax(width * width, 1e-300))
+        scaled = x / fmax(width, 1e-300)
+        return tanh(scaled) if turn == "tanh" else 2 / np.pi * arctan(scaled)
 
 
 def ramp(x, width):

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from rrr_oc import diagnose as forward
 from rrr_oc.calibrate import plain_model, widened
-from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term
+from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term, save_model
 from rrr_oc.cli import app
 from rrr_oc.contest import Finding
 from rrr_oc.diagnosis import _refuted, diagnose
@@ -150,6 +150,28 @@ def test_nothing_is_missing_whatever_the_width_of_dry_friction(planar, width):
     slow = (multisine(1, np.arange(1500) / 100, rng, 0.3) for _ in range(4))
     made = [record(plant, f"{i}.csv", rng, 15.0, 0.005, motion) for i, motion in enumerate(slow)]
     assert not diagnose(as_set(plant, made), jobs=1).findings
+
+
+@pytest.mark.parametrize("turn", ["root", "arctan"])
+def test_dry_friction_may_change_sign_in_other_ways(planar, tmp_path, turn):
+    """What is between tanh and the other way looks like laws of speed; beside it, a true one is still named."""
+    plant, rng = planar(1), np.random.default_rng(3)
+    ways = {"root": lambda x: x / np.sqrt(1 + x**2), "arctan": lambda x: 2 / np.pi * np.arctan(x)}
+    plain, fast = [], []
+    for i in range(4):
+        motion = multisine(1, np.arange(1500) / 100, rng, 0.5)
+        r, dq = record(plant, f"{i}.csv", rng, 15.0, 0.005, motion), motion[1]
+        plain.append(replace(r, tau=r.tau + ways[turn](dq / 0.04) - np.tanh(dq / plant.width)))
+        fast.append(replace(plain[-1], tau=plain[-1].tau + 0.3 * dq * np.abs(dq)))
+    found = diagnose(as_set(plant, plain), jobs=1)
+    assert not found.findings
+    assert found.plain.terms[0].effect.turn == turn
+    assert found.plain.terms[0].width == pytest.approx(0.04, rel=0.05)
+    save_model(found.model, tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json").terms == found.model.terms
+    (drag,) = diagnose(as_set(plant, fast), jobs=1).findings
+    assert drag.term.effect == QuadraticDrag((0,))
+    assert drag.term.values == pytest.approx([0.3], rel=0.1)
 
 
 def by_engine(plant: Plant, name: str, rng: np.random.Generator, loss: float) -> Recording:

@@ -1,16 +1,18 @@
 """Dry friction of one joint's drive: bearings, seals and gears that rub without regard to load and speed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from rrr_oc.effects.effect import Effect
+from rrr_oc.errors import UserError
 from rrr_oc.parameters import Parameter
-from rrr_oc.smooth import sign
+from rrr_oc.smooth import TURNS, sign
 
 
 @dataclass(frozen=True)
 class DryFriction(Effect):
-    """tau = −level tanh(dq / width): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
+    """tau = −level sgn(dq): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
 
+    `turn` is how the sign changes over its width, one of `smooth.TURNS`.
     A joint at rest may carry any torque between −level and level; the law gives 0 there. So calibration leaves rests out.
     """
 
@@ -20,8 +22,17 @@ class DryFriction(Effect):
     side = "drive"
     plain = True
 
+    turn: str = field(default="tanh")
+
+    def __post_init__(self) -> None:
+        if self.turn not in TURNS:
+            raise UserError(f"dry friction changes sign by {', '.join(TURNS)}, got {self.turn!r}")
+
     def torque(self, signals, theta, width):
-        return (-theta["level"] * sign(signals.dq[self.joints[0]], width),)
+        return (-theta["level"] * sign(signals.dq[self.joints[0]], width, self.turn),)
+
+    def forms(self):
+        return tuple(replace(self, turn=turn) for turn in TURNS)
 
     def native(self, spec, joints, theta):
         """The joint's `frictionloss`: the exact law, which holds a joint at rest."""

@@ -89,6 +89,10 @@ class Empirical(Effect):
         return any(kind in ("load", "motor") for kind, _ in self.variables)
 
     @property
+    def of_speed(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.variables == (("dq", self.joints[0]),)
+
+    @property
     def depends_on(self) -> list[tuple[str, int]]:
         """The variables, and ("sign", own joint) where it turns with the direction."""
         return [*self.variables, *([("sign", self.joints[0])] if self.signed else [])]

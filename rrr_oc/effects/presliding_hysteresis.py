@@ -21,6 +21,7 @@ class PreslidingHysteresis(Effect):
     states = (Parameter("z", "1", 0.0),)
     width = Parameter("width", "rad/s", 0.0, lower=0.0)
     side = "drive"
+    of_speed = True
 
     def torque(self, signals, theta, width):
         return (-theta["level"] * signals.states[0],)
