@@ -290,7 +290,7 @@ def _blurred(bench: Bench, found: Found) -> np.ndarray:
 def _turned(bench: Bench, found: Found) -> dict[int, Term]:
     """Dry friction, by joint, that changes sign in another way than tanh and so explains what laws of speed were found for.
 
-    All of them or some: the model must fit better with the fewer.
+    All of them or some: with the fewer parameters the model must do as well (Akaike's criterion).
     """
     base, fitted, result = len(found.plain.model.terms), found.fitted, {}
     for number, plain in enumerate(found.plain.model.terms):
@@ -304,8 +304,8 @@ def _turned(bench: Bench, found: Found) -> dict[int, Term]:
 
 
 def _with_fewer(bench: Bench, fitted: Fitted, number: int, form: Effect, laws: Sequence[Term]) -> tuple[int, Fitted]:
-    """How many of some terms leave where another has this form and the fit is still better, and the fit."""
-    terms, fewer, left = list(fitted.model.terms), fitted, list(laws)
+    """How many of some terms leave where another has this form and the fit does as well, and the fit."""
+    terms, fewer, left, dropped = list(fitted.model.terms), fitted, list(laws), 0
     terms[number] = replace(terms[number], effect=form)
     while left:
         tried = []
@@ -313,7 +313,8 @@ def _with_fewer(bench: Bench, fitted: Fitted, number: int, form: Effect, laws: S
             model = replace(fitted.model, terms=tuple(t for t in terms if t is not law))
             tried.append(refit(bench, with_widths(bench.prepared, model)))
         k = min(range(len(left)), key=lambda i: tried[i].misfit)
-        if tried[k].better_than(fitted) <= 0:
+        dropped += len(left[k].estimates)
+        if tried[k].better_than(fitted) < -2 * dropped:
             break
         fewer, terms = tried[k], [t for t in terms if t is not left[k]]
         del left[k]

@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy import special
 
 
 def _either(symbolic: Callable[..., Any], numeric: Callable[..., Any]) -> Callable[..., Any]:
@@ -21,22 +22,26 @@ def _either(symbolic: Callable[..., Any], numeric: Callable[..., Any]) -> Callab
 
 
 SYMBOLIC = (ca.SX, ca.MX, ca.DM)
-TURNS = ("tanh", "root", "arctan")  # ways from −1 to 1
 cos, sin, exp, sqrt, tanh = (_either(getattr(ca, name), getattr(np, name)) for name in ("cos", "sin", "exp", "sqrt", "tanh"))
-arctan = _either(ca.atan, np.arctan)
+arctan, erf = _either(ca.atan, np.arctan), _either(ca.erf, special.erf)
 fabs, fmax, fmin = (_either(getattr(ca, name), getattr(np, name)) for name in ("fabs", "fmax", "fmin"))
 
 
-def sign(x, width, turn="tanh"):
-    """The smooth sign: tanh(x / w), x / √(x² + w²) for the turn "root", or 2/π arctan(x / w).
+TURNS: dict[str, Callable[[Any], Any]] = {  # ways from −1 to 1; the last two are not twice differentiable
+    "tanh": tanh,
+    "erf": erf,
+    "arctan": lambda x: 2 / np.pi * arctan(x),
+    "root": lambda x: x / sqrt(1 + x * x),
+    "ratio": lambda x: x / (1 + fabs(x)),
+    "clip": lambda x: fmax(-1.0, fmin(x, 1.0)),
+}
 
-    `x` and `width` in the same unit; a width of 0 gives the exact sign.
-    """
+
+def sign(x, width, turn="tanh"):
+    """The smooth sign tanh(x / width), or another of `TURNS`; `x` and `width` in the same unit, a width of 0 gives the exact sign."""
     with np.errstate(over="ignore"):
-        if turn == "root":
-            return x / sqrt(x * x + fmax(width * width, 1e-300))
         scaled = x / fmax(width, 1e-300)
-        return tanh(scaled) if turn == "tanh" else 2 / np.pi * arctan(scaled)
+    return TURNS[turn](scaled if turn == "tanh" else fmax(-1e100, fmin(scaled, 1e100)))
 
 
 def ramp(x, width):

@@ -152,11 +152,16 @@ def test_nothing_is_missing_whatever_the_width_of_dry_friction(planar, width):
     assert not diagnose(as_set(plant, made), jobs=1).findings
 
 
-@pytest.mark.parametrize("turn", ["root", "arctan"])
+@pytest.mark.parametrize("turn", ["arctan", "root", "ratio", "clip"])
 def test_dry_friction_may_change_sign_in_other_ways(planar, tmp_path, turn):
     """What is between tanh and the other way looks like laws of speed; beside it, a true one is still named."""
     plant, rng = planar(1), np.random.default_rng(3)
-    ways = {"root": lambda x: x / np.sqrt(1 + x**2), "arctan": lambda x: 2 / np.pi * np.arctan(x)}
+    ways = {
+        "arctan": lambda x: 2 / np.pi * np.arctan(x),
+        "root": lambda x: x / np.sqrt(1 + x**2),
+        "ratio": lambda x: x / (1 + np.abs(x)),
+        "clip": lambda x: np.clip(x, -1, 1),
+    }
     plain, fast = [], []
     for i in range(4):
         motion = multisine(1, np.arange(1500) / 100, rng, 0.5)

@@ -12,7 +12,7 @@ from rrr_oc.smooth import TURNS, sign
 class DryFriction(Effect):
     """tau = −level sgn(dq): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
 
-    `turn` is how the sign changes over its width, one of `smooth.TURNS`.
+    `turn` is the way in which the sign changes over its width, one of `smooth.TURNS`.
     A joint at rest may carry any torque between −level and level; the law gives 0 there. So calibration leaves rests out.
     """
 

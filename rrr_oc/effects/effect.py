@@ -124,7 +124,7 @@ class Effect(ABC):
         of_arm: Whether it belongs to no single joint (class attribute).
         of_spring: Whether it is one of a spring that a recording lists, and absent where none is (class attribute).
         of_friction: Whether it depends on `Signals.friction` (class attribute).
-        of_speed: Whether it is friction over its joint's own speed alone, as the course of plain dry friction is (class attribute).
+        of_speed: Whether it may stand for another course of plain dry friction over its joint's speed (class attribute).
         many: Whether a joint may have more than one of it (class attribute).
         simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
         mounted: Whether it is put on and taken off between recordings, hence likelier where only some have it (class attribute).

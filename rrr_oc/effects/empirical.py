@@ -90,7 +90,7 @@ class Empirical(Effect):
 
     @property
     def of_speed(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.variables == (("dq", self.joints[0]),)
+        return ("dq", self.joints[0]) in self.variables
 
     @property
     def depends_on(self) -> list[tuple[str, int]]:
