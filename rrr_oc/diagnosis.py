@@ -1,6 +1,6 @@
 """The diagnosis of a recording set: where a calibrated model fails, what it lacks, and how well it predicts once that is added."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,16 +10,15 @@ from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnose import Found, Lawless, as_seen, search, worth
-from rrr_oc.effects import Effect
-from rrr_oc.effects.dry_friction import DryFriction
+from rrr_oc.diagnose import Lawless, as_seen, search, worth
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.locate import mismatch
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet
-from rrr_oc.regression import Prepared, prepare, rows, thinned, variance, without_reversals, without_spikes
+from rrr_oc.regression import Prepared, prepare, rows, thinned, without_reversals, without_spikes
+from rrr_oc.reversals import blurred_joints, other_turns, with_turns
 from rrr_oc.signatures import view
 from rrr_oc.suggest import Suggestion, suggest
 
@@ -32,7 +31,6 @@ SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
-BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
 
@@ -131,16 +129,16 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     start = with_widths(bench.prepared, start, free=True)
     begin = replace(start, robot=plain.robot) if unknown else start
     found = search(bench, begin, report)
-    if np.any(blurred := _blurred(bench, found)):
+    if np.any(blurred := blurred_joints(bench, found)):
         names = ", ".join(np.array(recordings.joints)[blurred])
         report(f"looking for effects without the moments at which these joints reverse: {names}")
         whole, prepared = without_reversals(whole, blurred), without_reversals(prepared, blurred)
         bench = Bench(prepared, unknown)
         found = search(bench, begin, report)
-    while turned := _turned(bench, found):
+    while turned := other_turns(bench, found):
         names = ", ".join(recordings.joints[j] for j in turned)
         report(f"looking for effects where dry friction changes sign in another way: {names}")
-        plain, start, begin = (_with_turns(m, turned) for m in (plain, start, begin))
+        plain, start, begin = (with_turns(m, turned) for m in (plain, start, begin))
         plain = _final(recordings, whole, plain)
         found = search(bench, begin, report)
     fitted, findings = contested(bench, found, report)
@@ -272,63 +270,6 @@ def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
     whole = np.concatenate(errors)
     known = np.isfinite(whole)
     return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
-
-
-def _blurred(bench: Bench, found: Found) -> np.ndarray:
-    """The joints of which no law of the catalogue explains what happens when they reverse, (n,).
-
-    Abrupt dry friction may hold a joint for a moment then, and may be anything below its level; a term that no law stands behind
-    may take up even that.
-    """
-    clear = replace(bench, prepared=without_reversals(bench.prepared))
-    lawless = [j for t in found.fitted.model.terms if isinstance(t.effect, Empirical) for j in t.effect.joints]
-    models = found.fitted.model, refit(clear, found.plain.model).model
-    after, before = (variance(bench.prepared, m) > BLURRED * variance(clear.prepared, m) for m in models)
-    return after | (before & np.isin(range(bench.n), lawless))
-
-
-def _turned(bench: Bench, found: Found) -> dict[int, Term]:
-    """Dry friction, by joint, that changes sign in another way than tanh and so explains what laws of speed were found for.
-
-    All of them or some: with the fewer parameters the model must do as well (Akaike's criterion).
-    """
-    base, fitted, result = len(found.plain.model.terms), found.fitted, {}
-    for number, plain in enumerate(found.plain.model.terms):
-        if plain.effect == DryFriction(joints := plain.effect.joints):
-            laws = [t for t in fitted.model.terms[base:] if t.effect.of_speed and t.effect.joints == joints]
-            ways = [_with_fewer(bench, fitted, number, form, laws) for form in plain.effect.forms()[1:]]
-            most = max(ways, key=lambda way: (way[0], -way[1].misfit))
-            if most[0]:
-                fitted, result[joints[0]] = most[1], most[1].model.terms[number]
-    return result
-
-
-def _with_fewer(bench: Bench, fitted: Fitted, number: int, form: Effect, laws: Sequence[Term]) -> tuple[int, Fitted]:
-    """How many of some terms leave where another has this form and the fit does as well, and the fit."""
-    terms, fewer, left, dropped = list(fitted.model.terms), fitted, list(laws), 0
-    terms[number] = replace(terms[number], effect=form)
-    while left:
-        tried = []
-        for law in left:
-            model = replace(fitted.model, terms=tuple(t for t in terms if t is not law))
-            tried.append(refit(bench, with_widths(bench.prepared, model)))
-        k = min(range(len(left)), key=lambda i: tried[i].misfit)
-        dropped += len(left[k].estimates)
-        if tried[k].better_than(fitted) < -2 * dropped:
-            break
-        fewer, terms = tried[k], [t for t in terms if t is not left[k]]
-        del left[k]
-    return len(laws) - len(left), fewer
-
-
-def _with_turns(model: CalibratedModel, turned: Mapping[int, Term]) -> CalibratedModel:
-    """The model with dry friction that changes sign as these terms do."""
-
-    def alike(term: Term) -> Term:
-        other = turned.get(term.effect.joints[0]) if isinstance(term.effect, DryFriction) else None
-        return term if other is None else replace(term, effect=other.effect, width=other.width)
-
-    return replace(model, terms=tuple(alike(t) for t in model.terms))
 
 
 def _with(start: CalibratedModel, terms: Sequence[Term]) -> CalibratedModel:

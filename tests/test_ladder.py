@@ -34,7 +34,7 @@ LADDER = (
     ("recordings", ("calibrate", "evidence")),
     ("recordings", ("fitting",)),
     ("recordings", ("diagnose",)),
-    ("recordings", ("contest",)),
+    ("recordings", ("contest", "reversals")),
     ("recordings", ("locate", "suggest")),
     ("recordings", ("diagnosis",)),
     ("recordings", ("diagnosis_file",)),

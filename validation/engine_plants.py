@@ -26,6 +26,9 @@ from scipy.stats import binomtest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+# pyright: reportAttributeAccessIssue=false
+# (mujoco has no stubs)
+
 from rrr_oc.diagnosis import diagnose
 from rrr_oc.diagnosis_file import to_json
 from rrr_oc.files import write_json, write_text
