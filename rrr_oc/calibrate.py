@@ -117,11 +117,13 @@ def calibrate(recordings: RecordingSet) -> CalibratedModel:
     return fit.model
 
 
-def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False) -> CalibratedModel:
+def with_widths(
+    prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False, doubt: float = DOUBT
+) -> CalibratedModel:
     """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, that leaves the least residual.
 
     Another than the model's own only where it is better beyond doubt: where the squared residual, counted in independent
-    samples, falls by more than `DOUBT`. Inertial parameters that are to be identified are free in the comparison. All friction of a
+    samples, falls by more than `doubt`. Inertial parameters that are to be identified are free in the comparison. All friction of a
     joint changes sign alike, so the other laws of that joint get the same width.
 
     Args:
@@ -136,7 +138,8 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel, free: bool
     fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
     speeds = np.array(COURSES if free else ())[:, None] * fastest
     widths = {
-        model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds) for i in chosen
+        model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds, doubt)
+        for i in chosen
     }
     return replace(model, terms=tuple(widened(term, widths) for term in model.terms))
 
@@ -147,7 +150,7 @@ def widened(term: Term, widths: Mapping[tuple[int, ...], float]) -> Term:
     return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 
 
-def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int, speeds: np.ndarray) -> float:
+def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int, speeds: np.ndarray, doubt: float) -> float:
     """The width of a joint's dry friction, free to fall off beyond speeds (m, n), that leaves least beside all other columns."""
     (j,), own = term.effect.joints, cast(float, term.width)
     others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
@@ -161,7 +164,7 @@ def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: i
         return float(np.sum((target - laws @ np.linalg.lstsq(laws, target, rcond=1e-9)[0]) ** 2))
 
     best, count = best_width(left), found.moving[j].sum() * STRIDE / CORRELATION
-    return best if count * (left(own) / max(left(best), 1e-300) - 1) > DOUBT else own
+    return best if count * (left(own) / max(left(best), 1e-300) - 1) > doubt else own
 
 
 def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:

@@ -3,6 +3,7 @@
 How a real joint changes direction no model knows: for which of them that spoils a diagnosis, and in which way the sign changes.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -11,12 +12,12 @@ import numpy as np
 from rrr_oc.calibrate import with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.diagnose import Found
-from rrr_oc.effects import Effect
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.regression import variance, without_reversals
+from rrr_oc.smooth import TURNS
 
 BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
 
@@ -37,35 +38,53 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
 def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
     """Dry friction, by joint, that changes sign in another way than tanh and so explains what laws of speed were found for.
 
-    All of them or some: with the fewer parameters the model must do as well (Akaike's criterion).
+    All of them or some: with the fewer parameters the model must do as well (Akaike's criterion). Joints of an arm are alike, so that
+    the others follow where they do not fit worse.
     """
-    base, fitted, result = len(found.plain.model.terms), found.fitted, {}
-    for number, plain in enumerate(found.plain.model.terms):
-        if plain.effect == DryFriction(joints := plain.effect.joints):
-            laws = [t for t in fitted.model.terms[base:] if t.effect.of_speed and t.effect.joints == joints]
-            ways = [_with_fewer(bench, fitted, number, form, laws) for form in plain.effect.forms()[1:]]
-            most = max(ways, key=lambda way: (way[0], -way[1].misfit))
-            if most[0]:
-                fitted, result[joints[0]] = most[1], most[1].model.terms[number]
-    return result
+    plain, fitted, result = found.plain.model.terms, found.fitted, {}
+    tanh = [i for i, term in enumerate(plain) if term.effect == DryFriction(term.effect.joints)]
+    for number in tanh:
+        laws = [
+            t for t in fitted.model.terms[len(plain) :] if t.effect.of_speed and t.effect.joints == plain[number].effect.joints
+        ]
+        ways = [_with_fewer(bench, fitted, number, turn, laws) for turn in TURNS if turn != "tanh"]
+        most = max(ways, key=lambda way: (way[0], -way[1].misfit))
+        if most[0]:
+            fitted, result[number] = most[1], most[1].model.terms[number]
+    turns = Counter(term.effect.turn for term in result.values())
+    for number in [i for i in tanh if turns and i not in result]:
+        terms = _with_turn(fitted.model.terms, number, turns.most_common(1)[0][0])
+        tried = _as_abrupt(bench, replace(fitted.model, terms=terms))
+        if tried.better_than(fitted) > 0:
+            fitted, result[number] = tried, tried.model.terms[number]
+    return {term.effect.joints[0]: term for term in result.values()}
 
 
-def _with_fewer(bench: Bench, fitted: Fitted, number: int, form: Effect, laws: Sequence[Term]) -> tuple[int, Fitted]:
-    """How many of some terms leave where another has this form and the fit does as well, and the fit."""
-    terms, fewer, left, dropped = list(fitted.model.terms), fitted, list(laws), 0
-    terms[number] = replace(terms[number], effect=form)
+def _with_turn(terms: Sequence[Term], number: int, turn: str) -> tuple[Term, ...]:
+    term = terms[number]
+    return (*terms[:number], replace(term, effect=DryFriction(term.effect.joints, turn)), *terms[number + 1 :])
+
+
+def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: str, laws: Sequence[Term]) -> tuple[int, Fitted]:
+    """How many laws leave where a joint's dry friction has this turn and the fit does as well, and the fit."""
+    terms, fewer, left, dropped = _with_turn(fitted.model.terms, number, turn), fitted, list(laws), 0
     while left:
         tried = []
         for law in left:
             model = replace(fitted.model, terms=tuple(t for t in terms if t is not law))
-            tried.append(refit(bench, with_widths(bench.prepared, model)))
+            tried.append(_as_abrupt(bench, model))
         k = min(range(len(left)), key=lambda i: tried[i].misfit)
         dropped += len(left[k].estimates)
         if tried[k].better_than(fitted) < -2 * dropped:
             break
-        fewer, terms = tried[k], [t for t in terms if t is not left[k]]
+        fewer, terms = tried[k], tuple(t for t in terms if t is not left[k])
         del left[k]
     return len(laws) - len(left), fewer
+
+
+def _as_abrupt(bench: Bench, model: CalibratedModel) -> Fitted:
+    """The fit with the widths that are best, beyond doubt or not, since a turn is compared at its best."""
+    return refit(bench, with_widths(bench.prepared, model, doubt=0.0))
 
 
 def with_turns(model: CalibratedModel, turned: Mapping[int, Term]) -> CalibratedModel:

@@ -1,6 +1,6 @@
 """Dry friction of one joint's drive: bearings, seals and gears that rub without regard to load and speed."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from rrr_oc.effects.effect import Effect
 from rrr_oc.errors import UserError
@@ -30,9 +30,6 @@ class DryFriction(Effect):
 
     def torque(self, signals, theta, width):
         return (-theta["level"] * sign(signals.dq[self.joints[0]], width, self.turn),)
-
-    def forms(self):
-        return tuple(replace(self, turn=turn) for turn in TURNS)
 
     def native(self, spec, joints, theta):
         """The joint's `frictionloss`: the exact law, which holds a joint at rest."""
