@@ -7,6 +7,7 @@ from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel, Term, nominal_term
 from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, noisy, present, rarity, without
+from rrr_oc.effects import Effect
 from rrr_oc.effects.cable_harness import CableHarness
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.parallel_spring import ParallelSpring
@@ -68,7 +69,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
                 tried = refit(bench, tried.model)
             better = tried.better_than(fitted)
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
-            likelier = 0 if candidate.scope is None or muddled else candidate.trial.effect.mounted - own.effect.mounted
+            likelier = 0 if candidate.scope is None or muddled else _put_on(candidate.trial.effect) - _put_on(own.effect)
             lead = better + (simpler + 2 * likelier) * SAME
             if simpler <= 0:  # the simplest of equals needs no excuse
                 lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
@@ -104,6 +105,11 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         i += 1
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
+
+
+def _put_on(effect: Effect) -> bool:
+    """Whether it is, or comes with, what is put on and taken off between recordings."""
+    return effect.mounted or effect.of_spring
 
 
 def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]) -> Fitted:

@@ -295,6 +295,17 @@ def test_a_motion_is_suggested_that_tells_a_series_from_its_rival(made):
     assert apart(300.0) != apart(3.0)
 
 
+def test_a_listed_spring_that_is_stiffer_in_some_recordings_is_no_second_spring(planar):
+    plant, rng = planar(1), np.random.default_rng(14)  # by chance, a second spring fits a little better than what it is
+    made = [record(plant, f"{i}.csv", rng, 10.0, pea={0: (6.0 + 2.0 * (i % 2), 0.4)}) for i in range(4)]
+    springs = tuple((effect, {**theta, "stiffness": 6.0}) for effect, theta in made[0].springs)
+    (finding,) = diagnose(as_set(plant, [replace(r, springs=springs) for r in made]), jobs=1).findings
+    assert finding.term.effect.name == "spring_stiffness"
+    assert finding.term.groups == ("1.csv", "3.csv")
+    assert finding.term.values == pytest.approx([8 / 6], rel=0.02)
+    assert ("parallel_spring", (0,)) in finding.rivals
+
+
 @pytest.mark.parametrize(("share", "named"), [(1e-4, False), (3e-3, True)])
 def test_what_is_finer_than_any_model_is_not_named(planar, share, named):
     plant, rng = planar(1), np.random.default_rng(10)
