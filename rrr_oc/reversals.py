@@ -26,13 +26,14 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
     """The joints of which no law of the catalogue explains what happens when they reverse, (n,).
 
     Abrupt dry friction may hold a joint for a moment then, and may be anything below its level; a term that no law stands behind
-    may take up even that.
+    may take up even that, so that it is asked without such, too.
     """
-    clear = replace(bench, prepared=without_reversals(bench.prepared))
-    lawless = [j for t in found.fitted.model.terms if isinstance(t.effect, Empirical) for j in t.effect.joints]
-    models = found.fitted.model, refit(clear, found.plain.model).model
-    after, before = (variance(bench.prepared, m) > BLURRED * variance(clear.prepared, m) for m in models)
-    return after | (before & np.isin(range(bench.n), lawless))
+    clear, model = without_reversals(bench.prepared), found.fitted.model
+    lawful = replace(model, terms=tuple(t for t in model.terms if not isinstance(t.effect, Empirical)))
+    result = np.zeros(bench.n, bool)
+    for one in (model,) if len(lawful.terms) == len(model.terms) else (model, refit(bench, lawful).model):
+        result |= variance(bench.prepared, one) > BLURRED * variance(clear, one)
+    return result
 
 
 def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
