@@ -129,6 +129,7 @@ def with_widths(
     Args:
         free: Whether the course of friction over speed is left open in the comparison, so that a law which the model lacks is not
             taken for an abrupt sign.
+        doubt: 0 for the best width, beyond doubt or not.
     """
     columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
     chosen = [i for i, t in enumerate(model.terms) if isinstance(t.effect, DryFriction) and t.width is not None]

@@ -27,7 +27,8 @@ from rrr_oc.recordings import Recording
 from rrr_oc.regression import prepare
 from rrr_oc.robot import load_robot
 from rrr_oc.signatures import columns, context, table, trials, view
-from rrr_oc.smooth import ramp, ramp_integral
+from rrr_oc.smooth import TURNS, ramp, ramp_integral
+from rrr_oc.smooth import sign as smooth_sign
 
 WINDINGS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
 SPRINGS = [ParallelSpring((1,), "below"), ParallelSpring((1,), "above"), *[BiarticularSpring((1, 2), w) for w in WINDINGS]]
@@ -148,6 +149,18 @@ def test_what_stores_energy_gives_it_back(name):
             np.testing.assert_allclose(
                 -np.array(gradient(at)).ravel(), torques(effect, at, np.array([*theta.values()]), 0.3), atol=1e-10
             )
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_every_way_to_change_sign_is_odd_monotonic_and_exact_in_the_limit(turn):
+    x, at = ca.SX.sym("x"), np.linspace(-3, 3, 61)
+    for width in (0.3, 0.0):
+        symbolic = np.array(ca.Function("sign", [x], [smooth_sign(x, width, turn)])(at)).ravel()
+        np.testing.assert_allclose(symbolic, found := smooth_sign(at, width, turn), atol=1e-12)
+        np.testing.assert_allclose(found, -found[::-1], atol=1e-12)
+        assert np.all(np.diff(found) >= 0)
+    np.testing.assert_array_equal(found, np.sign(at))
+    assert smooth_sign(1e9, 0.3, turn) == pytest.approx(1.0, abs=1e-8)
 
 
 @pytest.mark.parametrize("width", [1e-3, 0.7])

@@ -5,7 +5,8 @@
 Serial arms of 1 to 7 joints with random links, axes, friction and armature follow multisines or go from point to point, with and
 without stops, under a stiff controller. Dry friction is MuJoCo's constraint, which holds a joint, or a torque that changes sign in one
 of five ways over a random width. Sampling, resolution and noise are random, too; speeds, current and inertial parameters are given or
-not. Three sets of five have nothing missing, the others have one effect. A set that is done is not done again.
+not. Three sets of five have nothing missing, the others have one effect: a payload and a harness in every other recording, the rest in
+all. A set that is done is not done again. The plant shares no physics with the package.
 """
 
 import json
@@ -63,6 +64,8 @@ class Plant:
     """What a set is made with, drawn from its number.
 
     Attributes:
+        urdf: Its text.
+        tip: Where the last link holds a payload, along its x axis [m].
         effect: What is hidden, or "nothing".
         joint: Where.
         strength: Of the effect, about 1.
