@@ -203,7 +203,7 @@ def _next(
             chosen = other
         planned = laws or []
     report(f"{described(chosen[2], fitted.model)}: evidence {chosen[0]:.0f}")
-    if chosen[2].trial.effect.simulated:
+    if chosen[2].trial.effect.abrupt:
         return _best_start(bench, chosen[1].model, (0.8, 1.0, 1.2)), planned
     return refit(bench, chosen[1].model), planned
 
@@ -234,7 +234,7 @@ def _beside(bench: Bench, j: int, plain: Fitted, named: Best, other: Best) -> bo
 def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> Fitted:
     """The model with a candidate, fitted; where all is linear, as the evidence has it already."""
     model, effect = extended(fitted.model, candidate), candidate.trial.effect
-    if effect.simulated:
+    if effect.abrupt:
         return _best_start(bench, model, (1.0,), fitted.rows)
     if not effect.linear:
         return refit(bench, model, without_last=fitted.rows)
@@ -281,7 +281,7 @@ def worth(plain, less, more):
 def _settled(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> bool:
     """Whether a candidate that acts in a few places only leaves nothing but noise, and is beyond chance there."""
     effect = candidate.trial.effect
-    return not effect.simulated and not noisy(bench, fitted) and robust_p(evidence, candidate) * evidence.tests < DOUBT
+    return not effect.abrupt and not noisy(bench, fitted) and robust_p(evidence, candidate) * evidence.tests < DOUBT
 
 
 def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> float:

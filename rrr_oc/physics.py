@@ -1,6 +1,6 @@
 """What is at work in one recording, with numbers: the torques that its motion needs, and what sensors make of them."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
@@ -15,6 +15,7 @@ from rrr_oc.savitzky_golay import smooth
 
 DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
 PARTS = 4  # of a sample's step, for internal states
+SWEEPS = 2  # over the links that move by themselves, for what they do to one another and what is not linear
 Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
 
@@ -55,10 +56,13 @@ class Physics:
 
     def shift(self, recording: Recording) -> np.ndarray:
         """What the links move otherwise than the recorded motion: q, dq, ddq, one below the other, (3 n, K)."""
-        return _summed(self._moved(recording), recording)
+        return _summed(self._moved(recording)[0], recording)
 
-    def _moved(self, recording: Recording) -> Shifts:
-        """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift."""
+    def _moved(self, recording: Recording) -> tuple[Shifts, Reaction]:
+        """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift.
+
+        Beside them what the links that move by themselves meet.
+        """
         return self._once("moved", self._find_moved, recording)
 
     def _once(self, what: str, find: Callable[[Recording], Any], recording: Recording) -> Any:
@@ -67,24 +71,32 @@ class Physics:
             self.known[what] = recording, find(recording)
         return self.known[what][1]
 
-    def _find_moved(self, recording: Recording) -> Shifts:
+    def _find_moved(self, recording: Recording) -> tuple[Shifts, Reaction]:
         found: Shifts = {}
         total = _summed(found, recording)
         motion = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
-        for simulated in (False, True):  # what a link does in its gap follows from the motion that all else makes
-            effects = [one for one in motion if one[1].simulated == simulated]
-            if effects:
-                load = self._load(recording, total)
-                if not simulated:  # load and shift are to agree: once more with the shift, smooth, for it is differentiated
-                    first = np.sum([moved(recording, e, theta, width, load, None) for _, e, theta, width in effects], axis=0)
-                    slow = smooth(recording.t, first[: len(load)], recording.segments)
-                    load = self._load(recording, _with_derivatives(recording, slow))
-                reaction = cache(partial(self._reaction, recording, load, total))
-                for i, effect, theta, width in effects:
-                    shift = partial(moved, recording, effect, width=width, load=load, reaction=reaction)
-                    found[i] = shift, shift(theta)
-                total = _summed(found, recording)
-        return found
+        reaction: Reaction = partial(self._reaction, recording, np.zeros_like(recording.q), total)
+        rigid, alone = ([one for one in motion if one[1].simulated == simulated] for simulated in (False, True))
+        if rigid:  # load and shift are to agree: once more with the shift, smooth, for it is differentiated
+            load = self._load(recording, total)
+            first = np.sum([moved(recording, e, theta, width, load, None) for _, e, theta, width in rigid], axis=0)
+            slow = smooth(recording.t, first[: len(load)], recording.segments)
+            load = self._load(recording, _with_derivatives(recording, slow))
+            for i, effect, theta, width in rigid:
+                shift = partial(moved, recording, effect, width=width, load=load, reaction=None)
+                found[i] = shift, shift(theta)
+        for _ in range(SWEEPS if alone else 0):  # what a link does behind its gear follows from the motion that all else makes
+            total = _summed(found, recording)
+            load = self._load(recording, total)
+            reaction = cache(partial(self._reaction, recording, load, total))
+            for i, effect, theta, width in alone:
+                (j,) = effect.joints
+                needed = load.copy()  # by the link if it moved with its drive
+                if i in found:
+                    needed[j] -= np.sum(np.array(reaction(j)) * found[i][1][[j, 2 * len(load) + j]], axis=0)
+                shift = partial(moved, recording, effect, width=width, load=needed, reaction=reaction)
+                found[i] = shift, shift(theta)
+        return found, reaction
 
     def _load(self, recording: Recording, shift: np.ndarray) -> np.ndarray:
         """Load torque (n, K) [Nm] of the motion that differs from the recorded one by `shift` (3 n, K)."""
@@ -109,7 +121,7 @@ class Physics:
             true: What a perfect sensor has, (n, K) [Nm].
             load: Whether that is the load torque, not the motor torque.
         """
-        named, shifts, states = self.named(), self._moved(recording), self.states(recording)
+        named, shifts, states = self.named(), self._moved(recording)[0], self.states(recording)
         base, total, result = self.recorded(recording, true), _summed(shifts, recording), []
         first = np.cumsum([0, *(len(effect.parameters) for effect, *_ in named)])
         for i in numbers:
@@ -128,6 +140,25 @@ class Physics:
                 columns[:, :, k] = (there.recorded(recording, torque) - base) / step
             result.append(columns)
         return result
+
+    def starts(self, recording: Recording, load: bool) -> np.ndarray:
+        """By how much what is recorded may differ because nobody knows how a stretch began, (number, n, K) [Nm], to first order.
+
+        Args:
+            load: Whether the load torque is recorded, not the motor torque.
+        """
+        (shifts, reaction), states, n = self._moved(recording), self.states(recording), len(recording.q)
+        total, base, named, found = _summed(shifts, recording), self.torques(recording)[load], self.named(), []
+        for effect, theta, _ in (named[i] for i in shifts if named[i][0].simulated):
+            (j,) = effect.joints
+            stiffness, inertia = reaction(j)
+            parts = [effect.free(recording.t[s], stiffness[s], inertia[s], theta) for s in recording.segments]
+            for k in range(len(parts[0])):
+                there = total.copy()
+                for s, part in zip(recording.segments, parts, strict=True):
+                    there[[j, n + j, 2 * n + j], s] += DIFFERENCE * part[k]
+                found.append(self._moving(recording, there, states)[load] - base)
+        return np.array([self.passed_on(recording, x) for x in found]).reshape(-1, n, len(recording.t)) / DIFFERENCE
 
     def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
         """What sensors make of a torque (n, K), as the effects of the side "sensor" say."""

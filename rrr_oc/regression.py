@@ -28,6 +28,7 @@ ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivati
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
+FELT = 1e-3  # Nm for a start 1 rad or 1 rad/s off: what is less has died away
 ROUNDING = 1e-10  # Nm: derivatives by a parameter (of 1 or its value, if more) that are all below it are rounding
 THIN = 0.012  # [s] between samples of recordings that were sampled faster, where many models are to be compared
 LONGEST, PIECE = 1200.0, 20.0  # [s]: what many models are compared on at most, and the pieces it is then made of
@@ -196,9 +197,49 @@ def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedM
 
     Those of parameters that enter linearly (`is_linear`) change neither with the parameters nor with the torque.
     """
-    return replace(
-        found, residual=np.concatenate([p.passed(residuals(p, model), range(len(p.measured))) for p in prepared], axis=1)
-    )
+    return replace(found, residual=np.concatenate([_left(p, model) for p in prepared], axis=1))
+
+
+def _left(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
+    """Filtered residuals at the rows that are kept, (n, kept), whatever the start of each stretch was."""
+    r, physics = prepared.recording, model.physics(prepared.recording)
+    residual = prepared.measured - physics.recorded(r, model.true_torque(r, physics))
+    return _Starts.of(prepared, model, physics).cleared(prepared.passed(residual, range(len(residual))))
+
+
+@dataclass(frozen=True)
+class _Starts:
+    """What unknown starts of the stretches may add to filtered torques: for each joint an orthonormal basis (kept, number)."""
+
+    bases: tuple[np.ndarray, ...]
+
+    @classmethod
+    def of(cls, prepared: Prepared, model: CalibratedModel, physics: Physics) -> "_Starts":
+        r, n = prepared.recording, len(prepared.measured)
+        if not any(effect.simulated for effect in physics.model.effects):
+            return cls(())
+        found = physics.starts(r, model.torque == "load")
+        if not len(found):
+            return cls(())
+        passed = prepared.passed(found.reshape(-1, len(r.t)), np.tile(np.arange(n), len(found))).reshape(len(found), n, -1)
+        columns = [np.where(_within(s, passed.shape[2]), x, 0.0) for x in passed for s in kept_rows(r)[1]]
+        return cls(tuple(_basis(np.array([x[j] for x in columns]).T) for j in range(n)))
+
+    def cleared(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (n, kept) or (n, kept, p) less what a start may explain."""
+        if not self.bases:
+            return rows
+        return np.array([x - basis @ (basis.T @ x) for basis, x in zip(self.bases, rows, strict=True)])
+
+
+def _within(stretch: slice, count: int) -> np.ndarray:
+    return (np.arange(count) >= stretch.start) & (np.arange(count) < stretch.stop)
+
+
+def _basis(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal columns that span these, but for what has died away."""
+    u, size, _ = np.linalg.svd(columns, full_matrices=False)
+    return u[:, size > FELT]
 
 
 def is_linear(prepared: Sequence[Prepared], model: CalibratedModel) -> bool:
@@ -252,7 +293,7 @@ def variance(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray
     """Of the filtered residuals, over what samples of white noise of variance 1 would leave in the rows that count, (n,)."""
     square = white = 0.0
     for p in prepared:
-        square = square + np.sum(p.passed(residuals(p, model), range(len(p.measured))) ** 2, axis=1)
+        square = square + np.sum(_left(p, model) ** 2, axis=1)
         white = white + np.sum((p.matrix.multiply(p.matrix) @ p.moving.T).T * p.counted, axis=1)
     return square / np.maximum(white, 1e-300)
 
@@ -313,9 +354,10 @@ def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool
     used = np.flatnonzero(np.any(columns != 0, axis=1))
     filtered = np.zeros((n * p, len(kept)))
     filtered[used] = prepared.passed(columns[used], used // p)
+    starts = _Starts.of(prepared, model, physics)
     return Rows(
-        residual=prepared.passed(residual, range(n)),
-        jacobian=np.moveaxis(filtered.reshape(n, p, len(kept)), 1, 2),
+        residual=starts.cleared(prepared.passed(residual, range(n))),
+        jacobian=starts.cleared(np.moveaxis(filtered.reshape(n, p, len(kept)), 1, 2)),
         moving=prepared.counted,
         stretches=stretches,
         durations=durations,

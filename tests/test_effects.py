@@ -540,9 +540,10 @@ def test_what_is_said_of_an_effect_holds(name):
     theta, arrays = admissible(effect, rng), random_signals(rng)
     before, after = (law(effect, {**arrays, "load": load}, theta) for load in (arrays["load"], 1.1 * arrays["load"]))
     differs = bool(np.any(np.abs(before - after) > 1e-9))
-    of_load = effect.load_dependent or name in ("torque_gain", "joint_elasticity")  # "load" of a sensor is the true torque
+    of_load = effect.load_dependent or name == "torque_gain"  # "load" of a sensor is the true torque
     assert differs == of_load
-    assert (before.size > 0 and bool(np.any(before != 0))) == (effect.side != "body" and name not in ("backlash", "time_delay"))
+    nothing = effect.side == "body" or effect.simulated or name == "time_delay"
+    assert (before.size > 0 and bool(np.any(before != 0))) == (not nothing)
 
 
 def test_laws_at_their_ends():
@@ -567,8 +568,6 @@ def test_laws_at_their_ends():
     np.testing.assert_allclose(ripple, 2 * np.sin(7 * q + 0.3), rtol=1e-12)
     drag = law(placed("quadratic_drag"), arrays, {"coefficient": 0.4})[0]
     np.testing.assert_allclose(drag, -0.4 * dq**2 * np.sign(dq), rtol=1e-12)
-    twist = law(placed("joint_elasticity"), arrays, {"stiffness": 800.0})[1]
-    np.testing.assert_allclose(twist, -arrays["load"][1] / 800, rtol=1e-12)
 
 
 # --- through a model of recordings ---
@@ -631,12 +630,12 @@ def test_signatures_are_the_slopes_of_predictions(name, arm):
     for trial in some(by_name[name]):
         raw = columns(at, trial)
         size = np.sqrt(np.mean(raw**2, axis=(1, 2))).max()
-        if size < 1e-9 or (name == "backlash" and trial.size > 0.005):
-            continue  # a wide gap is not small
+        if size < 1e-9 or (name in ("backlash", "joint_elasticity") and trial.size > 0.005):
+            continue  # a wide gap and a soft gear are not small
         seen += 1
         wanted = 1e-6 * np.sqrt(np.mean(plain**2))  # so small that squares of it do not show
         coefficients = rng.uniform(0.3, 1, len(raw)) * wanted / size
-        if name in ("backlash", "time_delay"):  # signals are shifted by whole finite amounts
+        if name in ("backlash", "time_delay") or (name == "joint_elasticity" and trial.size > 1e-6):  # signals are shifted by whole finite amounts
             coefficients = np.array([trial.size])
         change = extended(model, trial, coefficients).output_torque(recording) - plain
         expected = np.einsum("k,kit->it", coefficients, raw)
@@ -655,7 +654,7 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
     assert 0.2 * len(every) < len(known[0]) < len(every)
     more = {"load_dependent_friction": 0.1, "torque_gain": -0.2, "joint_elasticity": 800.0, "payload_mass": 1.0}
     added = tuple(
-        Term(e, tuple(Estimate(v) for _ in e.parameters), e.width and 0.05)
+        Term(e, tuple(Estimate(v if p.name in e.amplitudes else p.nominal) for p in e.parameters), e.width and 0.05)
         for e, v in ((placed(n), v) for n, v in more.items())
     )
     other = replace(model, terms=(*(t.with_values(1.3 * t.values) for t in model.terms), *added))

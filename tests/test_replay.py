@@ -71,6 +71,6 @@ def test_the_twin_of_a_repaired_model_follows_with_the_torque_that_is_predicted(
 
 def test_gears_that_give_are_turned_away(plain):
     model, recording = plain
-    term = Term(CATALOGUE["joint_elasticity"]((1,)), (Estimate(500.0),))
+    term = Term(CATALOGUE["joint_elasticity"]((1,)), (Estimate(500.0), Estimate(0.1)))
     with pytest.raises(UserError, match="one coordinate a joint"):
         replay(replace(model, terms=(*model.terms, term)), recording, tracking_controller(model))

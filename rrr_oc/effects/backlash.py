@@ -26,6 +26,7 @@ class Backlash(Effect):
     parameters = (Parameter("gap", "rad", 0.0, lower=0.0),)
     amplitudes = ("gap",)
     side = "motion"
+    abrupt = True
     simulated = True
 
     impacts: bool = field(default=True)

@@ -126,6 +126,7 @@ class Effect(ABC):
         of_friction: Whether it depends on `Signals.friction` (class attribute).
         of_speed: Whether it may stand for another course of plain dry friction over its joint's speed (class attribute).
         many: Whether a joint may have more than one of it (class attribute).
+        abrupt: Whether predictions are no smooth function of its parameters (class attribute).
         simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
         mounted: Whether it is put on and taken off between recordings, hence likelier where only some have it (class attribute).
         joints: Indices of the joints it acts on.
@@ -146,6 +147,7 @@ class Effect(ABC):
     of_friction: ClassVar[bool] = False
     of_speed: ClassVar[bool] = False
     many: ClassVar[bool] = False
+    abrupt: ClassVar[bool] = False
     simulated: ClassVar[bool] = False
     mounted: ClassVar[bool] = False
 
@@ -185,6 +187,10 @@ class Effect(ABC):
             stiffness, inertia: By how much that torque grows with the joint's position and acceleration, (K,).
         """
         raise NotImplementedError
+
+    def free(self, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
+        """What may be added to `motion` since nobody knows how a stretch began, (number, 3, K), to first order; often nothing."""
+        return np.zeros((0, 3, len(t)))
 
     def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> bool:
         """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""

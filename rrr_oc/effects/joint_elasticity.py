@@ -1,27 +1,105 @@
 """A transmission that twists under load."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rrr_oc.effects.effect import Effect
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_banded
+
+from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
+
+TIME = 0.002  # of damping, before it was fitted [s]
+STABLE = 0.05  # of the stiffness, that gravity and springs leave at the least
 
 
 @dataclass(frozen=True)
 class JointElasticity(Effect):
-    """q_link = theta − tau_l/stiffness; positions are the motor's (Spong 1987, without the link's own ringing)."""
+    """tau_l = stiffness (twist + damping_time · rate of twist), twist = theta − q_link; positions are the motor's (Spong 1987).
+
+    The link moves by itself behind its spring: with x = q_link − theta, and M, K by how much the torque that the rigid motion needs
+    grows with acceleration and position, M x'' + stiffness damping_time x' + (stiffness + K) x = −tau_rigid.
+    """
 
     name = "joint_elasticity"
-    equation = "q_link = theta - tau_l / stiffness"
-    parameters = (Parameter("stiffness", "Nm/rad", 1e6, lower=1.0),)
+    equation = "tau_l = stiffness (theta - q_link + damping_time (dtheta - dq_link))"
+    parameters = (
+        Parameter("stiffness", "Nm/rad", 1e6, lower=1.0),
+        Parameter("damping_time", "s", TIME, lower=0.0, upper=0.05),
+    )
     amplitudes = ("stiffness",)
     side = "motion"
+    simulated = True
 
     def torque(self, signals, theta, width):
         return (0 * signals.q[self.joints[0]],)
 
-    def shift(self, signals, theta, width):
-        return (-signals.load[self.joints[0]] / theta["stiffness"],)
+    def motion(self, t, load, stiffness, inertia, theta):
+        """Exact for a load that is a cubic spline of the samples, with M and K constant in a sample's step; steady at the start."""
+        if len(t) < 3:
+            return np.zeros((3, len(t)))
+        link = _Link.of(t, stiffness, inertia, theta)
+        p = -CubicSpline(t, load).c[::-1] / link.total  # of ascending powers: where the link is when it neither rings nor lags
+        p[2] -= 3 * link.damping / link.total * p[3]
+        p[1] -= 2 * link.damping / link.total * p[2] + 6 * link.mass / link.total * p[3]
+        p[0] -= link.damping / link.total * p[1] + 2 * link.mass / link.total * p[2]
+        swing = int(np.searchsorted(t - t[0], np.pi * np.sqrt(link.mass[0] / link.total[0])))  # samples in half a period
+        speed = p[1, 0] if swing < 3 else -np.polyfit(t[:swing] - t[0], load[:swing], 1)[0] / link.total[0]
+        return link.along(p, (p[0, 0], speed))
+
+    def free(self, t, stiffness, inertia, theta):
+        if len(t) < 3:
+            return np.zeros((2, 3, len(t)))
+        link = _Link.of(t, stiffness, inertia, theta)
+        return np.array([link.along(np.zeros((4, len(t) - 1)), start) for start in np.eye(2)])
 
     def combined(self, points, coefficients):
-        """The shift is linear in the compliance."""
-        return {"stiffness": 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0}
+        """The twist is nearly linear in the compliance."""
+        return {"stiffness": 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0, "damping_time": TIME}
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for stiffness in (1e9, 1000.0, 400.0, 160.0, 60.0, 25.0):
+                yield Trial(cls((j,)), ({"stiffness": stiffness, "damping_time": TIME},), 1 / stiffness)
+
+
+@dataclass(frozen=True)
+class _Link:
+    """A link behind its spring, M x'' + damping x' + total x = a polynomial, over each of K − 1 steps.
+
+    Attributes:
+        step: [s].
+        mass, total: Inertia [kg m²] and stiffness, gravity and springs included [Nm/rad].
+        damping: The same for all [Nm s/rad].
+    """
+
+    step: np.ndarray
+    mass: np.ndarray
+    total: np.ndarray
+    damping: float
+
+    @classmethod
+    def of(cls, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> "_Link":
+        own = theta["stiffness"]
+        mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, least) for x, least in ((inertia, 1e-9), (stiffness, (STABLE - 1) * own)))
+        return cls(np.diff(t), mass, own + rest, own * theta["damping_time"])
+
+    def along(self, p: np.ndarray, start: tuple[float, float]) -> np.ndarray:
+        """Position, speed and acceleration (3, K) from a start, where the powers `p` (4, K − 1) are one solution in each step."""
+        h, decay, square = self.step, self.damping / self.mass / 2, self.total / self.mass
+        end = np.array([((p[3] * h + p[2]) * h + p[1]) * h + p[0], (3 * p[3] * h + 2 * p[2]) * h + p[1]])
+        root = np.sqrt((decay**2 - square).astype(complex))
+        root = np.where(np.abs(root) < 1e-6 * np.sqrt(square), 1e-6 * np.sqrt(square), root)  # critically damped
+        slow, fast = np.exp((root - decay) * h), np.exp((-root - decay) * h)
+        even, odd = ((slow + fast) / 2).real, ((slow - fast) / (2 * root)).real
+        keep = np.array([[even + decay * odd, odd], [-square * odd, even - decay * odd]])
+        gain = end - np.einsum("ijk,jk->ik", keep, p[:2])
+        bands = np.zeros((4, 2 * len(h) + 2))  # position and speed at a sample from those at the one before
+        bands[0] = 1.0
+        bands[2, 0:-2:2], bands[1, 1:-2:2], bands[3, 0:-2:2], bands[2, 1:-2:2] = -keep.reshape(4, -1)
+        x, v = solve_banded((3, 0), bands, np.concatenate([[start], gain.T]).reshape(-1), check_finite=False).reshape(-1, 2).T
+        a = 2 * p[2] - 2 * decay * (v[:-1] - p[1]) - square * (x[:-1] - p[0])
+        last = 2 * p[2, -1] + 6 * p[3, -1] * h[-1] - 2 * decay[-1] * (v[-1] - end[1, -1]) - square[-1] * (x[-1] - end[0, -1])
+        return np.array([x, v, np.append(a, last)])
