@@ -144,19 +144,23 @@ class Physics:
     def starts(self, recording: Recording, load: bool) -> np.ndarray:
         """By how much what is recorded may differ because nobody knows how a stretch began, (number, n, K) [Nm], to first order.
 
+        For starts that are as far off as the links move otherwise than recorded, on the average.
+
         Args:
             load: Whether the load torque is recorded, not the motor torque.
         """
         (shifts, reaction), states, n = self._moved(recording), self.states(recording), len(recording.q)
         total, base, named, found = _summed(shifts, recording), self.torques(recording)[load], self.named(), []
-        for effect, theta, _ in (named[i] for i in shifts if named[i][0].simulated):
+        for i in [i for i in shifts if named[i][0].simulated]:
+            effect, theta, _ = named[i]
             (j,) = effect.joints
             stiffness, inertia = reaction(j)
             parts = [effect.free(recording.t[s], stiffness[s], inertia[s], theta) for s in recording.segments]
             for k in range(len(parts[0])):
                 there = total.copy()
+                usual = float(np.sqrt(np.mean(shifts[i][1][k * n + j] ** 2)))
                 for s, part in zip(recording.segments, parts, strict=True):
-                    there[[j, n + j, 2 * n + j], s] += DIFFERENCE * part[k]
+                    there[[j, n + j, 2 * n + j], s] += DIFFERENCE * usual * part[k]
                 found.append(self._moving(recording, there, states)[load] - base)
         return np.array([self.passed_on(recording, x) for x in found]).reshape(-1, n, len(recording.t)) / DIFFERENCE
 

@@ -28,7 +28,7 @@ ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivati
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
-FELT = 1e-3  # Nm for a start 1 rad or 1 rad/s off: what is less has died away
+FELT = 1e-3  # of a recording's torque: what the start of a stretch adds, and is less, is not felt
 ROUNDING = 1e-10  # Nm: derivatives by a parameter (of 1 or its value, if more) that are all below it are rounding
 THIN = 0.012  # [s] between samples of recordings that were sampled faster, where many models are to be compared
 LONGEST, PIECE = 1200.0, 20.0  # [s]: what many models are compared on at most, and the pieces it is then made of
@@ -223,7 +223,8 @@ class _Starts:
             return cls(())
         passed = prepared.passed(found.reshape(-1, len(r.t)), np.tile(np.arange(n), len(found))).reshape(len(found), n, -1)
         columns = [np.where(_within(s, passed.shape[2]), x, 0.0) for x in passed for s in kept_rows(r)[1]]
-        return cls(tuple(_basis(np.array([x[j] for x in columns]).T) for j in range(n)))
+        whole = np.linalg.norm(prepared.passed(prepared.measured, range(n)), axis=1)
+        return cls(tuple(_basis(np.array([x[j] for x in columns]).T, FELT * whole[j]) for j in range(n)))
 
     def cleared(self, rows: np.ndarray) -> np.ndarray:
         """Rows (n, kept) or (n, kept, p) less what a start may explain."""
@@ -236,10 +237,10 @@ def _within(stretch: slice, count: int) -> np.ndarray:
     return (np.arange(count) >= stretch.start) & (np.arange(count) < stretch.stop)
 
 
-def _basis(columns: np.ndarray) -> np.ndarray:
-    """Orthonormal columns that span these, but for what has died away."""
+def _basis(columns: np.ndarray, least: float) -> np.ndarray:
+    """Orthonormal columns that span these, but for what is less or has died away."""
     u, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return u[:, size > FELT]
+    return u[:, size > least]
 
 
 def is_linear(prepared: Sequence[Prepared], model: CalibratedModel) -> bool:

@@ -12,11 +12,14 @@ import pytest
 from chains import arm as chain
 from chains import random_chain
 from recorded import Plant, as_set, multisine, record
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import lsq_linear
 
 from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model, with_parameter_values, with_widths
 from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, Term, load_model, nominal_term, save_model
+from rrr_oc.effects.joint_elasticity import JointElasticity
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.importers import import_prototype
@@ -297,6 +300,33 @@ def test_nonlinear_terms_are_fitted_together(tmp_path):
     spring = nominal_term(ParallelSpring((0,), active="below")).with_values(np.array([2.0, 0.0]))
     model = fit_terms(recordings, prepare(recordings), replace(start, terms=(*start.terms, spring))).model
     np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2, 6.0, 0.2], rtol=0.02)
+
+
+def test_an_elastic_gear_is_fitted_whatever_the_links_start_was(tmp_path):
+    """The link by an adaptive integrator on Pinocchio's forward dynamics; it begins without twist, so that it swings at first."""
+    plant, rng, stiffness, time, made = one(folder=tmp_path), np.random.default_rng(31), 8.0, 0.004, []
+    data = plant.model.createData()
+    for i in range(3):
+        t = np.arange(1500) / 100
+        motion = multisine(1, t, rng)
+        curve = CubicHermiteSpline(t, motion[0][0], motion[1][0])
+
+        def through(at, x, curve=curve):
+            return stiffness * (curve(at) - x[0] + time * (curve(at, 1) - x[1]))
+
+        def slope(at, x, through=through):
+            return [x[1], pin.aba(plant.model, data, x[:1], x[1:], np.array([through(at, x)]))[0]]
+
+        link = solve_ivp(slope, (0, t[-1]), [curve(0), curve(0, 1)], t_eval=t, rtol=1e-8, atol=1e-10).y
+        recorded = record(plant, f"{i}.csv", rng, 15.0, motion=motion)
+        drive = plant.torque(*motion) - plant.load(*motion)
+        noise = 0.005 * rng.standard_normal(t.size)
+        made.append(replace(recorded, tau=drive + through(t, link) + noise))
+    recordings = as_set(plant, made)
+    start = plain_model(recordings)
+    gear = nominal_term(JointElasticity((0,))).with_values(np.array([100.0, 0.001]))
+    model = fit_terms(recordings, prepare(recordings), replace(start, terms=(*start.terms, gear))).model
+    np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2, stiffness, time], rtol=0.02)
 
 
 def test_intervals_cover_under_autocorrelated_noise():

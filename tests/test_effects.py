@@ -513,6 +513,28 @@ def test_bristles_give_back_no_more_than_they_took():
     np.testing.assert_allclose(law(effect, edge, theta, 0.0)[1], 0, atol=1e-9)  # it slips
 
 
+@pytest.mark.parametrize(("stiffness", "time"), [(40.0, 0.01), (40.0, 0.05), (2000.0, 0.002)])
+def test_a_link_behind_its_spring_against_an_adaptive_integrator(stiffness, time):
+    """Under a load, an inertia and a gravity that change, sampled unevenly, as it begins and when it begins otherwise."""
+    t = np.sort(np.arange(400) / 100 + np.random.default_rng(15).uniform(-2e-3, 2e-3, 400))
+    theta, effect = {"stiffness": stiffness, "damping_time": time}, placed("joint_elasticity")
+
+    def given(at):
+        return 10 * np.sin(2 * at) + 4 * np.cos(3 * at), 5 * np.cos(at), 0.3 + 0.1 * np.sin(2 * at)
+
+    def slope(at, y):
+        load, more, mass = given(at)
+        return [y[1], -(load + (stiffness + more) * y[0] + stiffness * time * y[1]) / mass]
+
+    found = effect.motion(t, *given(t), theta)
+    for more, off in ((np.zeros((3, t.size)), np.zeros(2)), *zip(effect.free(t, *given(t)[1:], theta), np.eye(2), strict=True)):
+        start = found[:2, 0] + off
+        exact = solve_ivp(slope, (t[0], t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-11).y
+        exact = np.array([*exact, [slope(*x)[1] for x in zip(t, exact.T, strict=True)]])
+        off = np.abs(found + more - exact).max(axis=1) / np.abs(exact).max(axis=1)
+        assert np.all(off < (0.002, 0.01, 0.05)), off
+
+
 def test_bristles_between_samples_follow_the_motion():
     """Against an adaptive integrator on the motion itself, which turns around within the bristles' reach and few samples."""
     t, size, turn = np.arange(200) / 100, 0.01, 30.0

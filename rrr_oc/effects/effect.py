@@ -189,7 +189,7 @@ class Effect(ABC):
         raise NotImplementedError
 
     def free(self, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
-        """What may be added to `motion` since nobody knows how a stretch began, (number, 3, K), to first order; often nothing."""
+        """What adds to `motion` when a stretch begins 1 rad or 1 rad/s off, (2, 3, K), to first order; () where that is known."""
         return np.zeros((0, 3, len(t)))
 
     def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> bool:

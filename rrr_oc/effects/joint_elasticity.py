@@ -9,8 +9,10 @@ from scipy.linalg import solve_banded
 
 from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
+from rrr_oc.savitzky_golay import smooth
 
 TIME = 0.002  # of damping, before it was fitted [s]
+WINDOW = 0.2  # over which the load is smoothed [s], since a link rings on the noise of accelerations, too
 STABLE = 0.05  # of the stiffness, that gravity and springs leave at the least
 
 
@@ -36,10 +38,11 @@ class JointElasticity(Effect):
         return (0 * signals.q[self.joints[0]],)
 
     def motion(self, t, load, stiffness, inertia, theta):
-        """Exact for a load that is a cubic spline of the samples, with M and K constant in a sample's step; steady at the start."""
+        """Exact for a load that is a cubic spline of samples, smoothed, with M and K constant in each step; steady at the start."""
         if len(t) < 3:
             return np.zeros((3, len(t)))
         link = _Link.of(t, stiffness, inertia, theta)
+        load = smooth(t, load[None], (slice(0, len(t)),), WINDOW)[0]
         p = -CubicSpline(t, load).c[::-1] / link.total  # of ascending powers: where the link is when it neither rings nor lags
         p[2] -= 3 * link.damping / link.total * p[3]
         p[1] -= 2 * link.damping / link.total * p[2] + 6 * link.mass / link.total * p[3]
