@@ -6,7 +6,7 @@ models with different values run side by side, in any number of threads. A model
 
 The callback runs at every evaluation of the dynamics, so at every stage of RK4, before the engine knows accelerations. What
 depends on the load torque needs them: the code solves the equations of motion for them, with the actuators' torque, and the
-friction and armature of the joints, as the engine will have them. Internal states are activations of actuators without force,
+friction and armature of the joints, as the engine will have them (or, behind a gear that gives, takes those of one step ago). Internal states are activations of actuators without force,
 whose controls, the states' rates, the callback sets.
 """
 
@@ -51,20 +51,31 @@ static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
   const mjtNum *widths = values + {n_theta}, *held = widths + {n_widths}, *inertial = held + 1;
   int body = find(m, m->name_bodyadr, (int)m->nbody, "{payload}");
   mjtNum payload = body < 0 ? 0 : m->body_mass[body] - *held, motor[{n}], link[{n}], drive[{n}], rate[{n_states} + 1], w[{sz_w}];
+  mjtNum q[{n}], dq[{n}], twist[2 * {n}], before[{n}], damping[{n}], armature[{n}], dry[{n}];
   long long iw[{sz_iw}];
+  int at[{n}], gear[{n}];
   for (int i = 0; i < {n}; i++) {{  /* twin.py's actuators: activation, position and speed feedback, limits */
+    int joint = m->actuator_trnid[2 * i], k = at[i] = m->jnt_dofadr[joint];
+    gear[i] = joint + 1 < m->njnt && m->jnt_bodyid[joint + 1] == m->jnt_bodyid[joint];  /* the joint's twist comes next */
+    q[i] = d->qpos[k], dq[i] = d->qvel[k], before[i] = d->qacc_warmstart[k];
+    twist[i] = gear[i] ? d->qpos[k + 1] : 0, twist[{n} + i] = gear[i] ? d->qvel[k + 1] : 0;
+    if (gear[i]) before[i] += d->qacc_warmstart[k + 1];
+    damping[i] = m->dof_damping[k], armature[i] = m->dof_armature[k], dry[i] = m->dof_frictionloss[k];
     const mjtNum *bias = m->actuator_biasprm + i * mjNBIAS, *range = m->actuator_forcerange + 2 * i;
-    motor[i] = d->act[i] + bias[1] * d->qpos[i] + bias[2] * d->qvel[i];
+    motor[i] = d->act[i] + bias[1] * q[i] + bias[2] * dq[i];
     if (m->actuator_forcelimited[i]) motor[i] = motor[i] < range[0] ? range[0] : motor[i] > range[1] ? range[1] : motor[i];
   }}
-  const mjtNum* arg[{sz_arg}] = {{d->qpos, d->qvel, &d->time, &payload, motor, d->act + {n}, m->dof_damping, m->dof_armature,
-                                m->dof_frictionloss, values, widths, inertial}};
+  const mjtNum* arg[{sz_arg}] = {{q, dq, &d->time, &payload, motor, d->act + {n}, damping, armature, dry, twist, before, values,
+                                widths, inertial}};
   mjtNum* res[{sz_res}] = {{link, drive, rate}};
   effects(arg, res, iw, w, 0);
   for (int i = 0; i < {n}; i++) {{
-    d->qfrc_spring[i] += link[i];
-    d->qfrc_damper[i] += drive[i];
-    d->qfrc_passive[i] += link[i] + drive[i];
+    d->qfrc_damper[at[i]] += drive[i];
+    d->qfrc_passive[at[i]] += drive[i];
+    for (int k = at[i]; k <= at[i] + gear[i]; k++) {{
+      d->qfrc_spring[k] += link[i];
+      d->qfrc_passive[k] += link[i];
+    }}
   }}
   for (int i = 0; i < {n_states}; i++) d->ctrl[{n} + i] = rate[i];
 }}
@@ -171,9 +182,11 @@ def _set_next(native: Native, function: Any) -> None:
 def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     """What the library works out, dense.
 
-    (q, dq, time, payload, motor, states, damping, armature, frictionloss, theta, widths, inertial) -> (link, drive, rates): torque
-    of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is the actuators'
-    torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,).
+    (q, dq, time, payload, motor, states, damping, armature, frictionloss, twist, before, theta, widths, inertial) -> (link, drive,
+    rates): torque of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is
+    the actuators' torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,), `twist` (2 n,)
+    what gears that give add to the links' positions and speeds, `before` (n,) the links' accelerations one step ago: behind such a
+    gear those of now are not the drive's, and the load torque is that of one step ago.
     """
     n = model.robot.n
     q, dq, motor, damping, armature, dry = (
@@ -182,8 +195,9 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     time, payload, states = ca.SX.sym("time"), ca.SX.sym("payload"), ca.SX.sym("states", len(model.states))
     theta, widths = ca.SX.sym("theta", len(model.parameters)), ca.SX.sym("widths", len(model.widths))
     inertial, ddq, load = ca.SX.sym("inertial", 10, n), ca.SX.sym("ddq", n), ca.SX.sym("load", n)
+    twist, before = ca.SX.sym("twist", 2 * n), ca.SX.sym("before", n)
     signals = Signals(q, dq, ddq, load=load, time=time, payload=payload, states=states)
-    links = replace(signals, q=q + shift(model, theta))
+    links = replace(signals, q=q + shift(model, theta) + twist[:n], dq=dq + twist[n:])
 
     def total(side: str, at: Signals, chosen: Sequence[bool]) -> ca.SX:
         torques = zip(model.effects, chosen, model.effect_torques(at, theta, widths), strict=True)
@@ -192,15 +206,16 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     link, drive = total("link", links, inside), total("drive", signals, inside)
     if any(chosen and e.load_dependent for e, chosen in zip(model.effects, inside, strict=True)):
         carried, gravity = model.rigid(inertial, payload, theta, widths)
-        bias = model.body.inverse_dynamics(links.q, dq, ca.SX.zeros(n), carried, gravity)
+        bias = model.body.inverse_dynamics(links.q, links.dq, ca.SX.zeros(n), carried, gravity)
         own = -damping * dq - dry * ca.sign(dq) - armature * ddq
         mass = model.body.mass_matrix(links.q, carried)
         extra = bias - total("link", links, [True] * len(inside))  # the engine's own springs too
         needed = mass @ ddq + extra
         residual = needed - motor - ca.substitute(drive + own, load, needed)
-        drive = ca.substitute(drive, load, mass @ _root(residual, ddq) + extra)
+        gives = any(e.simulated for e in model.effects)
+        drive = ca.substitute(drive, load, mass @ (before if gives else _root(residual, ddq)) + extra)
     rates = [r for e, s, named, width in model.with_signals(signals, theta, widths) for r in e.rate(s, named, width)]
-    arguments = [q, dq, time, payload, motor, states, damping, armature, dry, theta, widths, inertial]
+    arguments = [q, dq, time, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
     return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(ca.vertcat(*rates))])
 
 
@@ -213,25 +228,14 @@ def _root(residual: ca.SX, x: ca.SX) -> ca.SX:
 
 
 def shift(model: Model, theta) -> ca.SX:
-    """By how much the links stand otherwise than their encoders say, (n,) [rad].
-
-    Raises `UserError` for an effect by which that depends on more than its parameters, as where a gear gives: the engine's robot
-    has one coordinate a joint.
-    """
+    """By how much the links stand otherwise than their encoders say, (n,) [rad], but for what gears give."""
     result, i = ca.SX.zeros(model.robot.n), 0
-    q, load = ca.SX.sym("q", model.robot.n), ca.SX.sym("load", model.robot.n)
     for effect in model.effects:
         named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
         i += len(effect.parameters)
-        if effect.side != "motion":
-            continue
-        moved = () if effect.simulated else effect.shift(Signals(q, load=load), named, None)
-        if not moved or ca.depends_on(ca.vertcat(*moved), ca.vertcat(q, load)):
-            raise UserError(
-                f"{model.label(effect)} moves the link by itself; the simulation has one coordinate a joint, for motor and link"
-            )
-        for j, value in zip(effect.joints, moved, strict=True):
-            result[j] += value
+        if effect.side == "motion" and not effect.simulated:
+            for j, value in zip(effect.joints, effect.shift(Signals(ca.SX.zeros(model.robot.n)), named, None), strict=True):
+                result[j] += value
     return result
 
 

@@ -58,6 +58,11 @@ class Physics:
         """What the links move otherwise than the recorded motion: q, dq, ddq, one below the other, (3 n, K)."""
         return _summed(self._moved(recording)[0], recording)
 
+    def twist(self, recording: Recording) -> np.ndarray:
+        """The part of `shift` by which links move by themselves behind their gears."""
+        effects, shifts = self.model.effects, self._moved(recording)[0]
+        return _summed({i: shift for i, shift in shifts.items() if effects[i].simulated}, recording)
+
     def _moved(self, recording: Recording) -> tuple[Shifts, Reaction]:
         """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift.
 

@@ -64,7 +64,8 @@ def replay(model: CalibratedModel, recording: Recording, control: Controller) ->
     physics = model.physics(recording)
     forward = physics.torques(recording)[0]
     engine = twin(physics.model, physics.theta, control, SETTINGS, physics.widths)
-    q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None]))
+    twist = physics.twist(recording)
+    q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None], twist=twist))
     ddq = differentiate(recording.t, dq, recording.segments)
     moved = replace(recording, q=q, dq=dq, ddq=ddq)
     return Replayed(q, dq, ddq, tau, physics.torques(moved)[1])
@@ -77,6 +78,7 @@ def follow(
     forward: np.ndarray,
     expected: np.ndarray,
     timestep: float = SETTINGS.timestep,
+    twist: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Several engines along one recording.
 
@@ -85,6 +87,8 @@ def follow(
         expected: Motor torque at the recorded motion [Nm], (engines, n, K): each piece starts where the controllers would hold
             it, q_ref − (expected − forward)/k_p.
         timestep: The longest [s].
+        twist: By how much links are ahead of their drives, positions and speeds (and more) one below the other, (2 n, K) or more;
+            where each piece starts, of joints whose gears give.
 
     Returns:
         q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged.
@@ -97,7 +101,7 @@ def follow(
             for first in range(0, len(engines), size):
                 some = slice(first, first + size)
                 found[:, some, :, piece] = _follow(
-                    engines[some], recording, piece, control, forward[some], expected[some], steps
+                    engines[some], recording, piece, control, forward[some], expected[some], steps, twist
                 )
     return found[0], found[1], found[2]
 
@@ -112,7 +116,9 @@ def pieces(recording: Recording) -> list[slice]:
     return result
 
 
-def _follow(engines, recording: Recording, piece: slice, control: Controller, forward, expected, steps: int) -> np.ndarray:
+def _follow(
+    engines, recording: Recording, piece: slice, control: Controller, forward, expected, steps: int, twist: np.ndarray | None
+) -> np.ndarray:
     """q, dq, torque (3, engines, n, samples of the piece).
 
     Over a step the integrator damps with the speed at its end and holds all else of its start. So dq_ref is led by a step, and the
@@ -127,9 +133,13 @@ def _follow(engines, recording: Recording, piece: slice, control: Controller, fo
     u = aim + np.stack([_linear(fine, t, f) for f in forward[:, :, piece]])  # (engines, n, steps + 1)
     start = q[:, 0] - (expected[:, :, piece.start] - forward[:, :, piece.start]) / control.k_p
     states = np.tile([state.nominal for state in engines[0].model.states], (len(engines), 1))  # (engines, states)
-    initial = np.concatenate(
-        [np.full((len(engines), 1), t[0]), start, np.broadcast_to(dq[:, 0], start.shape), u[:, :, 0], states], axis=1
-    )
+    n, seats, gears, count = len(q), engines[0].seats, list(engines[0].gears), engines[0].mj.nv
+    initial = np.zeros((len(engines), 1 + 2 * count))
+    initial[:, 0], initial[:, 1 + seats], initial[:, 1 + count + seats] = t[0], start, dq[:, 0]
+    if gears and twist is not None:
+        initial[:, 2 + seats[gears]] = twist[gears, piece.start]
+        initial[:, 2 + count + seats[gears]] = twist[[n + j for j in gears], piece.start]
+    initial = np.concatenate([initial, u[:, :, 0], states], axis=1)
     models = []
     for engine in engines:
         engine.grip(float(recording.payload[piece.start]))
@@ -141,10 +151,9 @@ def _follow(engines, recording: Recording, piece: slice, control: Controller, fo
     rates = np.moveaxis(np.diff(u) / h, 1, 2)
     rates = np.concatenate([rates, np.zeros((*rates.shape[:2], states.shape[1]))], axis=2)  # which the effects set
     with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
-        found = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 3 n + states)
+        found = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 2 nv + n + states)
     found = np.moveaxis(np.concatenate([initial[:, None], found], axis=1), 1, 2)
-    n = len(q)
-    at, speed, activation = found[:, 1 : n + 1], found[:, n + 1 : 2 * n + 1], found[:, 2 * n + 1 : 3 * n + 1]
+    at, speed, activation = (found[:, first + which] for first, which in ((1, seats), (1 + count, seats), (1 + 2 * count, np.arange(n))))
     torque = (activation - k_p * at)[:, :, :-1] - k_d * speed[:, :, 1:]
     torque = np.clip(torque, -control.limit[:, None], control.limit[:, None])
     return np.stack(

@@ -140,7 +140,7 @@ def track(
     them). Held over a step they would make the torque a saw-tooth of height k_p dq h (0.5 Nm here at 1 ms).
 
     Raises:
-        UserError: As in `twin`; the reference has another number of joints; the simulation diverges.
+        UserError: As in `twin`; a gear gives; the reference has another number of joints; the simulation diverges.
     """
     control = controller(model) if control is None else control
     for phase in phases:
@@ -149,6 +149,7 @@ def track(
                 f"phase {phase.name!r} moves {phase.q.shape[0]} joints, but {model.robot.name!r} has {model.robot.n}"
             )
     engine = twin(model, theta, control, settings, widths)
+    check_gears(engine)
     tracked: list[TrackedPhase] = []
     with engine.effects():
         for phase in phases:
@@ -158,6 +159,13 @@ def track(
                 start = phase.q[:, 0], phase.dq[:, 0]
             tracked.append(_follow(engine, phase, control, start, settings.timestep))
     return Tracked(tuple(tracked), engine, control, settings)
+
+
+def check_gears(engine: Twin) -> None:
+    """Raise `UserError` where a gear gives: a design's reference is that of the links, and drives would have to lead them."""
+    if engine.gears:
+        joints = ", ".join(engine.model.robot.joints[j] for j in engine.gears)
+        raise UserError(f"the gear of {joints} gives, and a design's motion is that of the links; only recordings can be replayed")
 
 
 def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, timestep: float) -> TrackedPhase:

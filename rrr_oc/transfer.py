@@ -14,7 +14,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.metrics import measure
 from rrr_oc.model import Model
 from rrr_oc.outcome import Motion, describe
-from rrr_oc.simulate import ReferencePhase, track
+from rrr_oc.simulate import ReferencePhase, check_gears, track
 from rrr_oc.task import PHASES
 from rrr_oc.twin import Settings, twin
 
@@ -28,7 +28,7 @@ def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
     some = [term.effect.name for term in calibrated.terms if term.recordings != "all"]
     if some:
         raise UserError(f"the model's {some[0]} holds for single recordings only; a model whose terms hold for all is needed")
-    twin(*_parts(design, calibrated, np.zeros(len(design.model.parameters))), settings=Settings("native"))
+    check_gears(twin(*_parts(design, calibrated, np.zeros(len(design.model.parameters))), settings=Settings("native")))
 
 
 def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str]) -> CoDesign:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import casadi as ca
@@ -25,6 +26,7 @@ Integrator = Literal["rk4", "implicitfast", "implicit", "euler"]
 Start = Literal["continue", "reference"]
 
 K_P = 572.96  # Nm/rad, the prototype's P-controllers: 10 Nm a degree
+LIGHTEST = 0.01  # of the link's inertia, that a drive's armature has where its gear gives: a drive has inertia
 INERTIA_FLOOR = 1e-12  # kg m²; MuJoCo refuses a body without rotational inertia, so a point mass gets this much
 
 
@@ -100,9 +102,10 @@ class Twin:
     """A model in the engine.
 
     Attributes:
-        mj: The mjModel. Joint i of the robot is coordinate i, as its encoder sees it, and actuator i is its controller: the
+        mj: The mjModel. Joint i of the robot is coordinate `seats[i]`, as its encoder sees it, and actuator i is its controller: the
             activation is u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within
-            limits. Then follow actuators without torque whose activations are the effects' internal states.
+            limits. Then follow actuators without torque whose activations are the effects' internal states. Where a gear gives, the
+            coordinate that follows is by how much the link is ahead of its drive.
         library: The compiled effects; None where MuJoCo's own do the work, or there are none.
         generated: Which of the effects it has.
         held: What is held beyond the payload that is listed [kg], as an effect says.
@@ -115,6 +118,16 @@ class Twin:
     library: Native | None
     generated: tuple[bool, ...] = ()
     held: float = 0.0
+
+    @cached_property
+    def seats(self) -> np.ndarray:
+        """Coordinates of the joints in the engine, (n,)."""
+        return np.array([self.mj.joint(joint).dofadr[0] for joint in self.model.robot.joints])
+
+    @cached_property
+    def gears(self) -> tuple[int, ...]:
+        """Joints whose gears give."""
+        return tuple(sorted({e.joints[0] for e in self.model.effects if e.simulated}))
 
     def effects(self) -> AbstractContextManager[None]:
         """The context within which `mj` feels the compiled effects: step, forward and roll out inside it."""
@@ -155,7 +168,8 @@ def twin(
     `settings.effects` says. "drive": MuJoCo's own form where there is one (dry and viscous friction, armature), else generated; the
     generated laws do not hold a joint at rest, as dry friction of MuJoCo's does, and what varies with the plain dry friction varies
     with its smoothed law. "sensor": nothing; recorded torques differ, not the motion. "motion": an offset of an encoder turns
-    the joint's zero.
+    the joint's zero; a gear that gives makes two coordinates of one, the drive's with the armature and what the link is ahead. There
+    the load torque that friction grows with is that of one step ago.
 
     Args:
         theta: Parameters of the effects, as in `Model.theta`.
@@ -165,8 +179,7 @@ def twin(
         widths: Smoothing widths of generated effects; 0 is the exact law. Default: `Model.widths`.
 
     Raises:
-        UserError: A gear gives or has play, for which the engine's robot has no coordinate; there is no C compiler where one is
-            needed; the engine refuses the robot.
+        UserError: A gear that gives has play, too; there is no C compiler where one is needed; the engine refuses the robot.
     """
     theta, widths = _checked(model, theta, widths)
     offset = np.array(ca.evalf(native.shift(model, theta))).reshape(-1)
@@ -174,7 +187,9 @@ def twin(
     robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
     tool = replace(model.tool, position=body.position)
     spec = build_spec(robot, tool, controller(model) if control is None else control, settings)
-    generated = _add_effects(spec, model, theta, settings.effects == "native" and not offset.any())
+    gives = any(effect.simulated for effect in model.effects)
+    generated = _add_effects(spec, model, theta, settings.effects == "native" and not (gives or offset.any()))
+    _add_gears(spec, model, theta, robot.inertial, settings.timestep)
     for joint, zero in zip(robot.joints, offset, strict=True):
         spec.joint(joint).ref = -zero
     library = None
@@ -299,6 +314,24 @@ def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: 
         for k in range(len(effect.states)):
             _add_state(spec, f"{i}_{effect.states[k].name}", model.robot.joints[effect.joints[0]])
     return tuple(generated)
+
+
+def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: np.ndarray, timestep: float) -> None:
+    """A second hinge beside that of each joint whose gear gives, by which the link is ahead of its drive."""
+    robot, numbers, seen = model.robot, iter(theta.tolist()), set()
+    for effect in model.effects:
+        named = {p.name: next(numbers) for p in effect.parameters}
+        if not effect.simulated:
+            continue
+        (j,) = effect.joints
+        if j in seen:
+            raise UserError(f"{model.label(effect)}: the simulation has gears that twist and gears with play, but not both at one joint")
+        seen.add(j)
+        drive, body = spec.joint(robot.joints[j]), spec.body(robot.links[j])
+        twist = body.add_joint(name=f"{robot.joints[j]}_twist", type=mujoco.mjtJoint.mjJNT_HINGE, axis=robot.axes[j])
+        link = 1 / np.linalg.inv(np.asarray(model.body.mass_matrix(np.zeros(robot.n), inertial)))[j, j]
+        drive.armature = max(float(drive.armature), LIGHTEST * link)
+        effect.gear(twist, named, link * drive.armature / (link + drive.armature) / timestep**2)
 
 
 def _add_state(spec: mujoco.MjSpec, name: str, joint: str) -> None:

@@ -4,11 +4,14 @@
 It shares with the package only the classes that hold recordings and the derivatives of their reader.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline
 
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.recordings import Recording, RecordingSet
@@ -89,6 +92,24 @@ def record(
     computed = tuple(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in list(plant.model.names)[1:])
     rates = differentiate(t, seen, segments), differentiate(t, seen, segments, 2)
     return Recording(name, name, t, seen, *rates, tau, np.full(t.size, payload), springs, segments, computed)
+
+
+def behind_gear(plant: Plant, recorded: Recording, motion: tuple[np.ndarray, ...], through: Callable) -> Recording:
+    """A recording (of one joint) with the torque that a gear passes to its link as `through(twist, its rate)` [Nm] says.
+
+    The link by an adaptive integrator on Pinocchio's forward dynamics; it begins without twist, so that it swings at first.
+    """
+    t, data = recorded.t, plant.model.createData()
+    curve = CubicHermiteSpline(t, motion[0][0], motion[1][0])
+
+    def passed(at, x):
+        return through(curve(at) - x[0], curve(at, 1) - x[1])
+
+    def slope(at, x):
+        return [x[1], pin.aba(plant.model, data, x[:1], x[1:], np.array([passed(at, x)]))[0]]
+
+    link = solve_ivp(slope, (t[0], t[-1]), [curve(t[0]), curve(t[0], 1)], "LSODA", t, rtol=1e-8, atol=1e-10).y
+    return replace(recorded, tau=plant.torque(*motion) - plant.load(*motion) + passed(t, link))
 
 
 def as_set(

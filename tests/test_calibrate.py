@@ -11,9 +11,7 @@ import pinocchio as pin
 import pytest
 from chains import arm as chain
 from chains import random_chain
-from recorded import Plant, as_set, multisine, record
-from scipy.integrate import solve_ivp
-from scipy.interpolate import CubicHermiteSpline
+from recorded import Plant, as_set, behind_gear, multisine, record
 from scipy.optimize import lsq_linear
 
 from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model, with_parameter_values, with_widths
@@ -303,25 +301,12 @@ def test_nonlinear_terms_are_fitted_together(tmp_path):
 
 
 def test_an_elastic_gear_is_fitted_whatever_the_links_start_was(tmp_path):
-    """The link by an adaptive integrator on Pinocchio's forward dynamics; it begins without twist, so that it swings at first."""
     plant, rng, stiffness, time, made = one(folder=tmp_path), np.random.default_rng(31), 8.0, 0.004, []
-    data = plant.model.createData()
     for i in range(3):
-        t = np.arange(1500) / 100
-        motion = multisine(1, t, rng)
-        curve = CubicHermiteSpline(t, motion[0][0], motion[1][0])
-
-        def through(at, x, curve=curve):
-            return stiffness * (curve(at) - x[0] + time * (curve(at, 1) - x[1]))
-
-        def slope(at, x, through=through):
-            return [x[1], pin.aba(plant.model, data, x[:1], x[1:], np.array([through(at, x)]))[0]]
-
-        link = solve_ivp(slope, (0, t[-1]), [curve(0), curve(0, 1)], t_eval=t, rtol=1e-8, atol=1e-10).y
+        motion = multisine(1, np.arange(1500) / 100, rng)
         recorded = record(plant, f"{i}.csv", rng, 15.0, motion=motion)
-        drive = plant.torque(*motion) - plant.load(*motion)
-        noise = 0.005 * rng.standard_normal(t.size)
-        made.append(replace(recorded, tau=drive + through(t, link) + noise))
+        recorded = behind_gear(plant, recorded, motion, lambda twist, rate: stiffness * (twist + time * rate))
+        made.append(replace(recorded, tau=recorded.tau + 0.005 * rng.standard_normal(recorded.tau.shape)))
     recordings = as_set(plant, made)
     start = plain_model(recordings)
     gear = nominal_term(JointElasticity((0,))).with_values(np.array([100.0, 0.001]))

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import Plant, as_set, record
+from chains import arm as chain
+from recorded import Plant, as_set, behind_gear, multisine, record
 
 from rrr_oc.calibrate import plain_model
 from rrr_oc.calibrated import Estimate, Term
@@ -69,8 +70,47 @@ def test_the_twin_of_a_repaired_model_follows_with_the_torque_that_is_predicted(
         assert missing[j] > 2 * errors["tau_motor"]
 
 
-def test_gears_that_give_are_turned_away(plain):
+GEARS = {
+    "joint_elasticity": ((8.0, 0.01), lambda twist, rate: 8.0 * (twist + 0.01 * rate)),
+    "backlash": ((0.04,), lambda twist, rate: 400.0 * (x := twist - np.clip(twist, -0.02, 0.02)) + 4.0 * rate * (x != 0)),
+}
+
+
+@pytest.mark.parametrize("name", GEARS)
+@pytest.mark.parametrize("friction", [False, True])
+def test_the_twin_has_gears_that_give(name, friction, tmp_path, monkeypatch):
+    """Against a link behind such a gear by an adaptive integrator, with friction that grows with what the gear passes on."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "one.urdf").write_text(chain(1))
+    plant = Plant(tmp_path / "one.urdf", np.array([0.05]), np.array([0.2]), np.array([0.05]))
+    numbers, through = GEARS[name]
+    rng = np.random.default_rng(4)
+    q, *rates = multisine(1, np.arange(1500) / 100, rng)
+    motion = (q - np.pi / 2, *rates)  # hanging, where gravity changes sides
+    recorded = record(plant, "0.csv", rng, 15.0, noise=0.0, motion=motion)
+    exact = behind_gear(plant, recorded, motion, through)
+    load = exact.tau - (plant.torque(*motion) - plant.load(*motion))
+    if friction:
+        exact = replace(exact, tau=exact.tau + 0.2 * np.abs(load) * np.tanh(motion[1] / plant.width))
+    start = plain_model(as_set(plant, [exact]))
+    terms = [t.with_values(v) for t, v in zip(start.terms, np.array([plant.dry, plant.viscous, plant.armature]), strict=True)]
+    if friction:
+        terms.append(Term(CATALOGUE["load_dependent_friction"]((0,)), (Estimate(0.2),), plant.width))
+    rigid = replace(start, terms=tuple(terms))
+    giving = replace(rigid, terms=(*terms, Term(CATALOGUE[name]((0,)), tuple(Estimate(v) for v in numbers))))
+    off = []
+    for model in (giving, rigid):
+        found = replay(model, exact, tracking_controller(model))
+        pairs = (exact.tau, found.tau_motor), (load, found.tau_load), (exact.q, found.q)
+        late, whole = slice(700, None), (slice(0, 800),)  # once the link's first swings are over
+        off.append([error(exact.t[late], a[:, late], b[:, late], whole)["nrmse"][0] for a, b in pairs])
+    assert off[0][0] < 0.5 * off[1][0], off
+    assert off[0][1] < 0.5 * off[1][1], off
+    assert off[0][2] < 2e-3
+
+
+def test_a_gear_that_twists_and_has_play_is_turned_away(plain):
     model, recording = plain
-    term = Term(CATALOGUE["joint_elasticity"]((1,)), (Estimate(500.0), Estimate(0.1)))
-    with pytest.raises(UserError, match="one coordinate a joint"):
-        replay(replace(model, terms=(*model.terms, term)), recording, tracking_controller(model))
+    terms = [Term(CATALOGUE[name]((1,)), tuple(map(Estimate, numbers))) for name, (numbers, _) in GEARS.items()]
+    with pytest.raises(UserError, match="not both at one joint"):
+        replay(replace(model, terms=(*model.terms, *terms)), recording, tracking_controller(model))

@@ -302,10 +302,8 @@ def test_unusable_input():
     model, theta = spring_arm()
     with pytest.raises(UserError, match="7 parameters and 3 widths, got 2 and 3"):
         twin(model, theta[:2])
-    with pytest.raises(UserError, match="one coordinate a joint"):
-        twin(Model(model.robot, model.tool, (CATALOGUE["joint_elasticity"]((1,)),)), [500.0, 0.001])
-    with pytest.raises(UserError, match="one coordinate a joint"):
-        twin(Model(model.robot, model.tool, (CATALOGUE["backlash"]((1,)),)), [0.01])
+    with pytest.raises(UserError, match="the gear of joint2 gives"):
+        track(Model(model.robot, model.tool, (CATALOGUE["backlash"]((1,)),)), [], [0.01])
     with pytest.raises(UserError, match="rk4"):
         Settings(integrator="runge")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="frictionloss"):

@@ -64,6 +64,11 @@ class Backlash(Effect):
                 return result * np.array([[1.0], [self.impacts], [self.impacts]])
             side = 1 if x > 0 else -1
 
+    def gear(self, twist, theta, stiffest):
+        """The joint's range, with ends as hard as MuJoCo's constraints allow."""
+        twist.limited, twist.range = True, [-theta["gap"] / 2, theta["gap"] / 2]
+        twist.solref_limit, twist.solimp_limit = [0.004, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
+
     def forms(self):
         return Backlash(self.joints, True), Backlash(self.joints, False)
 

@@ -196,6 +196,14 @@ class Effect(ABC):
         """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""
         return False
 
+    def gear(self, twist: Any, theta: Mapping[str, float], stiffest: float) -> None:
+        """Make the `mujoco.MjsJoint` by which the link moves otherwise than its drive what the effect says, if it is `simulated`.
+
+        Args:
+            stiffest: What the engine's step can follow [Nm/rad].
+        """
+        raise NotImplementedError
+
     @property
     def linear(self) -> bool:
         """Whether predictions are linear in all its parameters, those of other effects held."""

@@ -57,6 +57,11 @@ class JointElasticity(Effect):
         link = _Link.of(t, stiffness, inertia, theta)
         return np.array([link.along(np.zeros((4, len(t) - 1)), start) for start in np.eye(2)])
 
+    def gear(self, twist, theta, stiffest):
+        """The joint's own `stiffness` and `damping`."""
+        twist.stiffness[0] = stiffness = min(theta["stiffness"], stiffest)
+        twist.damping[0] = stiffness * theta["damping_time"]
+
     def combined(self, points, coefficients):
         """The twist is nearly linear in the compliance."""
         return {"stiffness": 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0, "damping_time": TIME}
