@@ -535,6 +535,15 @@ def test_a_link_behind_its_spring_against_an_adaptive_integrator(stiffness, time
         assert np.all(off < (0.002, 0.01, 0.05)), off
 
 
+def test_a_link_of_estimates_gone_astray_stays_within_reason():
+    """An inertia that changes sign, as the sum of wrong estimates may, and a gear far too soft."""
+    t = np.arange(3000) / 100
+    load, mass = 10 * np.sin(2 * t), 0.5 + np.sin(t)
+    found = placed("joint_elasticity").motion(t, load, 0 * t - 5.0, mass, {"stiffness": 2.0, "damping_time": 0.0})
+    assert np.all(np.isfinite(found))
+    assert np.abs(found[0]).max() <= 1.0
+
+
 def test_bristles_between_samples_follow_the_motion():
     """Against an adaptive integrator on the motion itself, which turns around within the bristles' reach and few samples."""
     t, size, turn = np.arange(200) / 100, 0.01, 30.0

@@ -13,6 +13,8 @@ from rrr_oc.savitzky_golay import smooth
 
 TIME = 0.002  # of damping, before it was fitted [s]
 WINDOW = 0.2  # over which the load is smoothed [s], since a link rings on the noise of accelerations, too
+LIGHT = 0.01  # of the largest inertia, that a link has at the least: one near 0 is an estimate gone astray
+FURTHEST = 1.0  # [rad]; in a model whose gears twist further, other things are wrong
 STABLE = 0.05  # of the stiffness, that gravity and springs leave at the least
 
 
@@ -49,7 +51,8 @@ class JointElasticity(Effect):
         p[0] -= link.damping / link.total * p[1] + 2 * link.mass / link.total * p[2]
         swing = int(np.searchsorted(t - t[0], np.pi * np.sqrt(link.mass[0] / link.total[0])))  # samples in half a period
         speed = p[1, 0] if swing < 3 else -np.polyfit(t[:swing] - t[0], load[:swing], 1)[0] / link.total[0]
-        return link.along(p, (p[0, 0], speed))
+        found = link.along(p, (p[0, 0], speed))
+        return found / max(1.0, np.abs(found[0]).max() / FURTHEST)
 
     def free(self, t, stiffness, inertia, theta):
         if len(t) < 3:
@@ -91,7 +94,8 @@ class _Link:
     @classmethod
     def of(cls, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> "_Link":
         own = theta["stiffness"]
-        mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, least) for x, least in ((inertia, 1e-9), (stiffness, (STABLE - 1) * own)))
+        least = max(LIGHT * float(np.abs(inertia).max()), 1e-9), (STABLE - 1) * own
+        mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, low) for x, low in zip((inertia, stiffness), least, strict=True))
         return cls(np.diff(t), mass, own + rest, own * theta["damping_time"])
 
     def along(self, p: np.ndarray, start: tuple[float, float]) -> np.ndarray:
