@@ -205,8 +205,9 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
 
 def _minimised(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows) -> tuple[np.ndarray, Rows]:
     """Parameters that minimise the weighted squares of the residuals within bounds, and the rows there; Gauss–Newton."""
-    (lower, upper), values, linear = bounds(model.terms), model.values, is_linear(prepared, model)
+    values, linear = model.values, is_linear(prepared, model)
     for _ in range(STEPS):
+        lower, upper = reach(model.terms)
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
         known = ~undetermined(matrix)
@@ -299,6 +300,15 @@ def bounds(terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper bounds of the terms' parameters, in their order."""
     parameters = [p for term in terms for p in term.effect.parameters]
     return np.array([p.lower for p in parameters], float), np.array([p.upper for p in parameters], float)
+
+
+def reach(terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the terms' parameters within which one step of a fit ends, in their order."""
+    (lower, upper), values = bounds(terms), np.concatenate([np.zeros(0), *(term.values for term in terms)])
+    factor = np.array([p.factor for term in terms for p in term.effect.parameters], float)
+    k = np.flatnonzero(np.isfinite(factor))
+    lower[k], upper[k] = np.maximum(lower[k], values[k] / factor[k]), np.minimum(upper[k], values[k] * factor[k])
+    return lower, upper
 
 
 def labels(model: CalibratedModel) -> list[str]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rrr_oc.calibrate import bounds, with_parameter_values
+from rrr_oc.calibrate import reach, with_parameter_values
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Effect
 from rrr_oc.evidence import Bench, independent
@@ -62,7 +62,7 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
         values = model.values
-        low, high = bounds(model.terms)
+        low, high = reach(model.terms)
         low[shape] = high[shape] = values[shape]
         size = len(values)
         free = np.full(matrix.shape[0] - size, np.inf)

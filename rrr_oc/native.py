@@ -6,8 +6,8 @@ models with different values run side by side, in any number of threads. A model
 
 The callback runs at every evaluation of the dynamics, so at every stage of RK4, before the engine knows accelerations. What
 depends on the load torque needs them: the code solves the equations of motion for them, with the actuators' torque, and the
-friction and armature of the joints, as the engine will have them (or, behind a gear that gives, takes those of one step ago). Internal states are activations of actuators without force,
-whose controls, the states' rates, the callback sets.
+friction and armature of the joints, as the engine will have them; behind a gear that gives it takes those of one step ago.
+Internal states are activations of actuators without force, whose controls, the states' rates, the callback sets.
 """
 
 # pyright: reportAttributeAccessIssue=false

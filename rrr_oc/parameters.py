@@ -18,6 +18,7 @@ class Parameter:
         unit: Unit of `nominal`, `lower` and `upper` (SI and radians; "1" for a ratio).
         nominal: Value where nothing is known of it.
         lower, upper: Bounds that physics or the law's derivation imposes; a task may narrow them.
+        factor: By which it changes at most in one step of a fit; for positive ones whose inverse the law is nearly linear in.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Parameter:
     nominal: float = 0.0
     lower: float = -math.inf
     upper: float = math.inf
+    factor: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.lower <= self.upper:

@@ -1,6 +1,6 @@
 """What is at work in one recording, with numbers: the torques that its motion needs, and what sensors make of them."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
@@ -11,7 +11,6 @@ from scipy.linalg import solve_banded
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.model import Model, along
 from rrr_oc.recordings import Recording
-from rrr_oc.savitzky_golay import smooth
 
 DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
 PARTS = 4  # of a sample's step, for internal states
@@ -82,14 +81,9 @@ class Physics:
         motion = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
         reaction: Reaction = partial(self._reaction, recording, np.zeros_like(recording.q), total)
         rigid, alone = ([one for one in motion if one[1].simulated == simulated] for simulated in (False, True))
-        if rigid:  # load and shift are to agree: once more with the shift, smooth, for it is differentiated
-            load = self._load(recording, total)
-            first = np.sum([moved(recording, e, theta, width, load, None) for _, e, theta, width in rigid], axis=0)
-            slow = smooth(recording.t, first[: len(load)], recording.segments)
-            load = self._load(recording, _with_derivatives(recording, slow))
-            for i, effect, theta, width in rigid:
-                shift = partial(moved, recording, effect, width=width, load=load, reaction=None)
-                found[i] = shift, shift(theta)
+        for i, effect, theta, width in rigid:
+            shift = partial(moved, recording, effect, width=width, load=total, reaction=reaction)
+            found[i] = shift, shift(theta)
         for _ in range(SWEEPS if alone else 0):  # what a link does behind its gear follows from the motion that all else makes
             total = _summed(found, recording)
             load = self._load(recording, total)
@@ -207,33 +201,26 @@ def _summed(shifts: Shifts, recording: Recording) -> np.ndarray:
 
 
 def moved(
-    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray, reaction: Reaction | None
+    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray, reaction: Reaction
 ) -> np.ndarray:
     """What the links move otherwise than the recorded motion because of one effect: q, dq, ddq, one below the other, (3 n, K).
 
     Args:
-        load: Torque that the rigid motion needs (n, K) [Nm].
-        reaction: From joint j to by how much its load torque grows with its position [Nm/rad] and acceleration [kg m²], (K,) each;
-            of effects that are simulated.
+        load: Torque that the link would need if it moved with its drive (n, K) [Nm].
+        reaction: From joint j to by how much its load torque grows with its position [Nm/rad] and acceleration [kg m²], (K,) each.
+            Both only of effects that are simulated.
     """
     n = len(recording.q)
+    result = np.zeros((3 * n, len(recording.t)))
     if effect.simulated:
-        assert reaction is not None
-        result = np.zeros((3 * n, len(recording.t)))
         for j in effect.joints:
             stiffness, inertia = reaction(j)
             for s in recording.segments:
                 result[[j, n + j, 2 * n + j], s] = effect.motion(recording.t[s], load[j, s], stiffness[s], inertia[s], theta)
         return result
-    result = np.zeros((n, len(recording.t)))
-    for j, shift in zip(effect.joints, effect.shift(Signals(recording.q, load=load), theta, width), strict=True):
+    for j, shift in zip(effect.joints, effect.shift(Signals(recording.q), theta, width), strict=True):
         result[j] = np.array(shift).reshape(-1)
-    return _with_derivatives(recording, result)
-
-
-def _with_derivatives(recording: Recording, shift: np.ndarray) -> np.ndarray:
-    """Shift (n, K) and its first and second derivative, one below the other."""
-    return np.concatenate([shift, *((derivative @ shift.T).T for derivative in recording.differentiators)])
+    return result
 
 
 def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.files import new_folder
 from rrr_oc.recording_header import FORMAT, Entry, Header, Spring, read_header, spring_json
 from rrr_oc.robot import BUNDLED, Robot, ToolPoint, load_robot
-from rrr_oc.savitzky_golay import LEAST_ROWS, as_matrix, differentiate, split, window_samples
+from rrr_oc.savitzky_golay import LEAST_ROWS, differentiate, split
 
 HEADER = "recordings.json"
 
@@ -65,16 +65,6 @@ class Recording:
     def filters(self) -> dict[float, csr_matrix]:
         """Filters made for this recording, as matrices, by their window [s]."""
         return {}
-
-    @cached_property
-    def differentiators(self) -> tuple[csr_matrix, csr_matrix]:
-        """First and second derivative as matrices (K, K), over as short a window as the sampling allows: for noise-free signals."""
-
-        def count(s: slice) -> int:
-            return min(window_samples(self.t[s], SHORT_WINDOW, 7), (s.stop - s.start - 1) // 2 * 2 + 1)
-
-        first, second = (as_matrix(self.t, self.segments, k, 3, count) for k in (1, 2))
-        return first, second
 
 
 @dataclass(frozen=True)

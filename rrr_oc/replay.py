@@ -153,7 +153,9 @@ def _follow(
     with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
         found = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 2 nv + n + states)
     found = np.moveaxis(np.concatenate([initial[:, None], found], axis=1), 1, 2)
-    at, speed, activation = (found[:, first + which] for first, which in ((1, seats), (1 + count, seats), (1 + 2 * count, np.arange(n))))
+    at, speed, activation = (
+        found[:, first + which] for first, which in ((1, seats), (1 + count, seats), (1 + 2 * count, np.arange(n)))
+    )
     torque = (activation - k_p * at)[:, :, :-1] - k_d * speed[:, :, 1:]
     torque = np.clip(torque, -control.limit[:, None], control.limit[:, None])
     return np.stack(

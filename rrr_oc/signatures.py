@@ -19,7 +19,7 @@ from rrr_oc.model import along
 from rrr_oc.physics import Physics, later, moved, states_along
 from rrr_oc.recordings import Recording
 from rrr_oc.regression import Prepared
-from rrr_oc.rigid_body import with_payload
+from rrr_oc.rigid_body import rigid_body, with_payload
 
 SAMPLE = 400  # positions that trials look at
 
@@ -34,13 +34,17 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         if isinstance(term.effect, DryFriction) and term.width is not None:
             widths[term.effect.joints[0]] = term.width
     springs = {spring.joints for p in prepared for spring, _ in p.recording.springs}
+    positions = q[:, :: max(1, q.shape[1] // SAMPLE)]
+    body = rigid_body(model.robot)
+    moved = [np.diag(np.asarray(body.mass_matrix(x, model.robot.inertial))) for x in positions.T]
     return View(
         low=low,
         high=np.maximum(high, low + 1e-3),
         speed=np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3),
         duration=max(float(np.ptp(p.recording.t)) for p in prepared),
         widths=widths,
-        positions=q[:, :: max(1, q.shape[1] // SAMPLE)],
+        positions=positions,
+        inertia=np.maximum(np.median(moved, axis=0), 1e-9),
         springs=tuple(sorted(springs)),
         payload=any(np.any(p.recording.payload > 0) for p in prepared)
         or any(term.effect.name == "payload_mass" for term in model.terms),

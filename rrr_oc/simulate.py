@@ -165,7 +165,9 @@ def check_gears(engine: Twin) -> None:
     """Raise `UserError` where a gear gives: a design's reference is that of the links, and drives would have to lead them."""
     if engine.gears:
         joints = ", ".join(engine.model.robot.joints[j] for j in engine.gears)
-        raise UserError(f"the gear of {joints} gives, and a design's motion is that of the links; only recordings can be replayed")
+        raise UserError(
+            f"the gear of {joints} gives, and a design's motion is that of the links; only recordings can be replayed"
+        )
 
 
 def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, timestep: float) -> TrackedPhase:

@@ -325,7 +325,9 @@ def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: n
             continue
         (j,) = effect.joints
         if j in seen:
-            raise UserError(f"{model.label(effect)}: the simulation has gears that twist and gears with play, but not both at one joint")
+            raise UserError(
+                f"{model.label(effect)}: the simulation has gears that twist and gears with play, but not both at one joint"
+            )
         seen.add(j)
         drive, body = spec.joint(robot.joints[j]), spec.body(robot.links[j])
         twist = body.add_joint(name=f"{robot.joints[j]}_twist", type=mujoco.mjtJoint.mjJNT_HINGE, axis=robot.axes[j])

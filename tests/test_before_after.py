@@ -14,6 +14,7 @@ from rrr_oc.calibrated import Estimate, Term
 from rrr_oc.diagnosis import Diagnosis, Fold, Shares
 from rrr_oc.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.effects.backlash import Backlash
+from rrr_oc.effects.joint_elasticity import JointElasticity
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.evaluate import SIGNALS
 
@@ -77,8 +78,8 @@ def test_the_twin_tracks_better_with_what_was_missing(diagnosis):
 
 
 def test_what_the_twin_cannot_simulate_is_said(diagnosis):
-    gap = Term(Backlash((0,)), (Estimate(0.02),))
-    with_gap = replace(diagnosis.plain, terms=(*diagnosis.plain.terms, gap))
+    gap, twist = Term(Backlash((0,)), (Estimate(0.02),)), Term(JointElasticity((0,)), (Estimate(500.0), Estimate(0.002)))
+    with_gap = replace(diagnosis.plain, terms=(*diagnosis.plain.terms, twist, gap))
     found = in_closed_loop(replace(diagnosis, folds=tuple(replace(f, model=with_gap) for f in diagnosis.folds)), 1)
     assert "joint1" in found["before"]
     assert "backlash[joint1]" in found["after"]["why_not"]

@@ -309,7 +309,7 @@ def test_an_elastic_gear_is_fitted_whatever_the_links_start_was(tmp_path):
         made.append(replace(recorded, tau=recorded.tau + 0.005 * rng.standard_normal(recorded.tau.shape)))
     recordings = as_set(plant, made)
     start = plain_model(recordings)
-    gear = nominal_term(JointElasticity((0,))).with_values(np.array([100.0, 0.001]))
+    gear = nominal_term(JointElasticity((0,))).with_values(np.array([16.0, 0.03]))
     model = fit_terms(recordings, prepare(recordings), replace(start, terms=(*start.terms, gear))).model
     np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2, stiffness, time], rtol=0.02)
 

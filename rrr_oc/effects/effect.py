@@ -71,6 +71,7 @@ class View:
         duration: Of the longest recording [s].
         widths: Speeds over which each joint's dry friction changes sign [rad/s], (n,).
         positions: A sample of joint positions [rad], (n, K).
+        inertia: What each joint's drive moves at these, the median, without payload [kg m²], (n,).
         springs: Joints of the springs that recordings list.
         payload: Whether a recording lists a payload, or the model has found one.
     """
@@ -81,6 +82,7 @@ class View:
     duration: float
     widths: np.ndarray
     positions: np.ndarray
+    inertia: np.ndarray
     springs: tuple[tuple[int, ...], ...]
     payload: bool
 
@@ -173,7 +175,7 @@ class Effect(ABC):
         return body
 
     def shift(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """True less recorded position of each of `joints` [rad], for the side "motion"."""
+        """True less recorded position of each of `joints` [rad], the same all along, for the side "motion" if not `simulated`."""
         return ()
 
     def motion(

@@ -11,8 +11,10 @@ from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
 from rrr_oc.savitzky_golay import smooth
 
-TIME = 0.002  # of damping, before it was fitted [s]
+TIME = 0.002  # of damping, where a gear is so stiff that none is felt [s]
 WINDOW = 0.2  # over which the load is smoothed [s], since a link rings on the noise of accelerations, too
+RINGING = (1e5, 60.0, 36.0, 22.0, 13.0, 8.0)  # of links that are looked for [rad/s]; the first has no inertia to speak of
+DAMPED = 0.3  # of critical damping, from which a fit starts: with less it finds the right resonance only from near by
 LIGHT = 0.01  # of the largest inertia, that a link has at the least: one near 0 is an estimate gone astray
 FURTHEST = 1.0  # [rad]; in a model whose gears twist further, other things are wrong
 STABLE = 0.05  # of the stiffness, that gravity and springs leave at the least
@@ -29,7 +31,7 @@ class JointElasticity(Effect):
     name = "joint_elasticity"
     equation = "tau_l = stiffness (theta - q_link + damping_time (dtheta - dq_link))"
     parameters = (
-        Parameter("stiffness", "Nm/rad", 1e6, lower=1.0),
+        Parameter("stiffness", "Nm/rad", 1e6, lower=1e-3, factor=3.0),
         Parameter("damping_time", "s", TIME, lower=0.0, upper=0.05),
     )
     amplitudes = ("stiffness",)
@@ -51,7 +53,7 @@ class JointElasticity(Effect):
         p[0] -= link.damping / link.total * p[1] + 2 * link.mass / link.total * p[2]
         swing = int(np.searchsorted(t - t[0], np.pi * np.sqrt(link.mass[0] / link.total[0])))  # samples in half a period
         speed = p[1, 0] if swing < 3 else -np.polyfit(t[:swing] - t[0], load[:swing], 1)[0] / link.total[0]
-        found = link.along(p, (p[0, 0], speed))
+        found = link.along(p, np.array([p[0, 0], speed]))
         return found / max(1.0, np.abs(found[0]).max() / FURTHEST)
 
     def free(self, t, stiffness, inertia, theta):
@@ -67,13 +69,16 @@ class JointElasticity(Effect):
 
     def combined(self, points, coefficients):
         """The twist is nearly linear in the compliance."""
-        return {"stiffness": 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0, "damping_time": TIME}
+        stiffness = 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0
+        return {**points[0], "stiffness": stiffness}
 
     @classmethod
     def trials(cls, view):
         for j in range(view.n):
-            for stiffness in (1e9, 1000.0, 400.0, 160.0, 60.0, 25.0):
-                yield Trial(cls((j,)), ({"stiffness": stiffness, "damping_time": TIME},), 1 / stiffness)
+            for ringing in RINGING:
+                stiffness = ringing**2 * float(view.inertia[j])
+                point = {"stiffness": stiffness, "damping_time": min(max(2 * DAMPED / ringing, TIME), cls.parameters[1].upper)}
+                yield Trial(cls((j,)), (point,), 1 / stiffness)
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ class _Link:
         mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, low) for x, low in zip((inertia, stiffness), least, strict=True))
         return cls(np.diff(t), mass, own + rest, own * theta["damping_time"])
 
-    def along(self, p: np.ndarray, start: tuple[float, float]) -> np.ndarray:
+    def along(self, p: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Position, speed and acceleration (3, K) from a start, where the powers `p` (4, K − 1) are one solution in each step."""
         h, decay, square = self.step, self.damping / self.mass / 2, self.total / self.mass
         end = np.array([((p[3] * h + p[2]) * h + p[1]) * h + p[0], (3 * p[3] * h + 2 * p[2]) * h + p[1]])
@@ -111,7 +116,9 @@ class _Link:
         bands = np.zeros((4, 2 * len(h) + 2))  # position and speed at a sample from those at the one before
         bands[0] = 1.0
         bands[2, 0:-2:2], bands[1, 1:-2:2], bands[3, 0:-2:2], bands[2, 1:-2:2] = -keep.reshape(4, -1)
-        x, v = solve_banded((3, 0), bands, np.concatenate([[start], gain.T]).reshape(-1), check_finite=False).reshape(-1, 2).T
+        x, v = (
+            solve_banded((3, 0), bands, np.concatenate([start[None], gain.T]).reshape(-1), check_finite=False).reshape(-1, 2).T
+        )
         a = 2 * p[2] - 2 * decay * (v[:-1] - p[1]) - square * (x[:-1] - p[0])
         last = 2 * p[2, -1] + 6 * p[3, -1] * h[-1] - 2 * decay[-1] * (v[-1] - end[1, -1]) - square[-1] * (x[-1] - end[0, -1])
         return np.array([x, v, np.append(a, last)])
