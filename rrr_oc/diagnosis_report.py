@@ -2,7 +2,7 @@
 
 import base64
 import html
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +39,9 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, 
         simulated: What `in_closed_loop` returns; None leaves that part out.
 
     Returns:
-        The content of diagnosis.json: the contract's, with "bootstrap" (`before_after.intervals`) and "simulated".
+        The content of diagnosis.json: the contract's, with "bootstrap" (`before_after.intervals`), "alone" and "simulated".
     """
-    found = {**to_json(diagnosis), "bootstrap": intervals(diagnosis)}
+    found = {**to_json(diagnosis), "bootstrap": intervals(diagnosis), "alone": _alone(diagnosis)}
     if simulated is not None:
         found["simulated"] = dict(simulated)
     save_model(diagnosis.model, folder / "model.json")
@@ -57,6 +57,16 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, 
     write_text(folder / "report.html", page(found, about(diagnosis.recordings), figures))
     write_json(folder / "diagnosis.json", found)
     return found
+
+
+def _alone(diagnosis: Diagnosis) -> list[str]:
+    """Recordings held out whose set-up no recording shared that was fitted to, where something is present in some set-ups only."""
+    every, result = diagnosis.recordings.recordings, []
+    if diagnosis.way == "recordings" and any(term.groups for term in diagnosis.model.terms):
+        for fold in diagnosis.folds:
+            known = {r.group for k, r in enumerate(every) if k not in fold.held}
+            result += [every[k].file for k in fold.held if every[k].group not in known]
+    return sorted(result)
 
 
 def about(recordings: RecordingSet) -> str:
@@ -121,12 +131,23 @@ def _before_after(found: Mapping[str, Any], figures: Mapping[str, Path]) -> list
         "<h2>Before and after</h2>",
         f"<p>NRMSE of the torque predicted from the measured motion, held out: {what} that took part in no fit and no choice.</p>",
         _table(["joint", "before", "after", "after / before"], rows),
+        *_foretold(found.get("alone", [])),
         _image(figures["before_after"], "error before and after"),
         *_simulated(found.get("simulated")),
         "<p>Recorded and predicted torque where the plain model is worst, by models that did not see that recording:</p>",
         _image(figures["prediction"], "recorded and predicted torque"),
     ]
     return parts
+
+
+def _foretold(alone: Sequence[str]) -> list[str]:
+    if not alone:
+        return []
+    return [
+        "<p>What only some set-ups have cannot be foretold for a recording whose set-up no other shares: they were predicted without "
+        f"it, and may be predicted worse than by the plain model. So it is for {html.escape(', '.join(alone))}. A second "
+        "recording of each would tell, with the same “group” in recordings.json.</p>"
+    ]
 
 
 def _simulated(simulated: Mapping[str, Any] | None) -> list[str]:

@@ -100,6 +100,19 @@ def test_the_page_holds_its_figures_and_says_what_was_not_simulated(diagnosis, t
     assert "<td>0.2500 → –</td>" in text
 
 
+def test_the_page_says_for_which_recordings_nothing_could_be_foretold(diagnosis, tmp_path):
+    assert write_diagnosis(diagnosis, tmp_path)["alone"] == []
+    assert "foretold" not in (tmp_path / "report.html").read_text()
+    *plain, spring = diagnosis.model.terms
+    one = replace(diagnosis.model, terms=(*plain, replace(spring, recordings=(), groups=("0.csv",))))
+    found = write_diagnosis(replace(diagnosis, model=one), tmp_path)
+    assert found["alone"] == ["0.csv", "1.csv", "2.csv"]  # each is a set-up of its own
+    assert "cannot be foretold" in (tmp_path / "report.html").read_text()
+    twins = [replace(r, group=r.group if r.file == "1.csv" else "same") for r in diagnosis.recordings.recordings]
+    shared = replace(diagnosis, model=one, recordings=replace(diagnosis.recordings, recordings=tuple(twins)))
+    assert write_diagnosis(shared, tmp_path)["alone"] == ["1.csv"]
+
+
 def test_the_verdict_is_a_sentence(diagnosis):
     found = {
         "verdict": "missing_physics",
