@@ -154,9 +154,9 @@ class CalibratedModel:
         motor, load = (physics or self.physics(recording)).torques(recording)
         return load if self.torque == "load" else motor
 
-    def output_torque(self, recording: Recording) -> np.ndarray:
+    def output_torque(self, recording: Recording, physics: Physics | None = None) -> np.ndarray:
         """What `RecordingSet.output_torque` measures, from the recorded motion, (n, K) [Nm]."""
-        physics = self.physics(recording)
+        physics = physics or self.physics(recording)
         return physics.recorded(recording, self.true_torque(recording, physics))
 
     def predict(self, recording: Recording) -> np.ndarray:

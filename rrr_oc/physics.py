@@ -62,10 +62,10 @@ class Physics:
         effects, shifts = self.model.effects, self._moved(recording)[0]
         return _summed({i: shift for i, shift in shifts.items() if effects[i].simulated}, recording)
 
-    def _moved(self, recording: Recording) -> tuple[Shifts, Reaction]:
+    def _moved(self, recording: Recording) -> tuple[Shifts, Reaction | None]:
         """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift.
 
-        Beside them what the links that move by themselves meet.
+        Beside them what the links that move by themselves meet, if there are any.
         """
         return self._once("moved", self._find_moved, recording)
 
@@ -75,14 +75,14 @@ class Physics:
             self.known[what] = recording, find(recording)
         return self.known[what][1]
 
-    def _find_moved(self, recording: Recording) -> tuple[Shifts, Reaction]:
+    def _find_moved(self, recording: Recording) -> tuple[Shifts, Reaction | None]:
         found: Shifts = {}
         total = _summed(found, recording)
         motion = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
-        reaction: Reaction = partial(self._reaction, recording, np.zeros_like(recording.q), total)
+        reaction = None
         rigid, alone = ([one for one in motion if one[1].simulated == simulated] for simulated in (False, True))
         for i, effect, theta, width in rigid:
-            shift = partial(moved, recording, effect, width=width, load=total, reaction=reaction)
+            shift = partial(moved, recording, effect, width=width)
             found[i] = shift, shift(theta)
         for _ in range(SWEEPS if alone else 0):  # what a link does behind its gear follows from the motion that all else makes
             total = _summed(found, recording)
@@ -153,6 +153,7 @@ class Physics:
         for i in [i for i in shifts if named[i][0].simulated]:
             effect, theta, _ = named[i]
             (j,) = effect.joints
+            assert reaction is not None
             stiffness, inertia = reaction(j)
             parts = [effect.free(recording.t[s], stiffness[s], inertia[s], theta) for s in recording.segments]
             for k in range(len(parts[0])):
@@ -201,18 +202,25 @@ def _summed(shifts: Shifts, recording: Recording) -> np.ndarray:
 
 
 def moved(
-    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray, reaction: Reaction
+    recording: Recording,
+    effect: Effect,
+    theta: Mapping[str, float],
+    width: Any,
+    load: np.ndarray | None = None,
+    reaction: Reaction | None = None,
 ) -> np.ndarray:
     """What the links move otherwise than the recorded motion because of one effect: q, dq, ddq, one below the other, (3 n, K).
 
     Args:
         load: Torque that the link would need if it moved with its drive (n, K) [Nm].
         reaction: From joint j to by how much its load torque grows with its position [Nm/rad] and acceleration [kg m²], (K,) each.
-            Both only of effects that are simulated.
+            Both are needed of effects that are simulated.
     """
     n = len(recording.q)
     result = np.zeros((3 * n, len(recording.t)))
     if effect.simulated:
+        assert load is not None
+        assert reaction is not None
         for j in effect.joints:
             stiffness, inertia = reaction(j)
             for s in recording.segments:

@@ -24,9 +24,6 @@ from rrr_oc.savitzky_golay import LEAST_ROWS, differentiate, split
 HEADER = "recordings.json"
 
 
-SHORT_WINDOW = 0.07  # [s], of the derivatives of signals without noise
-
-
 @dataclass(frozen=True)
 class Recording:
     """One motion of n joints in K samples.

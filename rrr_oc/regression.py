@@ -63,7 +63,7 @@ class Prepared:
                 samples = min(window_samples(self.recording.t[s], self.window), (s.stop - s.start) // 10)
                 return samples - 1 + samples % 2
 
-            once = as_matrix(self.recording.t, self.recording.segments, 0, 3, count)
+            once = as_matrix(self.recording.t, self.recording.segments, 3, count)
             self.recording.filters[self.window] = (once[kept_rows(self.recording)[0]] @ once).tocsr()
         return self.recording.filters[self.window]
 
@@ -202,8 +202,8 @@ def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedM
 
 def _left(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
     """Filtered residuals at the rows that are kept, (n, kept), whatever the start of each stretch was."""
-    r, physics = prepared.recording, model.physics(prepared.recording)
-    residual = prepared.measured - physics.recorded(r, model.true_torque(r, physics))
+    physics = model.physics(prepared.recording)
+    residual = residuals(prepared, model, physics)
     return _Starts.of(prepared, model, physics).cleared(prepared.passed(residual, range(len(residual))))
 
 
@@ -216,13 +216,11 @@ class _Starts:
     @classmethod
     def of(cls, prepared: Prepared, model: CalibratedModel, physics: Physics) -> "_Starts":
         r, n = prepared.recording, len(prepared.measured)
-        if not any(effect.simulated for effect in physics.model.effects):
-            return cls(())
         found = physics.starts(r, model.torque == "load")
         if not len(found):
             return cls(())
         passed = prepared.passed(found.reshape(-1, len(r.t)), np.tile(np.arange(n), len(found))).reshape(len(found), n, -1)
-        columns = [np.where(_within(s, passed.shape[2]), x, 0.0) for x in passed for s in kept_rows(r)[1]]
+        columns = [_only(x, s) for x in passed for s in kept_rows(r)[1]]
         whole = np.linalg.norm(prepared.passed(prepared.measured, range(n)), axis=1)
         return cls(tuple(_basis(np.array([x[j] for x in columns]).T, FELT * whole[j]) for j in range(n)))
 
@@ -233,8 +231,10 @@ class _Starts:
         return np.array([x - basis @ (basis.T @ x) for basis, x in zip(self.bases, rows, strict=True)])
 
 
-def _within(stretch: slice, count: int) -> np.ndarray:
-    return (np.arange(count) >= stretch.start) & (np.arange(count) < stretch.stop)
+def _only(rows: np.ndarray, stretch: slice) -> np.ndarray:
+    result = np.zeros_like(rows)
+    result[:, stretch] = rows[:, stretch]
+    return result
 
 
 def _basis(columns: np.ndarray, least: float) -> np.ndarray:
@@ -272,9 +272,9 @@ def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray
     return np.concatenate([p.passed(law(p.recording), joints) for p in prepared], axis=1)
 
 
-def residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
-    """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]."""
-    return prepared.measured - model.output_torque(prepared.recording)
+def residuals(prepared: Prepared, model: CalibratedModel, physics: Physics | None = None) -> np.ndarray:
+    """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]; `physics` of the recording, where it is at hand."""
+    return prepared.measured - model.output_torque(prepared.recording, physics)
 
 
 def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
@@ -347,7 +347,7 @@ def _turning(recording: Recording) -> np.ndarray:
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
     r = prepared.recording
     physics = model.physics(r)
-    residual = prepared.measured - physics.recorded(r, model.true_torque(r, physics))
+    residual = residuals(prepared, model, physics)
     jacobian = derivatives(model, r, inertial and not last, last, physics)
     kept, stretches, durations = kept_rows(r)
     n, p = len(residual), jacobian.shape[2]

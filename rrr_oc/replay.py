@@ -50,8 +50,7 @@ def tracking_controller(model: CalibratedModel) -> Controller:
     Of another robot's controllers nothing is known; they get a bandwidth of `BANDWIDTH` on the least inertia of each joint.
     """
     plain = Model(model.robot, model.tool)
-    mass = np.asarray(plain.body.mass_matrix(np.zeros(model.robot.n), model.robot.inertial))
-    gain = K_P if model.source in BUNDLED else BANDWIDTH**2 / np.diag(np.linalg.inv(mass))
+    gain = K_P if model.source in BUNDLED else BANDWIDTH**2 * plain.body.free_inertia(model.robot.inertial)
     control, effort = controller(plain, gain), model.robot.effort
     return replace(control, limit=np.where((effort > 0) & (effort < NO_LIMIT), effort, np.inf))
 

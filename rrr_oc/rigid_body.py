@@ -50,6 +50,10 @@ class RigidBody:
         jacobian = ca.jacobian(self._point(q, tool, self.n - 1), q)
         return ca.Function("tool_jacobian", [q, tool], [jacobian], ["q", "tool"], ["jacobian"])
 
+    def free_inertia(self, inertial: np.ndarray) -> np.ndarray:
+        """Each joint's inertia at q = 0 with the other joints free, 1/(M⁻¹)_ii: the least there, (n,) [kg m²]."""
+        return 1 / np.diag(np.linalg.inv(np.asarray(self.mass_matrix(np.zeros(self.n), inertial))))
+
     def _point(self, q: ca.SX, tool: ca.SX, joint: int) -> ca.SX:
         frame = self.joint_frames(q)[:, joint]
         return ca.reshape(frame[:9], 3, 3) @ tool + frame[9:]

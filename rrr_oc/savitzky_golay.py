@@ -84,20 +84,17 @@ def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, 
     return result
 
 
-def as_matrix(
-    t: np.ndarray, segments: Sequence[slice], derivative: int, order: int, count: Callable[[slice], int]
-) -> csr_matrix:
-    """`local_polynomial` within each segment as a matrix (K, K), for signals that are many and windows that are short.
+def as_matrix(t: np.ndarray, segments: Sequence[slice], order: int, count: Callable[[slice], int]) -> csr_matrix:
+    """`local_polynomial`'s value within each segment as a matrix (K, K), for signals that are many and windows that are short.
 
     Args:
-        count: Samples of the window in a segment, odd; where it is not above `order`, rows are those of the identity, or of 0 for
-            a derivative.
+        count: Samples of the window in a segment, odd; where it is not above `order`, rows are those of the identity.
     """
     rows, columns, values = [], [], []
     for s in segments:
         size, window = s.stop - s.start, count(s)
         if window <= order or window > size:
-            at = np.arange(s.start, s.stop) if derivative == 0 else np.zeros(0, int)
+            at = np.arange(s.start, s.stop)
             for part, entries in ((rows, at), (columns, at), (values, np.ones(len(at)))):
                 part.append(entries)
             continue
@@ -107,9 +104,9 @@ def as_matrix(
             scale = (t[samples[:, -1]] - t[samples[:, 0]])[:, None] / 2
             powers = ((t[samples] - t[at][:, None]) / scale)[:, :, None] ** np.arange(order + 1)
             pick = np.zeros((len(at), order + 1, 1))
-            pick[:, derivative] = math.factorial(derivative)
+            pick[:, 0] = 1.0
             solved = np.linalg.solve(np.einsum("kwa,kwb->kab", powers, powers), pick)[:, :, 0]
-            values.append((np.einsum("kwa,ka->kw", powers, solved) / scale**derivative).ravel())
+            values.append(np.einsum("kwa,ka->kw", powers, solved).ravel())
             rows.append(np.repeat(at, window))
             columns.append(samples.ravel())
     return csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(len(t), len(t)))

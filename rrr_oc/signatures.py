@@ -36,7 +36,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
     springs = {spring.joints for p in prepared for spring, _ in p.recording.springs}
     positions = q[:, :: max(1, q.shape[1] // SAMPLE)]
     body = rigid_body(model.robot)
-    moved = [np.diag(np.asarray(body.mass_matrix(x, model.robot.inertial))) for x in positions.T]
+    inertia = [np.diag(np.asarray(body.mass_matrix(x, model.robot.inertial))) for x in positions.T]
     return View(
         low=low,
         high=np.maximum(high, low + 1e-3),
@@ -44,7 +44,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         duration=max(float(np.ptp(p.recording.t)) for p in prepared),
         widths=widths,
         positions=positions,
-        inertia=np.maximum(np.median(moved, axis=0), 1e-9),
+        inertia=np.maximum(np.median(inertia, axis=0), 1e-9),
         springs=tuple(sorted(springs)),
         payload=any(np.any(p.recording.payload > 0) for p in prepared)
         or any(term.effect.name == "payload_mass" for term in model.terms),

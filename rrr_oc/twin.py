@@ -88,12 +88,11 @@ def controller(model: Model, k_p: float | np.ndarray = K_P, damping_ratio: float
     The paper's gain k_p acts on an arm whose gears damp it (the authors' calibrated joints have 40 and 23 Nm s/rad). On the
     frictionless arm k_p alone leaves every disturbance ringing for good, so k_d = 2 ζ sqrt(k_p I) stands in for the gears,
     but on the error of speed, so that it costs no torque on the reference. I is each joint's inertia at q = 0 with the
-    other joints free and no payload, 1/(M⁻¹)_ii: the least there, so that no joint is stiffer than the step can follow.
+    other joints free and no payload (`RigidBody.free_inertia`), so that no joint is stiffer than the step can follow.
     """
     n = model.robot.n
     gain = np.broadcast_to(np.asarray(k_p, float), (n,)).copy()
-    mass = np.asarray(model.body.mass_matrix(np.zeros(n), model.robot.inertial))
-    inertia = 1 / np.diag(np.linalg.inv(mass))
+    inertia = model.body.free_inertia(model.robot.inertial)
     return Controller(gain, 2 * damping_ratio * np.sqrt(gain * inertia), model.robot.effort.copy())
 
 
@@ -318,7 +317,7 @@ def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: 
 
 def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: np.ndarray, timestep: float) -> None:
     """A second hinge beside that of each joint whose gear gives, by which the link is ahead of its drive."""
-    robot, numbers, seen = model.robot, iter(theta.tolist()), set()
+    robot, numbers, seen, least = model.robot, iter(theta.tolist()), set(), model.body.free_inertia(inertial)
     for effect in model.effects:
         named = {p.name: next(numbers) for p in effect.parameters}
         if not effect.simulated:
@@ -331,9 +330,8 @@ def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: n
         seen.add(j)
         drive, body = spec.joint(robot.joints[j]), spec.body(robot.links[j])
         twist = body.add_joint(name=f"{robot.joints[j]}_twist", type=mujoco.mjtJoint.mjJNT_HINGE, axis=robot.axes[j])
-        link = 1 / np.linalg.inv(np.asarray(model.body.mass_matrix(np.zeros(robot.n), inertial)))[j, j]
-        drive.armature = max(float(drive.armature), LIGHTEST * link)
-        effect.gear(twist, named, link * drive.armature / (link + drive.armature) / timestep**2)
+        drive.armature = max(float(drive.armature), LIGHTEST * least[j])
+        effect.gear(twist, named, least[j] * drive.armature / (least[j] + drive.armature) / timestep**2)
 
 
 def _add_state(spec: mujoco.MjSpec, name: str, joint: str) -> None:
