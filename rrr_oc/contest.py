@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel, Term, nominal_term
-from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, noisy, present, rarity, without
+from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, least, noisy, present, rarity, without
 from rrr_oc.effects import Effect
 from rrr_oc.effects.cable_harness import CableHarness
 from rrr_oc.effects.empirical import Empirical
@@ -92,6 +92,10 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             rivals = [r for r in rivals if r != taker] + ([ousted] if equal else [])
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
             fitted = _in_place(bench, i, best[1].model, 1)
+        if fitted.better_than(less) < least(fitted, i, evidence.tests):  # beside what the others have become
+            report(f"{fitted.model.terms[i].effect.name} is superfluous")
+            fitted = less
+            continue
         dimensions = len(fitted.model.terms[i].effect.amplitudes)
         findings.append(
             Finding(

@@ -387,7 +387,7 @@ def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, 
     """The model without those earlier effects that the newest made superfluous."""
 
     def superfluous(less: Fitted, i: int, by: float = 1.0) -> bool:
-        return _share(bench, plain, less, fitted) < by * LEAST_SHARE or fitted.better_than(less) < by * _least(fitted, i, tests)
+        return _share(bench, plain, less, fitted) < by * LEAST_SHARE or fitted.better_than(less) < by * least(fitted, i, tests)
 
     i = base
     while i < len(fitted.model.terms) - 1:
@@ -419,7 +419,7 @@ def _foreseen(fitted: Fitted, i: int) -> Fitted | None:
     return Fitted(model, replace(found, residual=found.residual - found.jacobian @ step))
 
 
-def _least(fitted: Fitted, i: int, tests: int) -> float:
+def least(fitted: Fitted, i: int, tests: int) -> float:
     """Likelihood that a term must add to stay."""
     number = len(fitted.model.terms[i].estimates)
     return min(chance(number, fitted.counts, tests), significant(number, tests))

@@ -11,6 +11,7 @@ from scipy.linalg import solve_banded
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.model import Model, along
 from rrr_oc.recordings import Recording
+from rrr_oc.savitzky_golay import as_matrix
 
 DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
 PARTS = 4  # of a sample's step, for internal states
@@ -223,12 +224,23 @@ def moved(
         assert reaction is not None
         for j in effect.joints:
             stiffness, inertia = reaction(j)
+            felt = _smoothed(recording, load[j], effect.window)
             for s in recording.segments:
-                result[[j, n + j, 2 * n + j], s] = effect.motion(recording.t[s], load[j, s], stiffness[s], inertia[s], theta)
+                result[[j, n + j, 2 * n + j], s] = effect.motion(recording.t[s], felt[s], stiffness[s], inertia[s], theta)
         return result
     for j, shift in zip(effect.joints, effect.shift(Signals(recording.q), theta, width), strict=True):
         result[j] = np.array(shift).reshape(-1)
     return result
+
+
+def _smoothed(recording: Recording, x: np.ndarray, window: float) -> np.ndarray:
+    """A signal (K,) smoothed over a window [s], within each segment; by a matrix that is made once a recording."""
+    if not window:
+        return x
+    key = "once", window
+    if key not in recording.filters:
+        recording.filters[key] = as_matrix(recording.t, recording.segments, window)
+    return recording.filters[key] @ x
 
 
 def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:

@@ -59,8 +59,8 @@ class Recording:
     ignored: tuple[str, ...] = ()
 
     @cached_property
-    def filters(self) -> dict[float, csr_matrix]:
-        """Filters made for this recording, as matrices, by their window [s]."""
+    def filters(self) -> dict[tuple[str, float], csr_matrix]:
+        """Filters made for this recording, as matrices, by their kind and window [s]."""
         return {}
 
 

@@ -57,15 +57,11 @@ class Prepared:
     @property
     def matrix(self) -> csr_matrix:
         """The common filter at the samples that are kept, (kept, K)."""
-        if self.window not in self.recording.filters:
-
-            def count(s: slice) -> int:
-                samples = min(window_samples(self.recording.t[s], self.window), (s.stop - s.start) // 10)
-                return samples - 1 + samples % 2
-
-            once = as_matrix(self.recording.t, self.recording.segments, 3, count)
-            self.recording.filters[self.window] = (once[kept_rows(self.recording)[0]] @ once).tocsr()
-        return self.recording.filters[self.window]
+        filters, key = self.recording.filters, ("twice", self.window)
+        if key not in filters:
+            once = as_matrix(self.recording.t, self.recording.segments, self.window)
+            filters[key] = (once[kept_rows(self.recording)[0]] @ once).tocsr()
+        return filters[key]
 
     @cached_property
     def counted(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,11 +42,15 @@ def smooth(t: np.ndarray, x: np.ndarray, segments: Sequence[slice], window: floa
     """x (n, K) filtered over `window` [s], never more than a tenth of a segment; a segment too short for that is kept."""
     result = np.array(x, float)
     for s in segments:
-        count = min(window_samples(t[s], window), (s.stop - s.start) // 10)
-        count -= 1 - count % 2
+        count = _smoothing_samples(t, s, window)
         if count > order:
             result[:, s] = local_polynomial(t[s], x[:, s], 0, order, count)
     return result
+
+
+def _smoothing_samples(t: np.ndarray, segment: slice, window: float) -> int:
+    count = min(window_samples(t[segment], window), (segment.stop - segment.start) // 10)
+    return count - 1 + count % 2
 
 
 def window_samples(t: np.ndarray, window: float, least: int = 1) -> int:
@@ -84,22 +88,18 @@ def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, 
     return result
 
 
-def as_matrix(t: np.ndarray, segments: Sequence[slice], order: int, count: Callable[[slice], int]) -> csr_matrix:
-    """`local_polynomial`'s value within each segment as a matrix (K, K), for signals that are many and windows that are short.
-
-    Args:
-        count: Samples of the window in a segment, odd; where it is not above `order`, rows are those of the identity.
-    """
+def as_matrix(t: np.ndarray, segments: Sequence[slice], window: float = WINDOW, order: int = 3) -> csr_matrix:
+    """`smooth` as a matrix (K, K), for signals that are many and windows that are short."""
     rows, columns, values = [], [], []
     for s in segments:
-        size, window = s.stop - s.start, count(s)
-        if window <= order or window > size:
+        size, count = s.stop - s.start, _smoothing_samples(t, s, window)
+        if count <= order:
             at = np.arange(s.start, s.stop)
             for part, entries in ((rows, at), (columns, at), (values, np.ones(len(at)))):
                 part.append(entries)
             continue
         for rows_ in np.array_split(np.arange(size), 1 + size // CHUNK):
-            samples = s.start + np.clip(rows_ - window // 2, 0, size - window)[:, None] + np.arange(window)
+            samples = s.start + np.clip(rows_ - count // 2, 0, size - count)[:, None] + np.arange(count)
             at = s.start + rows_
             scale = (t[samples[:, -1]] - t[samples[:, 0]])[:, None] / 2
             powers = ((t[samples] - t[at][:, None]) / scale)[:, :, None] ** np.arange(order + 1)
@@ -107,7 +107,7 @@ def as_matrix(t: np.ndarray, segments: Sequence[slice], order: int, count: Calla
             pick[:, 0] = 1.0
             solved = np.linalg.solve(np.einsum("kwa,kwb->kab", powers, powers), pick)[:, :, 0]
             values.append(np.einsum("kwa,ka->kw", powers, solved).ravel())
-            rows.append(np.repeat(at, window))
+            rows.append(np.repeat(at, count))
             columns.append(samples.ravel())
     return csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(len(t), len(t)))
 

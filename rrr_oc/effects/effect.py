@@ -130,6 +130,7 @@ class Effect(ABC):
         many: Whether a joint may have more than one of it (class attribute).
         abrupt: Whether predictions are no smooth function of its parameters (class attribute).
         simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
+        window: Over which the load is smoothed that `motion` is given [s]; 0 for as it is (class attribute).
         mounted: Whether it is put on and taken off between recordings, hence likelier where only some have it (class attribute).
         joints: Indices of the joints it acts on.
     """
@@ -151,6 +152,7 @@ class Effect(ABC):
     many: ClassVar[bool] = False
     abrupt: ClassVar[bool] = False
     simulated: ClassVar[bool] = False
+    window: ClassVar[float] = 0.0
     mounted: ClassVar[bool] = False
 
     joints: tuple[int, ...]

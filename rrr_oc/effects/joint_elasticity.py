@@ -9,10 +9,8 @@ from scipy.linalg import solve_banded
 
 from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
-from rrr_oc.savitzky_golay import smooth
 
 TIME = 0.002  # of damping, where a gear is so stiff that none is felt [s]
-WINDOW = 0.2  # over which the load is smoothed [s], since a link rings on the noise of accelerations, too
 RINGING = (1e5, 60.0, 36.0, 22.0, 13.0, 8.0)  # of links that are looked for [rad/s]; the first has no inertia to speak of
 DAMPED = 0.3  # of critical damping, from which a fit starts: with less it finds the right resonance only from near by
 LIGHT = 0.01  # of the largest inertia, that a link has at the least: one near 0 is an estimate gone astray
@@ -37,30 +35,30 @@ class JointElasticity(Effect):
     amplitudes = ("stiffness",)
     side = "motion"
     simulated = True
+    window = 0.2  # [s]: a link rings on the noise of accelerations, too
 
     def torque(self, signals, theta, width):
         return (0 * signals.q[self.joints[0]],)
 
     def motion(self, t, load, stiffness, inertia, theta):
-        """Exact for a load that is a cubic spline of samples, smoothed, with M and K constant in each step; steady at the start."""
+        """Exact for a load that is a cubic spline of samples, with M and K constant in each step; steady at the start."""
         if len(t) < 3:
             return np.zeros((3, len(t)))
         link = _Link.of(t, stiffness, inertia, theta)
-        load = smooth(t, load[None], (slice(0, len(t)),), WINDOW)[0]
         p = -CubicSpline(t, load).c[::-1] / link.total  # of ascending powers: where the link is when it neither rings nor lags
         p[2] -= 3 * link.damping / link.total * p[3]
         p[1] -= 2 * link.damping / link.total * p[2] + 6 * link.mass / link.total * p[3]
         p[0] -= link.damping / link.total * p[1] + 2 * link.mass / link.total * p[2]
         swing = int(np.searchsorted(t - t[0], np.pi * np.sqrt(link.mass[0] / link.total[0])))  # samples in half a period
         speed = p[1, 0] if swing < 3 else -np.polyfit(t[:swing] - t[0], load[:swing], 1)[0] / link.total[0]
-        found = link.along(p, np.array([p[0, 0], speed]))
+        (found,) = link.along(p, np.array([[p[0, 0], speed]]))
         return found / max(1.0, np.abs(found[0]).max() / FURTHEST)
 
     def free(self, t, stiffness, inertia, theta):
         if len(t) < 3:
             return np.zeros((2, 3, len(t)))
         link = _Link.of(t, stiffness, inertia, theta)
-        return np.array([link.along(np.zeros((4, len(t) - 1)), start) for start in np.eye(2)])
+        return link.along(np.zeros((4, len(t) - 1)), np.eye(2))
 
     def gear(self, twist, theta, stiffest):
         """The joint's own `stiffness` and `damping`."""
@@ -103,8 +101,8 @@ class _Link:
         mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, low) for x, low in zip((inertia, stiffness), least, strict=True))
         return cls(np.diff(t), mass, own + rest, own * theta["damping_time"])
 
-    def along(self, p: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Position, speed and acceleration (3, K) from a start, where the powers `p` (4, K − 1) are one solution in each step."""
+    def along(self, p: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        """Position, speed and acceleration (m, 3, K) from starts (m, 2), where the powers `p` (4, K − 1) are one solution in each step."""
         h, decay, square = self.step, self.damping / self.mass / 2, self.total / self.mass
         end = np.array([((p[3] * h + p[2]) * h + p[1]) * h + p[0], (3 * p[3] * h + 2 * p[2]) * h + p[1]])
         root = np.sqrt((decay**2 - square).astype(complex))
@@ -116,9 +114,11 @@ class _Link:
         bands = np.zeros((4, 2 * len(h) + 2))  # position and speed at a sample from those at the one before
         bands[0] = 1.0
         bands[2, 0:-2:2], bands[1, 1:-2:2], bands[3, 0:-2:2], bands[2, 1:-2:2] = -keep.reshape(4, -1)
-        x, v = (
-            solve_banded((3, 0), bands, np.concatenate([start[None], gain.T]).reshape(-1), check_finite=False).reshape(-1, 2).T
-        )
-        a = 2 * p[2] - 2 * decay * (v[:-1] - p[1]) - square * (x[:-1] - p[0])
-        last = 2 * p[2, -1] + 6 * p[3, -1] * h[-1] - 2 * decay[-1] * (v[-1] - end[1, -1]) - square[-1] * (x[-1] - end[0, -1])
-        return np.array([x, v, np.append(a, last)])
+        right = np.concatenate([starts, np.broadcast_to(gain.T.reshape(-1), (len(starts), gain.size))], axis=1)
+        found = solve_banded((3, 0), bands, right.T, check_finite=False)
+        x, v = found[::2].T, found[1::2].T
+        a = np.empty_like(x)
+        a[:, :-1] = 2 * p[2] - 2 * decay * (v[:, :-1] - p[1]) - square * (x[:, :-1] - p[0])
+        a[:, -1] = 2 * p[2, -1] + 6 * p[3, -1] * h[-1]
+        a[:, -1] -= 2 * decay[-1] * (v[:, -1] - end[1, -1]) + square[-1] * (x[:, -1] - end[0, -1])
+        return np.stack([x, v, a], axis=1)
