@@ -9,7 +9,6 @@ from rrr_oc.calibrated import CalibratedModel, Term, nominal_term
 from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, least, noisy, present, rarity, without
 from rrr_oc.effects import Effect
 from rrr_oc.effects.cable_harness import CableHarness
-from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.evidence import Bench, Candidate, Evidence, scope_cost
 from rrr_oc.fitting import Fitted, refit
@@ -74,7 +73,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             if simpler <= 0:  # the simplest of equals needs no excuse
                 lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
             lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
-            worse = SAME * (max(simpler, 1) if isinstance(own.effect, Empirical) else 1)  # many coefficients also fit noise
+            worse = SAME * (max(simpler, 1) if own.effect.lawless else 1)  # many coefficients also fit noise
             if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
@@ -88,7 +87,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         if best is not None:
             ousted = (own.effect.name, own.effect.joints)
             taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
-            equal = fitted.better_than(best[1]) > -SAME and not isinstance(own.effect, Empirical)
+            equal = fitted.better_than(best[1]) > -SAME and not own.effect.lawless
             rivals = [r for r in rivals if r != taker] + ([ousted] if equal else [])
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
             fitted = _in_place(bench, i, best[1].model, 1)
@@ -153,7 +152,7 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
 
     Two laws of the catalogue must explain more than a term that is none, if need be with more parameters.
     """
-    number, unnamed_ = len(own.estimates), isinstance(own.effect, Empirical)
+    number, unnamed_ = len(own.estimates), own.effect.lawless
     if number <= MANY and not unnamed_:
         return None
     tried = []

@@ -13,7 +13,7 @@ import numpy as np
 
 from rrr_oc.calibrate import best_width, widened, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
-from rrr_oc.effects import Effect
+from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench, Candidate, Evidence, chance, pseudo_inverse, robust_p, significant
 from rrr_oc.fitting import Fitted, refit, steadily_better
@@ -136,7 +136,9 @@ def _size(*candidates: Candidate) -> int:
 
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """The evidence for torques on a joint that no law of the catalogue describes."""
-    return Evidence.gather(bench, model, list(Empirical.surfaces(view(bench.prepared, model), j, _ranges(bench, model))))
+    seen, ranges = view(bench.prepared, model), _ranges(bench, model)
+    every = [trial for kind in CATALOGUE.values() if kind.lawless for trial in kind.unnamed(seen, j, ranges)]
+    return Evidence.gather(bench, model, every)
 
 
 def _ranges(bench: Bench, model: CalibratedModel) -> dict[tuple[str, int], tuple[float, float]]:
@@ -250,7 +252,7 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
         score = gain - candidate.penalty
         share = _share(bench, plain, fitted, tried)
         steady = (
-            candidate.trial.effect.linear
+            _by_amplitude(candidate.trial.effect)
             or steadily_better(bench, tried, fitted)
             or _settled(bench, evidence, tried, candidate)
         )
@@ -276,6 +278,11 @@ def worth(plain, less, more):
     is as exact as the noise is small beside such an effect.
     """
     return (less - more) / np.sqrt(plain * less)
+
+
+def _by_amplitude(effect: Effect) -> bool:
+    """Whether its signature holds for any size of it, so that the robust test of that says all."""
+    return effect.linear or effect.lawless
 
 
 def _settled(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> bool:
@@ -320,18 +327,19 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         same = any(key(c) == key(candidate) for c in result)
         if same or present(candidate, model):
             continue
-        beyond_chance = not candidate.trial.effect.linear or robust_p(evidence, candidate) * evidence.tests < DOUBT
+        beyond_chance = not _by_amplitude(candidate.trial.effect) or robust_p(evidence, candidate) * evidence.tests < DOUBT
         if beyond_chance and (not others or evidence.confirmed(candidate) > CONFIRMED):
             result.append(candidate)
     return result
 
 
 def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float], without_last: Rows | None = None) -> Fitted:
-    """The best fit from several starts of the last term, of which the prediction is no smooth function: all forms, these shares."""
+    """The best fit from several starts of the last term, of which the prediction is no smooth function; these shares of its size."""
     last, fits = model.terms[-1], []
-    for effect in last.effect.forms():
-        for share in shares:
-            start = replace(last, effect=effect).with_values(share * last.values)
+    for share in shares:
+        sized = {name: share * value if name in last.effect.amplitudes else value for name, value in last.named.items()}
+        for effect, theta in last.effect.starts(sized):
+            start = replace(last, effect=effect).with_values(np.array(list(theta.values())))
             fits.append(refit(bench, replace(model, terms=(*model.terms[:-1], start)), 3, without_last))
     return min(fits, key=lambda f: f.misfit)
 

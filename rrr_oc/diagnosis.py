@@ -11,7 +11,6 @@ from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnose import Lawless, as_seen, search, worth
-from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.locate import mismatch
@@ -103,8 +102,8 @@ class Diagnosis:
         """One of `VERDICTS`."""
         if not self.findings:
             return "nothing_missing"
-        undecided = all(len(f.rivals) > 3 for f in self.findings if not isinstance(f.term.effect, Empirical))
-        named = any(not isinstance(f.term.effect, Empirical) for f in self.findings)
+        undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.lawless)
+        named = any(not f.term.effect.lawless for f in self.findings)
         return "cannot_tell" if named and undecided else "missing_physics"
 
 
@@ -144,7 +143,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     fitted, findings = contested(bench, found, report)
     way, folds = _folds(bench)
     model, shares = plain, Shares((), (), (), (), ())
-    empirical = any(isinstance(f.term.effect, Empirical) for f in findings)
+    empirical = any(f.term.effect.lawless for f in findings)
     every = [fold for _, fold in folds]
     held = [(bench, begin, every, k, bool(findings), "beside" if empirical else "never") for k, (bench, _) in enumerate(folds)]
     report("fitting without the recordings that are held out")
@@ -246,7 +245,7 @@ def _held_out(
         after = search(train, plain.model, lawless=lawless).fitted
         inner = [(train, [rest.index(i) for i in other]) for k, other in enumerate(folds) if k != number]
         found = after.model.terms[len(start.terms) :]
-        doubtful = [k for k, t in enumerate(found) if isinstance(t.effect, Empirical)] if len(inner) > 1 else []
+        doubtful = [k for k, t in enumerate(found) if t.effect.lawless] if len(inner) > 1 else []
         if doubtful and not set(doubtful) <= set(_worth_keeping(inner, plain.model, found)[0]):
             after = search(train, plain.model, lawless="never").fitted
     before, then = (_errors(bench.part(fold), fitted.model) for fitted in (plain, after))
@@ -325,7 +324,7 @@ def _worth_keeping(
         shares = _shares(folds, start, [terms[k] for k in kept])
         poor, lawless = [], False
         for k, value, least in zip(kept, shares.worth, shares.least, strict=True):
-            unnamed = isinstance(terms[k].effect, Empirical)
+            unnamed = terms[k].effect.lawless
             if value <= LEAST_WORTH or (unnamed and least < -HARM):
                 poor.append(k)
                 lawless |= unnamed

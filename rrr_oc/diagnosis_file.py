@@ -5,7 +5,6 @@ from typing import Any
 
 from rrr_oc.calibrated import Term, number
 from rrr_oc.diagnosis import Diagnosis
-from rrr_oc.effects.empirical import Empirical
 from rrr_oc.recordings import RecordingSet
 
 FORMAT = "rrr_oc-diagnosis/1"
@@ -16,7 +15,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     model, joints = diagnosis.model, diagnosis.model.joints
     effects, unexplained = [], []
     for i, finding in enumerate(diagnosis.findings):
-        if isinstance(finding.term.effect, Empirical):
+        if finding.term.effect.lawless:
             unexplained.append(_unexplained(diagnosis, i))
         else:
             effects.append(_effect(diagnosis, i))
@@ -62,12 +61,8 @@ def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
 def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
     finding, joints = diagnosis.findings[i], diagnosis.model.joints
     effect = finding.term.effect
-    assert isinstance(effect, Empirical)
     named = [_variable(kind, j, joints) for kind, j in effect.depends_on]
-    validity = [
-        {"variable": _variable(kind, j, joints), "range": [low, high]}
-        for (kind, j), low, high in zip(effect.variables, effect.low, effect.high, strict=True)
-    ]
+    validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in effect.validity]
     joint = joints[effect.joints[0]]
     return {
         "joint": joint,
@@ -77,20 +72,8 @@ def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
         "p_value": finding.p_value,
         "validity": validity,
         "description": f"a torque on {joint} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
-        f"the model carries it as {_form(effect)}, valid in the ranges given",
+        f"the model carries it as {effect.words(finding.term.named)}{', valid in the ranges given' if validity else ''}",
     }
-
-
-def _form(effect: Empirical) -> str:
-    count = len(effect.amplitudes)
-    if not effect.edges:
-        return f"a sum of {count} cosines"
-    low, high = effect.low[0], effect.high[0]
-    where = " and ".join(
-        f"{'above' if side > 0 else 'below'} {low + edge * (high - low):.4g}, power {power}"
-        for side, edge, power in effect.edges
-    )
-    return f"something that begins {where}"
 
 
 def _variable(kind: str, j: int, joints: Sequence[str]) -> str:

@@ -15,7 +15,6 @@ from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Trial
-from rrr_oc.effects.empirical import Empirical
 from rrr_oc.regression import STRIDE, Prepared, Rows, kept_rows, rows
 from rrr_oc.signatures import Known, Table, context, table
 
@@ -191,7 +190,7 @@ class Evidence:
             for scope, *quadratic in options:
                 gain, coefficients, dimensions = self._possibly(k, scope, *quadratic)
                 cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))
-                kind = (trial.effect if isinstance(trial.effect, Empirical) else trial.effect.name), trial.effect.joints
+                kind = (trial.effect if trial.effect.lawless else trial.effect.name), trial.effect.joints
                 key = (*kind, scope is None)
                 if dimensions and gain - cost > best.get(key, (0.0,))[0]:
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
@@ -293,7 +292,7 @@ class Evidence:
         shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
         penalty = chance(dimensions + shape, self.counts, self.tests)
         chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
-        least = penalty if isinstance(trial.effect, Empirical) else min(penalty, significant(dimensions + shape, self.tests))
+        least = penalty if trial.effect.lawless else min(penalty, significant(dimensions + shape, self.tests))
         likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
         return replace(bare, likelihood=likelihood, penalty=penalty + chosen, least=least + chosen)
 

@@ -233,13 +233,11 @@ class Model:
         time, inertial = ca.SX.sym("time"), ca.SX.sym("inertial", 10, n)
         shift, states = ca.SX.sym("shift", 3 * n), ca.SX.sym("states", len(self.states))
         carried, gravity = self.rigid(inertial, payload, theta, widths)
-        signals = Signals(q, dq, ddq, time=time, payload=payload, states=states)
+        signals = Signals(q, dq, ddq, time=time, payload=payload, states=states if moved else None)
         arguments, links = [q, dq, ddq, time, payload, theta, widths, inertial], signals
         if moved:
             arguments += [shift, states]
             links = replace(signals, q=q + shift[:n], dq=dq + shift[n : 2 * n], ddq=ddq + shift[2 * n :])
-        else:
-            signals = links = replace(signals, states=ca.SX([p.nominal for p in self.states]))
         load = self.body.inverse_dynamics(links.q, links.dq, links.ddq, carried, gravity)
         load -= self.side_torque("link", links, theta, widths)
         motor = load - self.side_torque("drive", replace(signals, load=load), theta, widths)

@@ -204,6 +204,9 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
         return sum((t for e, yes, t in torques if yes and e.side == side), ca.SX.zeros(n))
 
     link, drive = total("link", links, inside), total("drive", signals, inside)
+    rates = ca.vertcat(
+        *(r for e, s, named, width in model.with_signals(signals, theta, widths) for r in e.rate(s, named, width))
+    )
     if any(chosen and e.load_dependent for e, chosen in zip(model.effects, inside, strict=True)):
         carried, gravity = model.rigid(inertial, payload, theta, widths)
         bias = model.body.inverse_dynamics(links.q, links.dq, ca.SX.zeros(n), carried, gravity)
@@ -213,10 +216,11 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
         needed = mass @ ddq + extra
         residual = needed - motor - ca.substitute(drive + own, load, needed)
         gives = any(e.simulated for e in model.effects)
-        drive = ca.substitute(drive, load, mass @ (before if gives else _root(residual, ddq)) + extra)
-    rates = [r for e, s, named, width in model.with_signals(signals, theta, widths) for r in e.rate(s, named, width)]
+        drive, rates = (
+            ca.substitute(x, load, mass @ (before if gives else _root(residual, ddq)) + extra) for x in (drive, rates)
+        )
     arguments = [q, dq, time, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
-    return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(ca.vertcat(*rates))])
+    return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(rates)])
 
 
 def _root(residual: ca.SX, x: ca.SX) -> ca.SX:

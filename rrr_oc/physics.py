@@ -186,7 +186,9 @@ class Physics:
         return self._once("states", self._find_states, recording)
 
     def _find_states(self, recording: Recording) -> np.ndarray:
-        found = [states_along(recording, *one) for one in self.named() if one[0].states]
+        named = [one for one in self.named() if one[0].states]
+        load = self._load(recording, self.shift(recording)) if any(effect.driven for effect, *_ in named) else None
+        found = [states_along(recording, *one, load) for one in named]
         return np.concatenate([*found, np.zeros((0, len(recording.t)))])
 
     def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
@@ -253,14 +255,21 @@ def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
     return result
 
 
-def states_along(recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
-    """Internal states (number, K) of an effect, whose rates are affine in them, each in its own.
+def states_along(
+    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray | None = None
+) -> np.ndarray:
+    """Internal states (number, K) of an effect, which the load torque (n, K) [Nm] drives, or whose rates are affine in them, each in
+    its own.
 
     Motion is taken as linear between samples, and the rates as constant over each of `PARTS` of a sample's step: where a joint turns
     around, its way within the step is what a bristle feels.
     """
     states = np.zeros((len(effect.states), len(recording.t)))
     for s in recording.segments:
+        if effect.driven:
+            assert load is not None
+            states[:, s] = effect.course(recording.t[s], load[effect.joints[0], s], theta)
+            continue
         signals = Signals(*(_finely(x[:, s]) for x in (recording.q, recording.dq, recording.ddq)))
         count = signals.q.shape[1]
         h = np.repeat(np.diff(recording.t[s]) / PARTS, PARTS)

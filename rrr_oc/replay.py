@@ -63,8 +63,8 @@ def replay(model: CalibratedModel, recording: Recording, control: Controller) ->
     physics = model.physics(recording)
     forward = physics.torques(recording)[0]
     engine = twin(physics.model, physics.theta, control, SETTINGS, physics.widths)
-    twist = physics.twist(recording)
-    q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None], twist=twist))
+    start = physics.twist(recording), physics.states(recording)
+    q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None], SETTINGS.timestep, *start))
     ddq = differentiate(recording.t, dq, recording.segments)
     moved = replace(recording, q=q, dq=dq, ddq=ddq)
     return Replayed(q, dq, ddq, tau, physics.torques(moved)[1])
@@ -78,6 +78,7 @@ def follow(
     expected: np.ndarray,
     timestep: float = SETTINGS.timestep,
     twist: np.ndarray | None = None,
+    states: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Several engines along one recording.
 
@@ -88,6 +89,7 @@ def follow(
         timestep: The longest [s].
         twist: By how much links are ahead of their drives, positions and speeds (and more) one below the other, (2 n, K) or more;
             where each piece starts, of joints whose gears give.
+        states: Internal states of the effects, which each piece starts with, (number, K); nominal ones where not given.
 
     Returns:
         q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged.
@@ -100,7 +102,7 @@ def follow(
             for first in range(0, len(engines), size):
                 some = slice(first, first + size)
                 found[:, some, :, piece] = _follow(
-                    engines[some], recording, piece, control, forward[some], expected[some], steps, twist
+                    engines[some], recording, piece, control, forward[some], expected[some], steps, twist, states
                 )
     return found[0], found[1], found[2]
 
@@ -116,13 +118,13 @@ def pieces(recording: Recording) -> list[slice]:
 
 
 def _follow(
-    engines, recording: Recording, piece: slice, control: Controller, forward, expected, steps: int, twist: np.ndarray | None
+    engines, recording: Recording, piece: slice, control: Controller, forward, expected, steps: int, twist, states
 ) -> np.ndarray:
     """q, dq, torque (3, engines, n, samples of the piece).
 
     Over a step the integrator damps with the speed at its end and holds all else of its start. So dq_ref is led by a step, and the
     torque of a step is u − k_p q of its start less k_d dq of its end; otherwise k_d would stand k_d h ddq in the torque, which
-    looks like armature. Internal states of effects start at their nominal values.
+    looks like armature.
     """
     t = recording.t[piece] - recording.t[0]  # effects that change with time count it from the start
     fine, h = np.linspace(t[0], t[-1], steps + 1, retstep=True)
@@ -131,14 +133,15 @@ def _follow(
     aim = k_p * CubicHermiteSpline(t, q, dq, axis=1)(fine) + k_d * _linear(fine + h, t, dq)
     u = aim + np.stack([_linear(fine, t, f) for f in forward[:, :, piece]])  # (engines, n, steps + 1)
     start = q[:, 0] - (expected[:, :, piece.start] - forward[:, :, piece.start]) / control.k_p
-    states = np.tile([state.nominal for state in engines[0].model.states], (len(engines), 1))  # (engines, states)
+    held = [s.nominal for s in engines[0].model.states] if states is None else states[:, piece.start]
+    held = np.tile(held, (len(engines), 1))  # (engines, states)
     n, seats, gears, count = len(q), engines[0].seats, list(engines[0].gears), engines[0].mj.nv
     initial = np.zeros((len(engines), 1 + 2 * count))
     initial[:, 0], initial[:, 1 + seats], initial[:, 1 + count + seats] = t[0], start, dq[:, 0]
     if gears and twist is not None:
         initial[:, 2 + seats[gears]] = twist[gears, piece.start]
         initial[:, 2 + count + seats[gears]] = twist[[n + j for j in gears], piece.start]
-    initial = np.concatenate([initial, u[:, :, 0], states], axis=1)
+    initial = np.concatenate([initial, u[:, :, 0], held], axis=1)
     models = []
     for engine in engines:
         engine.grip(float(recording.payload[piece.start]))
@@ -148,7 +151,7 @@ def _follow(
     threads = min(len(models), os.cpu_count() or 1)
     data = [mujoco.MjData(models[0]) for _ in range(threads)]
     rates = np.moveaxis(np.diff(u) / h, 1, 2)
-    rates = np.concatenate([rates, np.zeros((*rates.shape[:2], states.shape[1]))], axis=2)  # which the effects set
+    rates = np.concatenate([rates, np.zeros((*rates.shape[:2], held.shape[1]))], axis=2)  # which the effects set
     with rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
         found = np.asarray(pool.rollout(models, data, initial, rates)[0])  # (engines, steps, 1 + 2 nv + n + states)
     found = np.moveaxis(np.concatenate([initial[:, None], found], axis=1), 1, 2)

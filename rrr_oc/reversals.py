@@ -13,7 +13,6 @@ from rrr_oc.calibrate import with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.diagnose import Found
 from rrr_oc.effects.dry_friction import DryFriction
-from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.regression import variance, without_reversals
@@ -29,7 +28,7 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
     may take up even that, so that it is asked without such, too.
     """
     clear, model = without_reversals(bench.prepared), found.fitted.model
-    lawful = replace(model, terms=tuple(t for t in model.terms if not isinstance(t.effect, Empirical)))
+    lawful = replace(model, terms=tuple(t for t in model.terms if not t.effect.lawless))
     result = np.zeros(bench.n, bool)
     for one in (model,) if len(lawful.terms) == len(model.terms) else (model, refit(bench, lawful).model):
         result |= variance(bench.prepared, one) > BLURRED * variance(clear, one)

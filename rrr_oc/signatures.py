@@ -162,7 +162,9 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
             result[:, effect.joints[0]] = -coefficients @ np.array(effect.basis(signals, trial.width))
         else:
             for k, theta in enumerate(trial.points):
-                _add(result[k], effect, effect.torque(_with_states(signals, r, trial, theta), theta, trial.width), -1.0)
+                _add(
+                    result[k], effect, effect.torque(_with_states(signals, r, trial, theta, at.load), theta, trial.width), -1.0
+                )
     else:
         for k, theta in enumerate(trial.points):
             if effect.side == "sensor":
@@ -191,10 +193,10 @@ def _add(change: np.ndarray, effect, torques, sign: float = 1.0) -> None:
         change[j] += sign * np.array(torque).reshape(-1)
 
 
-def _with_states(signals: Signals, recording: Recording, trial: Trial, theta) -> Signals:
+def _with_states(signals: Signals, recording: Recording, trial: Trial, theta, load: np.ndarray) -> Signals:
     if not trial.effect.states:
         return signals
-    return replace(signals, states=list(states_along(recording, trial.effect, theta, trial.width)))
+    return replace(signals, states=list(states_along(recording, trial.effect, theta, trial.width, load)))
 
 
 def _of_body(at: Context, effect, theta) -> np.ndarray:

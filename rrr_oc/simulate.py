@@ -179,7 +179,8 @@ def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, tim
     data = mujoco.MjData(engine.mj)
     data.time, data.qpos[:], data.qvel[:] = t[0], *start
     u = _control_signal(phase, control, t)
-    u = np.vstack([u, *(np.full_like(t, state.nominal) for state in engine.model.states)])  # whose rates the effects set
+    rest = [x for effect in engine.model.effects for x in effect.rest(phase.tau_load[:, 0])]
+    u = np.vstack([u, *(np.full_like(t, x) for x in rest)])  # whose rates the effects set
     data.act[:] = u[:, 0]
     physics = mujoco.mjtState.mjSTATE_FULLPHYSICS
     initial = np.zeros(mujoco.mj_stateSize(engine.mj, physics))

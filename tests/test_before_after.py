@@ -78,7 +78,10 @@ def test_the_twin_tracks_better_with_what_was_missing(diagnosis):
 
 
 def test_what_the_twin_cannot_simulate_is_said(diagnosis):
-    gap, twist = Term(Backlash((0,)), (Estimate(0.02),)), Term(JointElasticity((0,)), (Estimate(500.0), Estimate(0.002)))
+    gap, twist = (
+        Term(Backlash((0,)), (Estimate(0.02), Estimate(0.1))),
+        Term(JointElasticity((0,)), (Estimate(500.0), Estimate(0.002))),
+    )
     with_gap = replace(diagnosis.plain, terms=(*diagnosis.plain.terms, twist, gap))
     found = in_closed_loop(replace(diagnosis, folds=tuple(replace(f, model=with_gap) for f in diagnosis.folds)), 1)
     assert "joint1" in found["before"]

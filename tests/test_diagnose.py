@@ -67,7 +67,12 @@ def diagnosed(case: Path, out: Path) -> dict:
 
 @pytest.mark.parametrize(
     ("robot", "effect"),
-    [("arm2", "load_dependent_friction"), ("arm2", "encoder_offset"), ("arm1", "stribeck"), ("arm2", "torque_gain")],
+    [
+        ("arm2", "load_dependent_friction"),
+        ("arm2", "encoder_offset"),
+        ("arm1", "stribeck"),
+        ("arm2", "torque_gain"),
+    ],
 )
 def test_names_what_was_concealed(made, tmp_path, robot, effect):
     case, truth = made(f"{effect}/{robot}", robot, Concealed(effect, 2.0))
@@ -93,6 +98,17 @@ def test_names_laws_rather_than_a_series_that_explains_more_than_each(made, tmp_
     found = diagnosed(case, tmp_path / "out")
     assert {e["effect"] for e in found["effects"]} == {"parallel_spring", "quadratic_drag"}
     assert found["unexplained"] == []
+
+
+def test_what_is_decided_by_the_past_is_said_to_be(made, tmp_path):
+    """A payload that sloshes: nothing of the instant explains it."""
+    case, truth = made("sloshing", "arm3", Concealed("sloshing_payload", 3.0))
+    found = diagnosed(case, tmp_path / "out")
+    assert found["effects"] == []
+    assert all(u["depends_on"] == ["load_torque", "time"] for u in found["unexplained"])
+    model = load_model(tmp_path / "out" / "model.json")
+    frequency = truth["effects"][0]["parameters"]["omega"]["value"]
+    assert any(abs(t.named["frequency"] / frequency - 1) < 0.15 for t in model.terms if t.effect.name == "echo")
 
 
 def test_repaired_model_predicts_unseen_recordings(made, tmp_path):

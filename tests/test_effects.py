@@ -18,6 +18,7 @@ from rrr_oc.calibrated import CalibratedModel, Estimate, Term, load_model, save_
 from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial
 from rrr_oc.effects.biarticular_spring import HARDWARE_LIMITS, BiarticularSpring, hardware_exists, pick_hardware, reduced
 from rrr_oc.effects.coupled_friction import CoupledFriction
+from rrr_oc.effects.echo import Echo
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
@@ -354,7 +355,7 @@ def random_signals(rng) -> dict[str, np.ndarray]:
     """Arrays that `Signals` may hold, of three joints."""
     found = {k: rng.normal(0, scale, (3, SAMPLES)) for k, scale in (("q", 1.0), ("dq", 0.5), ("ddq", 3.0), ("load", 12.0))}
     found |= {"time": rng.uniform(0, 20, SAMPLES), "payload": rng.uniform(0, 5, SAMPLES)}
-    return found | {"states": rng.uniform(-1, 1, (1, SAMPLES)), "friction": -np.sign(found["dq"]) * rng.uniform(1, 2, (3, 1))}
+    return found | {"states": rng.uniform(-1, 1, (2, SAMPLES)), "friction": -np.sign(found["dq"]) * rng.uniform(1, 2, (3, 1))}
 
 
 def law(effect: Effect, arrays: dict[str, np.ndarray], theta: dict[str, float], width: float | None = 0.05) -> np.ndarray:
@@ -368,7 +369,7 @@ def law(effect: Effect, arrays: dict[str, np.ndarray], theta: dict[str, float], 
 
 def symbolic(effect: Effect, width: float | None = 0.05) -> tuple[ca.Function, list[str]]:
     """The same as a CasADi Function of (inputs by name, theta)."""
-    shapes = {"q": 3, "dq": 3, "ddq": 3, "load": 3, "time": 1, "payload": 1, "states": 1, "friction": 3}
+    shapes = {"q": 3, "dq": 3, "ddq": 3, "load": 3, "time": 1, "payload": 1, "states": 2, "friction": 3}
     inputs = {k: ca.SX.sym(k, rows) for k, rows in shapes.items()}
     theta = ca.SX.sym("theta", len(effect.parameters))
     named = {p.name: theta[i] for i, p in enumerate(effect.parameters)}
@@ -383,8 +384,8 @@ each_effect = pytest.mark.parametrize("name", CATALOGUE)
 
 
 def test_catalogue_has_the_effects_of_the_contract():
-    """By exactly their names; beside them only what every calibrated model has, and what has no name."""
-    beside = {name for name, kind in CATALOGUE.items() if kind.plain} | {"empirical"}
+    """By exactly their names; beside them only what every calibrated model has, and what stands for no law."""
+    beside = {name for name, kind in CATALOGUE.items() if kind.plain or kind.lawless}
     assert set(CATALOGUE) - beside == set(CONTRACT)
     for name, parameters in CONTRACT.items():
         effect = placed(name)
@@ -544,6 +545,36 @@ def test_a_link_of_estimates_gone_astray_stays_within_reason():
     assert np.abs(found[0]).max() <= 1.0
 
 
+@pytest.mark.parametrize("damping", [0.0, 2.0, 20.0])
+def test_a_link_falls_through_the_gap_as_grease_lets_it(damping):
+    """Under a constant load that changes sign: M x'' + damping x' = -load from rest, to the other end, where it stays."""
+    t, mass, load, gap = np.arange(400) / 400, 0.5, 3.0, 0.1
+    late = np.clip(t - 0.25, 0, None)
+    found = placed("backlash").motion(t, np.where(late > 0, load, -load), 0 * t, mass + 0 * t, {"gap": gap, "damping": damping})
+    fallen = load / mass * late**2 / 2
+    if damping:
+        fallen = load / damping * (late - mass / damping * (1 - np.exp(-damping / mass * late)))
+    exact = np.maximum(gap / 2 - fallen, -gap / 2)
+    np.testing.assert_allclose(found[0], exact, atol=0.03 * gap)
+    assert found[0, -1] == -gap / 2
+    assert not np.any(found[1:, late == 0])
+
+
+def test_an_echo_has_the_course_that_its_rates_have():
+    """Against an adaptive integrator, from rest."""
+    t, effect = np.arange(300) / 100, placed("echo")
+    theta = {"frequency": 7.0, "damping": 0.15, "lag": 0.3, "swing": -0.2}
+
+    def load(at):
+        return np.array([0 * at, 5 + 4 * np.sin(3 * at) ** 2, 0 * at])
+
+    def slope(at, x):
+        return effect.rate(Signals(np.zeros(3), load=load(at), states=x), theta, None)
+
+    exact = solve_ivp(slope, (0, t[-1]), effect.rest(load(0.0)), t_eval=t, rtol=1e-9, atol=1e-10).y
+    np.testing.assert_allclose(effect.course(t, load(t)[1], theta), exact, atol=2e-3 * np.abs(exact).max())
+
+
 def test_bristles_between_samples_follow_the_motion():
     """Against an adaptive integrator on the motion itself, which turns around within the bristles' reach and few samples."""
     t, size, turn = np.arange(200) / 100, 0.01, 30.0
@@ -624,6 +655,7 @@ def arm():
     surface = Empirical((1,), (("q", 1), ("load", 1)), (span[0], -30.0), (span[1], 30.0), (2, 1), True)
     zero = dict.fromkeys(surface.amplitudes, 0.0)
     by_name["empirical"] = [Trial(surface, tuple(zero | {a: 1.0} for a in surface.amplitudes), width=0.05)]
+    by_name["echo"] = list(Echo.unnamed(view(prepared, model), 1, {}))
     return model, prepared, by_name
 
 
@@ -650,7 +682,7 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
         np.testing.assert_allclose(found, plain, atol=1e-7)  # a compliance of 1e-12 times derivatives over samples of 10 ms
 
 
-@pytest.mark.parametrize("name", [*CONTRACT, "empirical"])
+@pytest.mark.parametrize("name", [*CONTRACT, "echo", "empirical"])
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
     model, prepared, by_name = arm

@@ -26,6 +26,7 @@ FOUND = {
     "gravity_tilt": ((), (0.02, -0.03)),
     "encoder_offset": ((1,), (0.05,)),
     "torque_gain": ((2,), (0.1,)),
+    "echo": ((1,), (6.0, 0.2, -0.15, 0.1)),
 }
 
 
@@ -72,7 +73,10 @@ def test_the_twin_of_a_repaired_model_follows_with_the_torque_that_is_predicted(
 
 GEARS = {
     "joint_elasticity": ((8.0, 0.01), lambda twist, rate: 8.0 * (twist + 0.01 * rate)),
-    "backlash": ((0.04,), lambda twist, rate: 400.0 * (x := twist - np.clip(twist, -0.02, 0.02)) + 4.0 * rate * (x != 0)),
+    "backlash": (
+        (0.04, 0.3),
+        lambda twist, rate: 400.0 * (x := twist - np.clip(twist, -0.02, 0.02)) + (4.0 * (x != 0) + 0.3) * rate,
+    ),
 }
 
 

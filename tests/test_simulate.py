@@ -303,7 +303,7 @@ def test_unusable_input():
     with pytest.raises(UserError, match="7 parameters and 3 widths, got 2 and 3"):
         twin(model, theta[:2])
     with pytest.raises(UserError, match="the gear of joint2 gives"):
-        track(Model(model.robot, model.tool, (CATALOGUE["backlash"]((1,)),)), [], [0.01])
+        track(Model(model.robot, model.tool, (CATALOGUE["backlash"]((1,)),)), [], [0.01, 0.1])
     with pytest.raises(UserError, match="rk4"):
         Settings(integrator="runge")  # type: ignore[arg-type]
     with pytest.raises(UserError, match="frictionloss"):

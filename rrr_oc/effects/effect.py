@@ -131,6 +131,8 @@ class Effect(ABC):
         abrupt: Whether predictions are no smooth function of its parameters (class attribute).
         simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
         window: Over which the load is smoothed that `motion` is given [s]; 0 for as it is (class attribute).
+        driven: Whether its internal states follow from the recorded load by `course`, not from the motion by `rate` (class attribute).
+        lawless: Whether it is no law of the catalogue but stands for what none explains (class attribute).
         mounted: Whether it is put on and taken off between recordings, hence likelier where only some have it (class attribute).
         joints: Indices of the joints it acts on.
     """
@@ -153,6 +155,8 @@ class Effect(ABC):
     abrupt: ClassVar[bool] = False
     simulated: ClassVar[bool] = False
     window: ClassVar[float] = 0.0
+    driven: ClassVar[bool] = False
+    lawless: ClassVar[bool] = False
     mounted: ClassVar[bool] = False
 
     joints: tuple[int, ...]
@@ -161,12 +165,21 @@ class Effect(ABC):
     def torque(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
         """Torque on each of `joints` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`.
 
-        Of the side "sensor": what the recorded torque has too much, from the true one, which is `signals.load`.
+        Without `Signals.states` the arm has been at rest. Of the side "sensor": what the recorded torque has too much, from the
+        true one, which is `signals.load`.
         """
 
     def rate(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
         """Time derivative of each internal state, affine in the states."""
         return ()
+
+    def rest(self, load: np.ndarray) -> tuple[float, ...]:
+        """Internal states of an arm that has been at rest under a load torque (n,) [Nm]."""
+        return tuple(state.nominal for state in self.states)
+
+    def course(self, t: np.ndarray, load: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
+        """Internal states along a stretch (number, K) under the joint's load torque (K,) [Nm] at times t (K,) [s], if it is `driven`."""
+        raise NotImplementedError
 
     def energy(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> Any:
         """Energy stored [J], with torque = −d energy / d q; 0 where nothing is stored."""
@@ -217,9 +230,23 @@ class Effect(ABC):
         """Whether parameters lie within their bounds; `payload` [kg] is the least listed of where the effect is at work."""
         return all(p.lower <= theta[p.name] <= p.upper for p in self.parameters)
 
-    def forms(self) -> tuple["Effect", ...]:
-        """The effect on the same joints in all its forms."""
-        return (self,)
+    @property
+    def depends_on(self) -> tuple[tuple[str, int], ...]:
+        """What a torque that is `lawless` depends on: ("q", joint), ("load", joint), ("sign", joint), ("time", −1), …"""
+        return ()
+
+    @property
+    def validity(self) -> tuple[tuple[tuple[str, int], float, float], ...]:
+        """What it depends on with the range beyond which nothing is known of it."""
+        return ()
+
+    def words(self, theta: Mapping[str, float]) -> str:
+        """What the model carries for a torque that is `lawless`, in words."""
+        raise NotImplementedError
+
+    def starts(self, theta: dict[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
+        """Forms of the effect on the same joints, and parameters, from which a fit is to begin that began here, if it is `abrupt`."""
+        yield self, theta
 
     @classmethod
     def trials(cls, view: View) -> Iterator[Trial]:
@@ -230,6 +257,15 @@ class Effect(ABC):
         if cls.amplitudes:
             for j in range(view.n):
                 yield cls((j,)).trial(view)
+
+    @classmethod
+    def unnamed(cls, view: View, j: int, ranges: Mapping[tuple[str, int], tuple[float, float]]) -> Iterator[Trial]:
+        """The ways in which a joint might have what is `lawless`.
+
+        Args:
+            ranges: (least, greatest) of everything that a torque may depend on, by kind and joint as in `depends_on`.
+        """
+        yield from ()
 
     def trial(self, view: View, **shape: float) -> Trial:
         """A trial with these values of the parameters in which the effect is not linear."""

@@ -36,6 +36,7 @@ class Empirical(Effect):
     equation = "tau = sum of c_kl cos(k pi x) cos(l pi y)"
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
+    lawless = True
 
     variables: tuple[tuple[str, int], ...] = field(default=())
     low: tuple[float, ...] = field(default=())
@@ -93,22 +94,31 @@ class Empirical(Effect):
         return ("dq", self.joints[0]) in self.variables
 
     @property
-    def depends_on(self) -> list[tuple[str, int]]:
-        """The variables, and ("sign", own joint) where it turns with the direction."""
-        return [*self.variables, *([("sign", self.joints[0])] if self.signed else [])]
+    def depends_on(self):
+        return (*self.variables, *([("sign", self.joints[0])] if self.signed else []))
+
+    @property
+    def validity(self):
+        return tuple(zip(self.variables, self.low, self.high, strict=True))
+
+    def words(self, theta):
+        if not self.edges:
+            return f"a sum of {len(self.amplitudes)} cosines"
+        low, high = self.low[0], self.high[0]
+        where = " and ".join(
+            f"{'above' if side > 0 else 'below'} {low + edge * (high - low):.4g}, power {power}"
+            for side, edge, power in self.edges
+        )
+        return f"something that begins {where}"
 
     @classmethod
     def trials(cls, view):
-        """None: the catalogue goes first, and what is left over asks for these by `surfaces`."""
+        """None: the catalogue goes first, and what is left over asks for these by `unnamed`."""
         return iter(())
 
     @classmethod
-    def surfaces(cls, view, j: int, ranges):
-        """Trials for one joint: of one variable, coarse and fine, or beginning at an edge; and of two.
-
-        Args:
-            ranges: (least, greatest) of every variable that there is, by name and joint as in `variables`.
-        """
+    def unnamed(cls, view, j, ranges):
+        """Of one variable, coarse and fine, or beginning at an edge; and of two."""
         n, largest = view.n, max(map(abs, ranges["motor", j]))
 
         def one(variables, orders=(), signed=False, edges=()):

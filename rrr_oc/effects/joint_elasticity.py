@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.linalg import solve_banded
 
 from rrr_oc.effects.effect import Effect, Trial
+from rrr_oc.oscillator import Oscillator
 from rrr_oc.parameters import Parameter
 
 TIME = 0.002  # of damping, where a gear is so stiff that none is felt [s]
@@ -41,24 +40,13 @@ class JointElasticity(Effect):
         return (0 * signals.q[self.joints[0]],)
 
     def motion(self, t, load, stiffness, inertia, theta):
-        """Exact for a load that is a cubic spline of samples, with M and K constant in each step; steady at the start."""
         if len(t) < 3:
             return np.zeros((3, len(t)))
-        link = _Link.of(t, stiffness, inertia, theta)
-        p = -CubicSpline(t, load).c[::-1] / link.total  # of ascending powers: where the link is when it neither rings nor lags
-        p[2] -= 3 * link.damping / link.total * p[3]
-        p[1] -= 2 * link.damping / link.total * p[2] + 6 * link.mass / link.total * p[3]
-        p[0] -= link.damping / link.total * p[1] + 2 * link.mass / link.total * p[2]
-        swing = int(np.searchsorted(t - t[0], np.pi * np.sqrt(link.mass[0] / link.total[0])))  # samples in half a period
-        speed = p[1, 0] if swing < 3 else -np.polyfit(t[:swing] - t[0], load[:swing], 1)[0] / link.total[0]
-        (found,) = link.along(p, np.array([[p[0, 0], speed]]))
+        found = _link(t, stiffness, inertia, theta).driven(-load)
         return found / max(1.0, np.abs(found[0]).max() / FURTHEST)
 
     def free(self, t, stiffness, inertia, theta):
-        if len(t) < 3:
-            return np.zeros((2, 3, len(t)))
-        link = _Link.of(t, stiffness, inertia, theta)
-        return link.along(np.zeros((4, len(t) - 1)), np.eye(2))
+        return _link(t, stiffness, inertia, theta).free() if len(t) > 2 else np.zeros((2, 3, len(t)))
 
     def gear(self, twist, theta, stiffest):
         """The joint's own `stiffness` and `damping`."""
@@ -79,46 +67,9 @@ class JointElasticity(Effect):
                 yield Trial(cls((j,)), (point,), 1 / stiffness)
 
 
-@dataclass(frozen=True)
-class _Link:
-    """A link behind its spring, M x'' + damping x' + total x = a polynomial, over each of K − 1 steps.
-
-    Attributes:
-        step: [s].
-        mass, total: Inertia [kg m²] and stiffness, gravity and springs included [Nm/rad].
-        damping: The same for all [Nm s/rad].
-    """
-
-    step: np.ndarray
-    mass: np.ndarray
-    total: np.ndarray
-    damping: float
-
-    @classmethod
-    def of(cls, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> "_Link":
-        own = theta["stiffness"]
-        least = max(LIGHT * float(np.abs(inertia).max()), 1e-9), (STABLE - 1) * own
-        mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, low) for x, low in zip((inertia, stiffness), least, strict=True))
-        return cls(np.diff(t), mass, own + rest, own * theta["damping_time"])
-
-    def along(self, p: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Position, speed and acceleration (m, 3, K) from starts (m, 2), where the powers `p` (4, K − 1) are one solution in each step."""
-        h, decay, square = self.step, self.damping / self.mass / 2, self.total / self.mass
-        end = np.array([((p[3] * h + p[2]) * h + p[1]) * h + p[0], (3 * p[3] * h + 2 * p[2]) * h + p[1]])
-        root = np.sqrt((decay**2 - square).astype(complex))
-        root = np.where(np.abs(root) < 1e-6 * np.sqrt(square), 1e-6 * np.sqrt(square), root)  # critically damped
-        slow, fast = np.exp((root - decay) * h), np.exp((-root - decay) * h)
-        even, odd = ((slow + fast) / 2).real, ((slow - fast) / (2 * root)).real
-        keep = np.array([[even + decay * odd, odd], [-square * odd, even - decay * odd]])
-        gain = end - np.einsum("ijk,jk->ik", keep, p[:2])
-        bands = np.zeros((4, 2 * len(h) + 2))  # position and speed at a sample from those at the one before
-        bands[0] = 1.0
-        bands[2, 0:-2:2], bands[1, 1:-2:2], bands[3, 0:-2:2], bands[2, 1:-2:2] = -keep.reshape(4, -1)
-        right = np.concatenate([starts, np.broadcast_to(gain.T.reshape(-1), (len(starts), gain.size))], axis=1)
-        found = solve_banded((3, 0), bands, right.T, check_finite=False)
-        x, v = found[::2].T, found[1::2].T
-        a = np.empty_like(x)
-        a[:, :-1] = 2 * p[2] - 2 * decay * (v[:, :-1] - p[1]) - square * (x[:, :-1] - p[0])
-        a[:, -1] = 2 * p[2, -1] + 6 * p[3, -1] * h[-1]
-        a[:, -1] -= 2 * decay[-1] * (v[:, -1] - end[1, -1]) + square[-1] * (x[:, -1] - end[0, -1])
-        return np.stack([x, v, a], axis=1)
+def _link(t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> Oscillator:
+    """A link behind its spring, gravity and springs of its own included."""
+    own = theta["stiffness"]
+    least = max(LIGHT * float(np.abs(inertia).max()), 1e-9), (STABLE - 1) * own
+    mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, low) for x, low in zip((inertia, stiffness), least, strict=True))
+    return Oscillator(t, mass, own + rest, own * theta["damping_time"])

@@ -24,7 +24,7 @@ class PreslidingHysteresis(Effect):
     of_speed = True
 
     def torque(self, signals, theta, width):
-        return (-theta["level"] * signals.states[0],)
+        return (-theta["level"] * (0 * signals.q[self.joints[0]] if signals.states is None else signals.states[0]),)
 
     def rate(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]
