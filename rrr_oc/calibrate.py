@@ -238,10 +238,9 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
     guess, base = prior(robot), base_parameters(robot)
     xi = guess.centre.copy()
     found = _checked_rows(recordings, prepared, start, inertial=True)
-    matrix, _ = normal_equations(found, np.ones(robot.n))
-    open_ = _not_in_span(matrix, size)
-    values, model = start.values, start
-    for cleaned in range(4):  # weights and spikes depend on the residual
+    values, model, open_ = start.values, start, np.zeros(size, bool)
+    for cleaned in range(4):  # weights and spikes depend on the residual, and what a law acts on depends on the load
+        open_ = _not_in_span(normal_equations(found, np.ones(robot.n))[0], size)
         weights = found.deviation() ** -2 * STRIDE / CORRELATION
         values, xi = _consistent(found, weights, values, xi, guess, start.terms, open_)
         model = replace(

@@ -15,8 +15,8 @@ from rrr_oc import diagnose as forward
 from rrr_oc.calibrate import plain_model, widened
 from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term, save_model
 from rrr_oc.cli import app
-from rrr_oc.contest import Finding
-from rrr_oc.diagnosis import _refuted, diagnose
+from rrr_oc.contest import Finding, contested
+from rrr_oc.diagnosis import _refuted, _sure, diagnose
 from rrr_oc.effects import Trial
 from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
 from rrr_oc.effects.empirical import Empirical
@@ -371,6 +371,32 @@ def test_effects_that_oust_each_other_do_not_do_so_for_ever(planar, monkeypatch)
     monkeypatch.setattr(forward, "_next", other)
     found = forward.search(Bench(prepared, False), plain).fitted.model
     assert len(found.terms) == len(plain.terms) + 1
+
+
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_an_effect_of_some_groups_is_that_of_all_where_nothing_speaks_against_it(planar, everywhere):
+    """And what is nothing beside the rest leaves."""
+    plant, rng = planar(1), np.random.default_rng(8)
+    made_up = [replace(record(plant, f"{k}.csv", rng, 6.0), group=group) for k, group in enumerate("ab")]
+    offset = [replace(r, tau=r.tau - 2.0) if everywhere or r.group == "a" else r for r in made_up]
+    prepared = prepare(recordings := as_set(plant, offset))
+    bench, start = Bench(prepared, False), plain_model(recordings)
+    some = replace(nominal_term(TorqueOffset((0,))), recordings=(), groups=("a",))
+    nothing = nominal_term(QuadraticDrag((0,)))
+    fitted = forward.refit(bench, replace(start, terms=(*start.terms, some, nothing)))
+    plain = forward.refit(bench, start)
+    found = forward.Found(plain, fitted, forward.gathered(bench, plain.model))
+    findings = contested(bench, found)[1]
+    assert [(f.term.effect.name, f.term.recordings, f.term.groups) for f in findings] == [
+        ("torque_offset", "all", ()) if everywhere else ("torque_offset", (), ("a",))
+    ]
+    assert findings[0].term.values == pytest.approx([-2.0], rel=0.02)
+
+
+@pytest.mark.parametrize(("value", "std", "sure"), [(0.3, 0.09, True), (0.3, 0.11, False), (0.3, None, True)])
+def test_a_linear_effect_stays_where_its_interval_is_clear_of_absence(value, std, sure):
+    term = nominal_term(QuadraticDrag((0,)))
+    assert _sure(replace(term, estimates=(Estimate(value, std),))) is sure
 
 
 @pytest.mark.parametrize("seconds", [6.0, 10.0])
