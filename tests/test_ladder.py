@@ -13,7 +13,7 @@ PACKAGE = ROOT / "rrr_oc"
 # none imports from another. Names are below `rrr_oc`; to the folders `effects.*` and `importers.*` files may be added freely.
 LADDER = (
     ("trunk", ("errors",)),
-    ("trunk", ("smooth", "savitzky_golay", "akima", "_rigid_body", "_along")),
+    ("trunk", ("smooth", "savitzky_golay", "akima", "oscillator", "_rigid_body", "_along")),
     ("trunk", ("files", "parallel", "parameters", "csv_table", "metrics", "nrmse", "c_library", "ranking")),
     ("trunk", ("robot", "runs", "effects.effect")),
     ("trunk", ("rigid_body", "effects.*")),
