@@ -76,12 +76,17 @@ def search(
         if chosen is None:
             break
         fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
-        terms = frozenset((t.effect, t.groups) for t in fitted.model.terms[base:])
+        terms = frozenset((_whatever_range(t.effect), t.groups) for t in fitted.model.terms[base:])
         if terms in seen:
             break  # two ways to say the same would oust each other for ever
         seen.add(terms)
         evidence = gathered(bench, fitted.model)
     return Found(plain, fitted, first)
+
+
+def _whatever_range(effect: Effect) -> Effect:
+    """The effect, of a series without its range, which changes a little with all else that a model has."""
+    return replace(effect, low=(), high=(), largest=0.0) if isinstance(effect, Empirical) else effect
 
 
 def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
