@@ -13,6 +13,7 @@ from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnose import Lawless, as_seen, search, worth
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
+from rrr_oc.inertial import precision, prior
 from rrr_oc.locate import mismatch
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet
@@ -123,7 +124,8 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     plain = _final(recordings, prepared, start)
     prepared = thinned(without_spikes(prepared, plain))
     unknown = recordings.inertial == "identify"
-    bench = Bench(tuple(prepared), unknown)
+    belief = (plain.robot.inertial, precision(prior(start.robot), plain.robot.inertial)) if unknown else None
+    bench = Bench(tuple(prepared), unknown, belief)
     report("looking for effects")
     start = with_widths(bench.prepared, start, free=True)
     begin = replace(start, robot=plain.robot) if unknown else start
@@ -132,7 +134,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         names = ", ".join(np.array(recordings.joints)[blurred])
         report(f"looking for effects without the moments at which these joints reverse: {names}")
         whole, prepared = without_reversals(whole, blurred), without_reversals(prepared, blurred)
-        bench = Bench(prepared, unknown)
+        bench = replace(bench, prepared=prepared)
         found = search(bench, begin, report)
     while turned := other_turns(bench, found):
         names = ", ".join(recordings.joints[j] for j in turned)

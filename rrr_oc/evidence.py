@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Trial
-from rrr_oc.regression import STRIDE, Prepared, Rows, kept_rows, rows
+from rrr_oc.regression import CORRELATION, STRIDE, Prepared, Rows, kept_rows, rows
 from rrr_oc.signatures import Known, Table, context, table
 
 LONGEST = 2.0  # [s], of the lags over which residuals are correlated
@@ -34,10 +34,13 @@ class Bench:
     Attributes:
         prepared: The recordings.
         identify: Whether the links' inertial parameters are unknown.
+        belief: What is then believed of them beside the recordings: links (10, n) that are bodies, and how surely (10 n, 10 n), as
+            `inertial.precision` has it. A few recordings leave much open, on which others depend.
     """
 
     prepared: tuple[Prepared, ...]
     identify: bool
+    belief: tuple[np.ndarray, np.ndarray] | None = None
 
     def part(self, keep: Sequence[int]) -> "Bench":
         """The bench of some of the recordings."""
@@ -166,7 +169,19 @@ class Evidence:
 
     @cached_property
     def _total(self) -> np.ndarray:
-        return self.products.sum(axis=0)
+        return self.products.sum(axis=0) + self._believed
+
+    @cached_property
+    def _believed(self) -> np.ndarray:
+        """What is believed of the links as products of further rows, of the model's last parameters and the residual."""
+        result = np.zeros(self.products.shape[1:])
+        if self.bench.belief is not None:
+            centre, sure = self.bench.belief
+            links, off = slice(self.size - centre.size, self.size), (centre - self.model.robot.inertial).T.ravel()
+            result[links, links] = sure
+            result[links, -1] = result[-1, links] = sure @ off
+            result[-1, -1] = off @ sure @ off
+        return result * CORRELATION / WHITE
 
     @cached_property
     def inverse(self) -> np.ndarray:
@@ -316,7 +331,7 @@ class Evidence:
         for r, inside in enumerate(within):
             part[r, self.size : -1] *= inside
             part[r, :, self.size : -1] *= inside
-        total, out = part.sum(axis=0), 0.0
+        total, out = part.sum(axis=0) + self._believed[np.ix_(used, used)], 0.0
         inside = _fall(total, total, self.size)
         for r in range(len(part)):
             out += _fall(total - part[r], part[r], self.size)

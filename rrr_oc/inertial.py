@@ -147,6 +147,16 @@ class Prior:
     std: np.ndarray
 
 
+def precision(guess: Prior, inertial: np.ndarray) -> np.ndarray:
+    """Of the prior in inertial parameters (10 n, 10 n), to first order about physical bodies (10, n)."""
+    result = np.zeros((guess.std.size,) * 2)
+    for i, parameters in enumerate(inertial.T):
+        own = slice(10 * i, 10 * i + 10)
+        turn = np.linalg.inv(from_log_cholesky()(to_log_cholesky(parameters))[1])
+        result[own, own] = turn.T @ np.diag(guess.std[own] ** -2) @ turn
+    return result
+
+
 def prior(robot: Robot) -> Prior:
     """Centred at the URDF's values where they make a body, else at 1 kg spread about the link's middle."""
     centres, stds = [], []

@@ -12,7 +12,7 @@ from recorded import Plant, as_set, multisine, record
 from typer.testing import CliRunner
 
 from rrr_oc import diagnose as forward
-from rrr_oc.calibrate import plain_model, widened
+from rrr_oc.calibrate import identify, plain_model, widened
 from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term, save_model
 from rrr_oc.cli import app
 from rrr_oc.contest import Finding, contested
@@ -25,8 +25,9 @@ from rrr_oc.effects.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.torque_offset import TorqueOffset
 from rrr_oc.evaluate import evaluate_inverse
 from rrr_oc.evidence import Bench, Evidence
+from rrr_oc.inertial import precision, prior
 from rrr_oc.recordings import Recording, load_recordings
-from rrr_oc.regression import prepare
+from rrr_oc.regression import prepare, rows
 from rrr_oc.signatures import view
 from rrr_oc.suggest import suggest
 from validation.concealed.build import build
@@ -371,6 +372,21 @@ def test_effects_that_oust_each_other_do_not_do_so_for_ever(planar, monkeypatch)
     monkeypatch.setattr(forward, "_next", other)
     found = forward.search(Bench(prepared, False), plain).fitted.model
     assert len(found.terms) == len(plain.terms) + 1
+
+
+def test_what_few_recordings_leave_open_of_links_stays_near_what_is_believed(planar):
+    """Inertial parameters fitted to a slow motion predict a fast one where what is believed beside it counts."""
+    plant, rng = planar(3), np.random.default_rng(12)
+    motions = [multisine(3, np.arange(400) / 100, rng, fastest) for fastest in (0.15, 1.5)]
+    recordings = as_set(plant, [record(plant, f"{k}.csv", rng, 4.0, motion=m) for k, m in enumerate(motions)], "identify")
+    prepared, start = prepare(recordings), plain_model(recordings)
+    body = identify(recordings, prepared, start).model.robot
+    belief = body.inertial, precision(prior(start.robot), body.inertial)
+    left = []
+    for bench in (Bench(prepared, True), Bench(prepared, True, belief)):
+        fitted = forward.refit(bench.part([0]), replace(start, robot=body))
+        left.append(np.linalg.norm(rows(bench.part([1]).prepared, fitted.model).residual))
+    assert left[1] < 0.8 * left[0], left
 
 
 @pytest.mark.parametrize("everywhere", [True, False])
