@@ -61,6 +61,20 @@ class Bench:
         """Deviation of each joint's recorded torque, (n,) [Nm]."""
         return np.concatenate([p.measured for p in self.prepared], axis=1).std(axis=1)
 
+    def believed(self, inertial: np.ndarray) -> np.ndarray:
+        """What is believed of links (10, n), as products of (derivatives by their parameters, residual) of further rows.
+
+        (10 n + 1, 10 n + 1); (1, 1) where they are known. Rows are correlated, hence count for more than one each.
+        """
+        size = inertial.size if self.identify else 0
+        result = np.zeros((size + 1, size + 1))
+        if self.belief is not None:
+            centre, sure = self.belief
+            off = (centre - inertial).T.ravel()
+            result[:-1, :-1], result[-1, -1] = sure, off @ sure @ off
+            result[:-1, -1] = result[-1, :-1] = sure @ off
+        return result * CORRELATION / STRIDE
+
     @property
     def groups(self) -> tuple[str, ...]:
         """Physical set-up of each recording, in their order."""
@@ -173,15 +187,11 @@ class Evidence:
 
     @cached_property
     def _believed(self) -> np.ndarray:
-        """What is believed of the links as products of further rows, of the model's last parameters and the residual."""
-        result = np.zeros(self.products.shape[1:])
-        if self.bench.belief is not None:
-            centre, sure = self.bench.belief
-            links, off = slice(self.size - centre.size, self.size), (centre - self.model.robot.inertial).T.ravel()
-            result[links, links] = sure
-            result[links, -1] = result[-1, links] = sure @ off
-            result[-1, -1] = off @ sure @ off
-        return result * CORRELATION / WHITE
+        """`Bench.believed` among the products: the links are the last of the model's parameters."""
+        result, known = np.zeros(self.products.shape[1:]), self.bench.believed(self.model.robot.inertial)
+        at = np.append(np.arange(self.size - len(known) + 1, self.size), len(result) - 1)
+        result[np.ix_(at, at)] = known * STRIDE / WHITE
+        return result
 
     @cached_property
     def inverse(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Effect
 from rrr_oc.evidence import Bench, independent
 from rrr_oc.inference import box_step, normal_equations
-from rrr_oc.regression import CORRELATION, STRIDE, Rows, rows, with_residuals
+from rrr_oc.regression import Rows, rows, with_residuals
 
 STEADY = 3.0  # standard errors by which a fit must be better
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
@@ -62,17 +62,15 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
         weights = found.deviation() ** -2
         matrix, right = normal_equations(found, weights)
         values = model.values
-        if bench.belief is not None:
-            centre, sure = bench.belief
-            inside = slice(len(values), None)
-            matrix[inside, inside] += sure * CORRELATION / STRIDE  # rows are correlated
-            right[inside] += sure @ (centre - model.robot.inertial).T.ravel() * CORRELATION / STRIDE
+        believed = bench.believed(model.robot.inertial)
+        matrix[len(values) :, len(values) :] += believed[:-1, :-1]
+        right[len(values) :] += believed[:-1, -1]
         low, high = reach(model.terms)
         low[shape] = high[shape] = values[shape]
         size = len(values)
         free = np.full(matrix.shape[0] - size, np.inf)
         step = box_step(matrix, right, np.concatenate([low - values, -free]), np.concatenate([high - values, free]))
-        cost = float(weights @ np.sum(found.residual**2, axis=1)) + _doubt(bench, model)
+        cost = float(weights @ np.sum(found.residual**2, axis=1)) + believed[-1, -1]
         if step @ (2 * right - matrix @ step) < TOLERANCE * cost:
             if not shape:
                 break  # what is to be gained is nothing beside what is left
@@ -84,7 +82,7 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
             change = share * (found.jacobian @ step)
             foreseen = replace(found, residual=found.residual - change)
             tried = foreseen if straight else with_residuals(found, bench.prepared, there)
-            after = float(weights @ np.sum(tried.residual**2, axis=1)) + _doubt(bench, there)
+            after = float(weights @ np.sum(tried.residual**2, axis=1)) + bench.believed(there.robot.inertial)[-1, -1]
             if after < cost:
                 break
         else:
@@ -98,15 +96,6 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last
         if after > cost * (1 - TOLERANCE):
             break
     return Fitted(model, found)
-
-
-def _doubt(bench: Bench, model: CalibratedModel) -> float:
-    """How far a model's links are from what is believed of them, beside squares of the rows' residuals."""
-    if bench.belief is None:
-        return 0.0
-    centre, sure = bench.belief
-    off = (model.robot.inertial - centre).T.ravel()
-    return float(off @ sure @ off) * CORRELATION / STRIDE
 
 
 def _shape_of_last(model: CalibratedModel) -> list[int]:

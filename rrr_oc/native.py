@@ -216,9 +216,8 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
         needed = mass @ ddq + extra
         residual = needed - motor - ca.substitute(drive + own, load, needed)
         gives = any(e.simulated for e in model.effects)
-        drive, rates = (
-            ca.substitute(x, load, mass @ (before if gives else _root(residual, ddq)) + extra) for x in (drive, rates)
-        )
+        found = mass @ (before if gives else _root(residual, ddq)) + extra
+        drive, rates = (ca.substitute(x, load, found) for x in (drive, rates))
     arguments = [q, dq, time, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
     return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(rates)])
 

@@ -68,12 +68,7 @@ def diagnosed(case: Path, out: Path) -> dict:
 
 @pytest.mark.parametrize(
     ("robot", "effect"),
-    [
-        ("arm2", "load_dependent_friction"),
-        ("arm2", "encoder_offset"),
-        ("arm1", "stribeck"),
-        ("arm2", "torque_gain"),
-    ],
+    [("arm2", "load_dependent_friction"), ("arm2", "encoder_offset"), ("arm1", "stribeck"), ("arm2", "torque_gain")],
 )
 def test_names_what_was_concealed(made, tmp_path, robot, effect):
     case, truth = made(f"{effect}/{robot}", robot, Concealed(effect, 2.0))
