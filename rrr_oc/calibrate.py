@@ -17,7 +17,7 @@ from scipy.linalg import orth
 from scipy.optimize import minimize_scalar
 
 from rrr_oc import __version__
-from rrr_oc.calibrated import CalibratedModel, Estimate, Term, nominal_term, urdf_text
+from rrr_oc.calibrated import CalibratedModel, Estimate, Term, nominal_term
 from rrr_oc.effects import Signals
 from rrr_oc.effects.armature import Armature
 from rrr_oc.effects.dry_friction import DryFriction
@@ -50,6 +50,7 @@ from rrr_oc.regression import (
     with_residuals,
     without_spikes,
 )
+from rrr_oc.robot import BUNDLED, urdf_text
 
 PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
@@ -84,15 +85,14 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
     Links that are to be identified start from the prior's bodies, for a URDF may give them no mass.
     Recorded load torque does not hold what happens in the drives, so it has no terms then.
     """
-    source, urdf = urdf_text(recordings.source)
     robot, n = recordings.robot, recordings.robot.n
     if recordings.inertial == "identify":
         robot = replace(robot, inertial=_inertial(prior(robot).centre)[0])
     kinds = () if recordings.torque == "load" else PLAIN
     return CalibratedModel(
         robot=robot,
-        source=source,
-        urdf=urdf,
+        source=str(recordings.source) if str(recordings.source) in BUNDLED else "urdf",
+        urdf=urdf_text(recordings.source),
         tool=recordings.tool,
         torque=recordings.torque,
         torque_constant=recordings.torque_constant,
@@ -137,6 +137,7 @@ def with_widths(
         return model
     found = rows(prepared, model, inertial=model.inertial == "identify")
     fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
+    fastest = np.maximum(fastest, 1e-3)  # a joint may stand still
     speeds = np.array(COURSES if free else ())[:, None] * fastest
     widths = {
         model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds, doubt)

@@ -154,7 +154,7 @@ class _Target:
         r, engines, settings = self.recording, [], replace(SETTINGS, timestep=response.timestep)
         for theta in candidates:
             physics = replace(response.model, terms=with_parameter_values(response.model.terms, theta)).physics(r)
-            engines.append(twin(physics.model, physics.theta, response.control, settings, physics.widths))
+            engines.append(twin(physics.built, physics.theta, response.control, settings, physics.widths))
         expected = np.array([self.base + self.by_theta @ theta for theta in candidates])
         _, dq, motor = follow(engines, r, response.control, expected, expected, response.timestep)
         shape = (len(candidates), len(self.joints), r.t.size)

@@ -16,9 +16,10 @@ from rrr_oc.files import write_json
 from rrr_oc.model import Model
 from rrr_oc.physics import Physics
 from rrr_oc.recordings import Recording, RecordingSet
-from rrr_oc.robot import BUNDLED, Robot, ToolPoint, load_robot
+from rrr_oc.robot import Robot, ToolPoint, load_robot
 
 FORMAT = "rrr_oc-model/1"
+KINEMATICS = 1e-3  # [m] and 1: what two descriptions of a robot may differ by
 Kind = Literal["motor", "load", "current"]
 
 
@@ -133,7 +134,8 @@ class CalibratedModel:
         terms = [term for term in self.terms if term.holds_for(recording)]
         effects = (*(spring for spring, _ in recording.springs), *(term.effect for term in terms))
         robot = self.robot  # its inertial parameters enter as numbers
-        key = (robot.placements.tobytes(), robot.axes.tobytes(), robot.gravity.tobytes(), effects)
+        tool = self.tool.joint, *self.tool.position.tolist()
+        key = (robot.placements.tobytes(), robot.axes.tobytes(), robot.gravity.tobytes(), tool, effects)
         if key not in self.compiled:
             self.compiled[key] = Model(self.robot, self.tool, effects)
         springs = [theta[p.name] for effect, theta in recording.springs for p in effect.parameters]
@@ -164,22 +166,31 @@ class CalibratedModel:
         output = self.output_torque(recording)
         return output / np.array(self.torque_constant, float)[:, None] if self.torque == "current" else output
 
-    def check(self, recordings: RecordingSet) -> None:
-        """Raise `UserError` unless the recordings are of this robot's joints and of the signal that is predicted."""
+    def placed(self, recordings: RecordingSet) -> "CalibratedModel":
+        """The model under the gravity of recordings and, where they list a payload, with it at their tool.
+
+        Raises `UserError` unless the recordings are of this robot's joints, as they are in space, and of the signal that is predicted.
+        """
         if recordings.joints != self.joints:
             raise UserError(
                 f"{recordings.path}: records the joints {', '.join(recordings.joints)}, but the model has {', '.join(self.joints)}"
             )
         if recordings.torque != self.torque:
             raise UserError(f"{recordings.path}: records torque {recordings.torque!r}, but the model predicts {self.torque!r}")
-
-
-def urdf_text(source: str | Path) -> tuple[str, str]:
-    """Name of the bundled model or "urdf", and the URDF's text."""
-    if str(source) in BUNDLED:
-        path = Path(__file__).parent / "urdf" / f"{source}.urdf"
-        return str(source), path.read_text(encoding="utf-8")
-    return "urdf", Path(source).read_text(encoding="utf-8")
+        arm, own = recordings.robot, self.robot
+        apart = [
+            np.abs(a - b).max(axis=(1, 2))
+            for a, b in ((arm.placements, own.placements), (arm.axes[..., None], own.axes[..., None]))
+        ]
+        other = np.flatnonzero(np.max(apart, axis=0) > KINEMATICS)
+        if len(other):
+            raise UserError(
+                f"{recordings.path}: joint {self.joints[other[0]]} of {recordings.source} sits or turns otherwise than in the model; "
+                "recordings of the same robot are required"
+            )
+        loaded = any(np.any(r.payload > 0) for r in recordings.recordings)
+        tool = recordings.tool if loaded else self.tool
+        return replace(self, robot=replace(own, gravity=recordings.gravity), tool=tool)
 
 
 def save_model(model: CalibratedModel, path: str | Path) -> None:

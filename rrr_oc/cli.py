@@ -1,12 +1,14 @@
 """The command line `rrr-oc`: import recordings, calibrate a model on them, evaluate it on others."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
+from rich.console import Console
 from rich.table import Table
 
 from rrr_oc.before_after import in_closed_loop
@@ -33,7 +35,7 @@ app = typer.Typer(
 )
 importers = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True)
 app.add_typer(importers, name="import")
-console = wide_console()
+console, errors = wide_console(), Console(stderr=True, markup=False)
 
 
 class Way(StrEnum):
@@ -49,6 +51,7 @@ WAYS: dict[Way, Callable[[RecordingSet], CalibratedModel]] = {
     Way.response: calibrate_response,
     Way.evolution: calibrate_evolution,
 }
+WORTHLESS = 1.0  # NRMSE
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
 
 
@@ -66,7 +69,8 @@ def calibrate(
 ) -> None:
     """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
     check_folder(out)
-    model = WAYS[way](load_recordings(dataset))
+    recordings = _loaded(dataset)
+    model = WAYS[way](recordings)
     save_model(model, out / "model.json")
     _show_model(model)
     console.print(f"{out / 'model.json'} holds the model.", highlight=False, soft_wrap=True)
@@ -82,7 +86,7 @@ def diagnose(
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
     check_jobs(jobs)
     check_folder(out)
-    recordings = load_recordings(dataset)
+    recordings = _loaded(dataset)
     with console.status("reading") as status:
         found = diagnose_recordings(recordings, lambda line: status.update(line), jobs)
         status.update("tracking the recordings in closed loop")
@@ -100,7 +104,7 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="file for the JSON; without it, it goes to stdout")] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="also let the MuJoCo model track the recorded motion")] = False,
     predictions: Annotated[Path | None, typer.Option(help="folder for one CSV of predictions per recording")] = None,
-    window: Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared [s]")] = WINDOW,
+    window: Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared \\[s]")] = WINDOW,
 ) -> None:
     """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
     if not 0 <= window < float("inf"):
@@ -109,7 +113,9 @@ def evaluate(
         check_file(out)
     if predictions is not None:
         check_folder(predictions)
-    calibrated, recordings = load_model(model), load_recordings(dataset)
+    recordings = _loaded(dataset)
+    calibrated = load_model(model).placed(recordings)
+    _check_apart([model, *recordings.files], out, predictions, recordings)
     inverse = evaluate_inverse(calibrated, recordings, window)
     simulated = evaluate_simulated(calibrated, recordings, window) if simulate else None
     result = summary(inverse, simulated)
@@ -129,7 +135,7 @@ def prototype(
     ],
     out: Annotated[Path, typer.Argument(help="folder to make")],
     payload_at: Annotated[
-        float, typer.Option(help="where the payload is held along link 3 [m]; the recordings themselves say 0.355")
+        float, typer.Option(help="where the payload is held along link 3 \\[m]; the recordings themselves say 0.355")
     ] = PAYLOAD_AT,
 ) -> None:
     """The public recordings of the paper's own arm."""
@@ -156,6 +162,24 @@ def mcap(
 main = entry_point(app)
 
 
+def _loaded(dataset: Path) -> RecordingSet:
+    """A recording set; what a user should know of how it was read goes to stderr."""
+    recordings = load_recordings(dataset)
+    for note in recordings.notes:
+        errors.print(f"Note: {note}.", highlight=False, soft_wrap=True)
+    return recordings
+
+
+def _check_apart(read: Sequence[Path], out: Path | None, predictions: Path | None, recordings: RecordingSet) -> None:
+    """Raise `UserError` where what is to be written would take the place of what was read."""
+    written = [] if out is None else [out]
+    written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
+    inputs = {path.resolve() for path in read}
+    for path in written:
+        if path.resolve() in inputs:
+            raise UserError(f"{path}: is read by this command and would be overwritten; another place is required")
+
+
 def _constants(text: str | None) -> dict[str, float] | None:
     if text is None:
         return None
@@ -180,6 +204,7 @@ def _show_model(model: CalibratedModel) -> None:
     for term in model.terms:
         for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):
             interval = "not determined" if e.interval is None else f"{e.interval[0]:.4g} … {e.interval[1]:.4g}"
+            interval = "–" if e.at_bound and e.interval is not None and e.interval[0] == e.interval[1] else interval
             joints = ", ".join(model.joints[j] for j in term.effect.joints)
             held = "at its bound" if e.at_bound else ""
             table.add_row(term.effect.name, joints, parameter.name, f"{e.value:.4g}", interval, parameter.unit, held)
@@ -188,6 +213,14 @@ def _show_model(model: CalibratedModel) -> None:
     for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
         joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
     console.print(joints)
+    for joint, nrmse in zip(model.joints, model.nrmse, strict=True):
+        if not nrmse <= WORTHLESS:
+            found = "never changes" if np.isnan(nrmse) else f"is explained no better than by a constant (NRMSE {nrmse:.3g})"
+            errors.print(
+                f"Warning: the torque of {joint} {found}. Check units, signs and the order of columns, and gravity, tool and payload.",
+                highlight=False,
+                soft_wrap=True,
+            )
     base = model.report.get("base_parameters", [])
     if base:
         console.print(f"{len(base)} base inertial parameters were identified; model.json lists them with their intervals.")

@@ -80,8 +80,9 @@ class Table:
             return float(cell) if cell else math.nan
         except ValueError:
             found = cell if len(cell) <= 40 else cell[:40] + "…"
+            comma = ", with a decimal point" if "," in cell else ""
             raise UserError(
-                f"{self.path}, line {number}, column {self.names[column]!r}: found {found!r}; a number or nan is allowed"
+                f"{self.path}, line {number}, column {self.names[column]!r}: found {found!r}; a number{comma} or nan is allowed"
             ) from None
 
 
@@ -121,6 +122,8 @@ def _with_header(path: Path, text: str, number: int, content: str) -> Table:
     content = content.split("#", 1)[0]
     delimiter = next((d for d in ",;\t" if d in content), ",")
     names = tuple(name.strip().strip("\"'").strip() for name in content.split(delimiter))
+    if names[0] == "" != names[-1] and len(names) > 1:
+        names = ("index", *names[1:])  # as pandas writes it
     if "" in names:
         raise UserError(
             f"{path}, line {number}: column {names.index('') + 1} of {len(names)} has no name; every column needs one"

@@ -142,7 +142,7 @@ def _size(*candidates: Candidate) -> int:
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """The evidence for torques on a joint that no law of the catalogue describes."""
     seen, ranges = view(bench.prepared, model), _ranges(bench, model)
-    every = [trial for kind in CATALOGUE.values() if kind.lawless for trial in kind.unnamed(seen, j, ranges)]
+    every = [trial for kind in CATALOGUE.values() if kind.lawless for trial in kind.unnamed(seen, j, ranges, model.torque)]
     return Evidence.gather(bench, model, every)
 
 
@@ -307,11 +307,15 @@ def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> fl
 
 def noisy(bench: Bench, fitted: Fitted) -> list[int]:
     """The joints with more residual than the noise of single samples accounts for."""
+    return np.flatnonzero(above_noise(bench, fitted) > FLOOR).tolist()
+
+
+def above_noise(bench: Bench, fitted: Fitted) -> np.ndarray:
+    """Deviation of each joint's filtered residual over what the noise of single samples accounts for, (n,)."""
     passed = np.sqrt(
         np.mean(np.concatenate([np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]))
     )
-    floor = noise(bench.prepared, fitted.model) * passed
-    return np.flatnonzero(fitted.rows.deviation() > FLOOR * floor).tolist()
+    return fitted.rows.deviation() / np.maximum(noise(bench.prepared, fitted.model) * passed, 1e-9)
 
 
 def _joint(evidence: Evidence, candidate: Candidate) -> int:

@@ -10,7 +10,7 @@ from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnose import Lawless, as_seen, search, worth
+from rrr_oc.diagnose import Lawless, above_noise, as_seen, search, worth
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.inertial import precision, prior
@@ -27,9 +27,11 @@ FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
 SMALL = 4
 BLOCKS = 4  # of the only recording
 FEW = 5  # effects, of which each is tried to leave where a term that no law stands behind is worth nothing
+SHORT = 10  # samples of a segment that a block has no use for
 SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
+FAR = 3.0  # times the noise: a residual that is a mismatch, whether or not something was found that holds on other recordings
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
@@ -84,6 +86,7 @@ class Diagnosis:
         mismatch: One entry a joint, as in the file.
         suggestions: Recordings that would decide between effects that these do not tell apart.
         folds: What `held_out` comes from.
+        above_noise: What the final model leaves of each joint's torque, over what noise accounts for, (n,).
     """
 
     recordings: RecordingSet
@@ -97,12 +100,13 @@ class Diagnosis:
     mismatch: tuple[dict[str, Any], ...]
     suggestions: tuple[Suggestion, ...] = ()
     folds: tuple[Fold, ...] = ()
+    above_noise: tuple[float, ...] = ()
 
     @property
     def verdict(self) -> str:
         """One of `VERDICTS`."""
         if not self.findings:
-            return "nothing_missing"
+            return "cannot_tell" if max(self.above_noise, default=0.0) > FAR else "nothing_missing"
         undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.lawless)
         named = any(not f.term.effect.lawless for f in self.findings)
         return "cannot_tell" if named and undecided else "missing_physics"
@@ -153,8 +157,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
     if _refuted(findings, held_out):
         report("what was found there predicts them worse")
-        fitted, findings, held_out = found.plain, [], (held_out[0], held_out[0])
-        outcomes = [replace(o, model=o.plain, after=o.before) for o in outcomes]
+        findings = []
     if findings:
         report("what each effect is worth on recordings held out")
         findings, shares = _weighed(folds, begin, fitted, findings)
@@ -168,9 +171,14 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
             findings, shares = _weighed(folds, begin, fitted, sure)
             model = _calibrated(recordings, whole, start, fitted, findings)
         findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
+    if not findings:
+        model, fitted, held_out = plain, found.plain, (held_out[0], held_out[0])
+        outcomes = [replace(o, model=o.plain, after=o.before) for o in outcomes]
+    left = above_noise(bench, fitted)
+    undecided = [] if findings else np.flatnonzero(left > FAR).tolist()
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
-    where = mismatch(bench, refit(bench, plain), fitted, findings, calibration[0], held_out[0])
-    suggestions = suggest(recordings, plain, findings, view(prepared, plain))
+    where = mismatch(bench, refit(bench, plain), fitted, findings, undecided, calibration[0], held_out[0])
+    suggestions = suggest(recordings, plain, findings, bool(undecided), view(prepared, plain))
     return Diagnosis(
         recordings,
         plain,
@@ -183,6 +191,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         where,
         tuple(suggestions),
         tuple(outcomes),
+        tuple(left.tolist()),
     )
 
 
@@ -222,13 +231,15 @@ def _mounted(r: Recording) -> tuple[float, int]:
 def _blocks(bench: Bench) -> Bench:
     (only,) = bench.prepared
     r, pieces = only.recording, []
-    for part in np.array_split(np.arange(len(r.t)), BLOCKS):
+    began = r.t[0] if r.start is None else r.start
+    usable = [np.arange(s.start, s.stop) for s in r.segments if s.stop - s.start > SHORT]
+    for part in np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS):
         a, b = int(part[0]), int(part[-1]) + 1
         arrays = {k: getattr(r, k)[..., a:b] for k in ("t", "q", "dq", "ddq", "tau", "payload")}
         segments = tuple(
-            slice(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments if min(s.stop, b) - max(s.start, a) > 10
+            slice(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments if min(s.stop, b) - max(s.start, a) > SHORT
         )
-        piece = replace(r, **arrays, segments=segments)
+        piece = replace(r, **arrays, segments=segments, start=float(began))
         pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
     return replace(bench, prepared=tuple(pieces))
 

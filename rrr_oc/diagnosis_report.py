@@ -2,6 +2,7 @@
 
 import base64
 import html
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from rrr_oc.files import write_json, write_text
 from rrr_oc.recordings import RecordingSet
 from rrr_oc.savitzky_golay import smooth
 
+FEW_TIMES, FEW_LEAST = 3.0, 0.2  # of the error within the fit, and NRMSE: beyond both, recordings left out are not foreseen
 POINTS = 4000  # of a map, at most
 COLOURS = {"before": "#c55a11", "after": "#1f6fb4"}
 SIGNAL_NAMES = dict(zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True))
@@ -48,7 +50,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, 
     figures = {"before_after": save_figure(_bars(found), folder / "before_after.png")}
     figures["prediction"] = save_figure(_prediction(diagnosis), folder / "prediction.png")
     for j, joint in enumerate(diagnosis.model.joints):
-        figures[f"residual_{joint}"] = save_figure(_maps(diagnosis, j), folder / f"residual_{joint}.png")
+        name = re.sub(r"[^\w.-]", "_", joint)  # a joint may be called what a file may not
+        figures[f"residual_{joint}"] = save_figure(_maps(diagnosis, j), folder / f"residual_{name}.png")
     for suggestion, entry in zip(diagnosis.suggestions, found["suggested_recordings"], strict=True):
         header = ",".join(["t", *(f"q_{joint}" for joint in diagnosis.model.joints)])
         table = np.vstack([suggestion.t, suggestion.q]).T
@@ -99,7 +102,15 @@ def page(found: Mapping[str, Any], subject: str, figures: Mapping[str, Path]) ->
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict."""
     if found["verdict"] == "nothing_missing":
-        return "Nothing is missing: the calibrated model explains these recordings to their noise."
+        poor = _unforeseen(found)
+        few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
+        return "Nothing is missing: the calibrated model explains these recordings to their noise." + few * bool(poor)
+    if not (found["effects"] or found["unexplained"]):
+        names = " and ".join(m["joint"] for m in found["mismatch"] if m["significant"])
+        return (
+            f"Something is missing on {names}, where the error is far beyond the noise, and these recordings do not decide what: "
+            "nothing that would explain it holds on recordings left out of the search."
+        )
     names = [_short(e) for e in found["effects"]]
     names += [f"a torque on {u['joint']} that depends on {' and '.join(u['depends_on'])}" for u in found["unexplained"]]
     lacking = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
@@ -112,6 +123,13 @@ def sentence(found: Mapping[str, Any]) -> str:
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
     return f"The calibrated model lacks {lacking}.{gain}"
+
+
+def _unforeseen(found: Mapping[str, Any]) -> str:
+    """The joints whose error on recordings left out of the fit is another than in it, with both."""
+    inside, outside = (found["nrmse"][key]["before"] for key in ("calibration", "held_out"))
+    poor = [j for j in inside if inside[j] and outside[j] and outside[j] > max(FEW_TIMES * inside[j], FEW_LEAST)]
+    return ", ".join(f"{j}: NRMSE {outside[j]:.2g} against {inside[j]:.2g}" for j in poor)
 
 
 def _short(e: Mapping[str, Any]) -> str:

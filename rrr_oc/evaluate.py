@@ -19,7 +19,7 @@ Errors = dict[str, dict[str, Any]]  # by file, joint and, in simulation, signal:
 
 def evaluate_inverse(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:
     """Errors of the signal predicted from the measured motion, in the recorded unit, by file and joint."""
-    model.check(recordings)
+    model = model.placed(recordings)
     return {
         r.file: _by_joint(model.joints, error(r.t, r.tau, model.predict(r), r.segments, window)) for r in recordings.recordings
     }
@@ -31,7 +31,7 @@ def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window:
     What recordings of motor torque say of the load torque is the recorded torque less what the model's drives take, and the
     other way round; both at the recorded motion. What the model's sensors add to a torque is taken off what was recorded.
     """
-    model.check(recordings)
+    model = model.placed(recordings)
     control, result = tracking_controller(model), {}
     for r in recordings.recordings:
         simulated, measured = replay(model, r, control), _measured(model, recordings, r)
@@ -52,7 +52,7 @@ def summary(inverse: Errors, simulated: Errors | None = None) -> dict[str, Any]:
 
 def write_predictions(model: CalibratedModel, recordings: RecordingSet, folder: str | Path) -> None:
     """One CSV per recording, named as the recording: t and the predicted signal of every joint, at every sample."""
-    model.check(recordings)
+    model = model.placed(recordings)
     tables = {r.file: np.vstack([r.t, model.predict(r)]).T.tolist() for r in recordings.recordings}
     for file, table in tables.items():
         header = ",".join(["t", *(f"tau_{joint}" for joint in model.joints)])

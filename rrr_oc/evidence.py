@@ -21,6 +21,7 @@ from rrr_oc.signatures import Known, Table, context, table
 LONGEST = 2.0  # [s], of the lags over which residuals are correlated
 WHITE = 0.11  # [s], over which the common filter correlates white noise
 NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
+PIECES = 4  # of a recording that alone has an effect, when that is confirmed
 BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
 ALARMS = 0.01  # chance that anything passes for an effect where nothing is missing
 SHARES = (1.0, 0.85, 0.7, 0.5)  # of coefficients, tried where they are out of bounds
@@ -333,7 +334,8 @@ class Evidence:
     def confirmed(self, candidate: Candidate) -> float:
         """Fall of the squared residual on recordings left out of the fit, over that on recordings in it; 1 for a law that holds.
 
-        Each recording in turn, with the model's parameters and the candidate's coefficients from the others.
+        Each recording in turn, with the model's parameters and the candidate's coefficients from the others; of what only one
+        recording has, pieces of that.
         """
         c, within = self._columns(candidate.number), self._within(candidate.scope)
         used = np.concatenate([np.arange(self.size), c, [self.products.shape[1] - 1]])
@@ -341,11 +343,22 @@ class Evidence:
         for r, inside in enumerate(within):
             part[r, self.size : -1] *= inside
             part[r, :, self.size : -1] *= inside
+        if within.sum() == 1 < len(within):
+            only = int(np.argmax(within))
+            part = np.concatenate([np.delete(part, only, axis=0), self._pieces(candidate, only)])
         total, out = part.sum(axis=0) + self._believed[np.ix_(used, used)], 0.0
         inside = _fall(total, total, self.size)
         for r in range(len(part)):
             out += _fall(total - part[r], part[r], self.size)
         return out / max(inside, 1e-300)
+
+    def _pieces(self, candidate: Candidate, r: int) -> np.ndarray:
+        """Products of (derivatives, signature of a candidate, residual) for pieces of one recording, weighted, (`PIECES`, …)."""
+        rows = np.arange(self.bench.edges[r], self.bench.edges[r + 1])
+        residual = self.rows.residual[:, rows, None]
+        stack = np.concatenate([self.rows.jacobian[:, rows], self.signature(candidate.number, None)[:, rows], residual], axis=2)
+        parts = np.array_split(stack, PIECES, axis=1)
+        return np.array([np.einsum("j,jka,jkb->ab", self.weights, x, x, optimize=True) for x in parts])
 
     def signature(self, k: int, scope) -> np.ndarray:
         """Columns of a trial at all rows, (n, M, m)."""

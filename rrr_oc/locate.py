@@ -18,9 +18,19 @@ NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
 
 
 def mismatch(
-    bench: Bench, plain: Fitted, fitted: Fitted, findings: Sequence[Finding], calibration: np.ndarray, held_out: np.ndarray
+    bench: Bench,
+    plain: Fitted,
+    fitted: Fitted,
+    findings: Sequence[Finding],
+    undecided: Sequence[int],
+    calibration: np.ndarray,
+    held_out: np.ndarray,
 ) -> tuple[dict[str, Any], ...]:
-    """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end."""
+    """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end.
+
+    Args:
+        undecided: Joints whose residual is far beyond the noise, though nothing was found that explains it.
+    """
     result, joints = [], plain.model.joints
     growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)
     variables = _variables(bench, plain.model)
@@ -30,11 +40,13 @@ def mismatch(
         significant = bool(own and growth[j] > LEAST_GROWTH)
         if not significant and findings and growth[j] > 0.1:  # an effect elsewhere shows here too
             significant, p = True, min(f.p_value for f in findings)
+        if j in undecided:
+            significant, p = True, 0.0
         moving = plain.rows.moving[j]
         error = (plain.rows.residual[j] ** 2) * moving
         left = np.array([float(np.mean(e)) for e in np.split(error, bench.edges[1:-1])])
         floor = float(np.mean((fitted.rows.residual[j] ** 2) * moving))
-        files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor]
+        files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor or j in undecided]
         result.append(
             {
                 "joint": joint,
@@ -71,7 +83,7 @@ def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarr
             "dq": r.dq,
             "ddq": r.ddq,
             "load_torque": load,
-            "time": np.tile(r.t - r.t[0], (n, 1)),
+            "time": np.tile(r.clock, (n, 1)),
             "payload": np.tile(r.payload, (n, 1)),
             "spring_torque": pull,
         }

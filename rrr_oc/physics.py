@@ -34,7 +34,12 @@ class Physics:
     def inputs(recording: Recording) -> tuple[np.ndarray, ...]:
         """q, dq, ddq, time and payload, the first arguments of `Model.motor_inverse`."""
         r = recording
-        return r.q, r.dq, r.ddq, (r.t - r.t[0])[None], r.payload[None]
+        return r.q, r.dq, r.ddq, r.clock[None], r.payload[None]
+
+    @property
+    def built(self) -> Model:
+        """The model with these links, for what does not take them as numbers: an engine."""
+        return replace(self.model, robot=replace(self.model.robot, inertial=self.inertial))
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""

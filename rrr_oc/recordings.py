@@ -41,6 +41,7 @@ class Recording:
         dropped: Number of rows dropped for a NaN.
         short: Number of rows dropped because their segment is too short for a derivative that had to be computed.
         ignored: Columns of the file that mean nothing here.
+        start: When the motion began [s]; None: with the first sample.
     """
 
     file: str
@@ -57,6 +58,12 @@ class Recording:
     dropped: int = 0
     short: int = 0
     ignored: tuple[str, ...] = ()
+    start: float | None = None
+
+    @property
+    def clock(self) -> np.ndarray:
+        """Time since the motion began [s], (K,)."""
+        return self.t - (self.t[0] if self.start is None else self.start)
 
     @cached_property
     def filters(self) -> dict[tuple[str, float], csr_matrix]:
@@ -99,6 +106,37 @@ class RecordingSet:
         """Acceleration of gravity in the base frame [m/s²], shape (3,)."""
         return self.robot.gravity
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that the set is read from."""
+        robot = () if str(self.source) in BUNDLED else (Path(self.source),)
+        return (self.path / HEADER, *robot, *(self.path / r.file for r in self.recordings))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of how the set was read, a sentence each."""
+        notes, ignored = [], {}
+        for r in self.recordings:
+            if r.dropped + r.short:
+                total = len(r.t) + r.dropped + r.short
+                notes.append(
+                    f"{r.file}: {r.dropped + r.short} of {total} rows are left out ({r.dropped} with a NaN, {r.short} in pieces "
+                    "too short for a derivative)"
+                )
+            if r.ignored:
+                ignored.setdefault(r.ignored, []).append(r.file)
+        for names, files in ignored.items():
+            where = files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+            locked = "; joints that are not listed are taken to stay at 0" * any(name.startswith("q_") for name in names)
+            notes.append(f"{where}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
+        same = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
+        if same and any(np.any(r.payload > 0) for r in self.recordings):
+            notes.append(
+                f"the payload is held at the frame of link {self.robot.tool_link!r}, "
+                f"{np.linalg.norm(self.tool.position):.3g} m from {self.joints[self.tool.joint]}; 'tool' says where else it may be"
+            )
+        return tuple(notes)
+
     def output_torque(self, recording: Recording) -> np.ndarray:
         """Recorded torque at the joints' output [Nm], shape (n, K): k_t I for currents."""
         if self.torque != "current":
@@ -119,6 +157,8 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     """
     path = Path(path)
     folder, file = (path.parent, path) if path.suffix == ".json" else (path, path / HEADER)
+    if not file.is_file():
+        raise UserError(f"{path}: no recording set; a folder with {HEADER} is required")
     header = read_header(file)
     source = robot if robot is not None else header.robot
     if robot is None and header.robot not in BUNDLED:

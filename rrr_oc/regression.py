@@ -25,6 +25,7 @@ CORRELATION = 0.2  # time over which filtered noise is correlated [s]
 SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # of the motion that enters the regressors [s]
 STRIDE = 0.04  # [s] between the rows kept; the filter has removed what is faster
 ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
+SHORTEST = 0.6  # [s], three times the common filter: the least length of a segment
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
@@ -378,9 +379,13 @@ def through_filter(x: np.ndarray, prepared: Prepared) -> np.ndarray:
 
 
 def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:
-    """Samples kept, the stretches of the rows that they become, and their durations [s]."""
+    """Samples kept, the stretches of the rows that they become, and their durations [s].
+
+    None of segments so short that they are hardly filtered, unless there are no others.
+    """
     kept, stretches, durations, count = [], [], [], 0
-    for s in recording.segments:
+    long = [s for s in recording.segments if np.ptp(recording.t[s]) > SHORTEST]
+    for s in long or recording.segments:
         t = recording.t[s]
         stride = max(1, round(STRIDE / np.median(np.diff(t)))) if len(t) > 1 else 1
         ends = min(ENDS, float(np.ptp(t)) / 5)

@@ -24,6 +24,7 @@ from rrr_oc.twin import K_P, Controller, Settings, Twin, controller, twin
 SETTINGS = Settings(effects="native", timestep=1e-3, integrator="implicitfast")
 BANDWIDTH = 40.0  # [rad/s], of controllers whose gains are not known
 NO_LIMIT = 1e6  # [Nm]; a URDF's effort of 0 or beyond this means that none is known
+FELT = 0.02  # of the largest payload, by which it may change before the engine takes notice
 CHUNK = 4_000_000  # states of all candidates held at once
 
 
@@ -62,7 +63,7 @@ def replay(model: CalibratedModel, recording: Recording, control: Controller) ->
     """
     physics = model.physics(recording)
     forward = physics.torques(recording)[0]
-    engine = twin(physics.model, physics.theta, control, SETTINGS, physics.widths)
+    engine = twin(physics.built, physics.theta, control, SETTINGS, physics.widths)
     start = physics.twist(recording), physics.states(recording)
     q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None], SETTINGS.timestep, *start))
     ddq = differentiate(recording.t, dq, recording.segments)
@@ -108,12 +109,15 @@ def follow(
 
 
 def pieces(recording: Recording) -> list[slice]:
-    """Slices of at least two samples within which there is neither a gap nor a change of payload."""
-    result = []
+    """Slices of at least two samples within which there is neither a gap nor a change of payload to speak of (`FELT`)."""
+    result, payload = [], recording.payload
+    felt = FELT * float(payload.max())
     for s in recording.segments:
-        edges = np.flatnonzero(np.diff(recording.payload[s])) + 1 + s.start
-        ends = [s.start, *edges.tolist(), s.stop]
-        result += [slice(a, b) for a, b in pairwise(ends) if b - a > 1]
+        ends = [s.start]
+        for k in (np.flatnonzero(np.diff(payload[s])) + 1 + s.start).tolist():
+            if abs(payload[k] - payload[ends[-1]]) > felt:
+                ends.append(k)
+        result += [slice(a, b) for a, b in pairwise([*ends, s.stop]) if b - a > 1]
     return result
 
 
@@ -126,7 +130,7 @@ def _follow(
     torque of a step is u − k_p q of its start less k_d dq of its end; otherwise k_d would stand k_d h ddq in the torque, which
     looks like armature.
     """
-    t = recording.t[piece] - recording.t[0]  # effects that change with time count it from the start
+    t = recording.clock[piece]
     fine, h = np.linspace(t[0], t[-1], steps + 1, retstep=True)
     q, dq = recording.q[:, piece], recording.dq[:, piece]
     k_p, k_d = control.k_p[:, None], control.k_d[:, None]

@@ -13,8 +13,8 @@ _DEGREES = ("q_eq", "q_0")
 
 
 def wide_console() -> Console:
-    """Where commands print: a log's lines may be longer than the 80 columns that are assumed of it."""
-    console = Console()
+    """Where commands print: a log's lines may be longer than the 80 columns that are assumed of it, and names may hold brackets."""
+    console = Console(markup=False)
     if not console.is_terminal:
         console.width = 160
     return console

@@ -1,8 +1,13 @@
 """A robot: a serial chain of revolute joints, read from a URDF and checked at the door."""
 
 import importlib.resources
+import os
+import re
+import sys
+import tempfile
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +21,7 @@ from rrr_oc.errors import UserError
 
 BUNDLED = ("rrr", "rrr_prototype")
 _ENDLESS = "1e300"  # the URDF parser refuses "inf"
+_TOOL = re.compile(r"(^|[_/])(tool0?|tcp|ee|end_effector|flange)($|[_/])", re.IGNORECASE)  # usual names of a tool frame
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,8 @@ class Robot:
         lower, upper: Joint ranges [rad], shape (n,).
         velocity: Speed limits [rad/s], shape (n,).
         effort: Torque limits [Nm], shape (n,).
-        tool: The last link's tool frame (a link fixed to it, if the URDF has one; else the last joint's origin).
+        tool: The last link's tool frame (a link fixed to it, if the URDF has one; else the last joint's origin). Of several the
+            last with a usual name, as tool0, else the last.
         frames: For each link of the URDF, the joint that moves it (-1: the base) and its pose in that joint's frame.
         gravity: Acceleration of gravity in the base frame [m/s²], shape (3,).
     """
@@ -76,6 +83,11 @@ class Robot:
             raise UserError(f"robot {self.name!r} has no joint {joint!r}; it has {', '.join(self.joints)}")
         return self.joints.index(joint)
 
+    @property
+    def tool_link(self) -> str:
+        """The link whose frame is the default `tool`."""
+        return _tool_link(self.frames, self.n - 1)
+
     def point(self, link: str, position: Sequence[float]) -> ToolPoint:
         """The `ToolPoint` at `position` [m] of a link's frame; raises `UserError` for a link that does not move."""
         if link not in self.frames:
@@ -95,32 +107,24 @@ def load_robot(
 
     Args:
         source: Name of a bundled model (`BUNDLED`) or path of a URDF.
-        joints: Joints to keep, in the order of the chain; the others are locked at zero. Default: all.
+        joints: Joints to keep, in the order of the chain; the others, of whatever type, are locked at zero. Default: all.
         inertial: Whether the links' masses are used, and so must be there.
         gravity: Acceleration of gravity in the base frame [m/s²].
 
     Raises:
-        UserError: The file is missing or no URDF; a joint is neither fixed nor revolute; the chain branches; a moving
-            link has no mass; `joints` names one that is not there or is out of order.
+        UserError: The file is missing or no URDF; a joint kept is not revolute; the chain branches; a moving link has no mass;
+            `joints` names one that is not there or is out of order.
     """
-    name, text = _read(source)
-    model = _parse(name, text)
-    model = _lock_all_but(name, model, joints)
+    name = str(source) if str(source) in BUNDLED else Path(source).stem
+    model = _lock_all_but(name, _parse(name, urdf_text(source), joints), joints)
     if model.nq == 0:
         raise UserError(f"robot {name!r} has no revolute joint; at least one is needed")
-    for i in range(1, model.njoints):
-        if model.parents[i] != i - 1:
-            raise UserError(
-                f"robot {name!r} is no serial chain: joint {model.names[i]!r} hangs on {model.names[model.parents[i]]!r}; "
-                "branches are not supported"
-            )
     parameters = np.array([model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]).T  # (10, n)
     if inertial:
         _check_inertial(name, model, parameters)
     frames = {f.name: (f.parentJoint - 1, f.placement.homogeneous) for f in model.frames if f.type == pin.FrameType.BODY}
     links = tuple(_moved_link(model, i) for i in range(1, model.njoints))
     last = model.njoints - 2
-    tips = [link for link, (joint, _) in frames.items() if joint == last]
     return Robot(
         name=name,
         joints=tuple(model.names)[1:],
@@ -132,28 +136,32 @@ def load_robot(
         upper=_limits(model.upperPositionLimit),
         velocity=_limits(model.upperVelocityLimit),
         effort=_limits(model.upperEffortLimit),
-        tool=ToolPoint(last, frames[tips[-1]][1][:3, 3]),
+        tool=ToolPoint(last, frames[_tool_link(frames, last)][1][:3, 3]),
         frames=frames,
         gravity=np.asarray(gravity, float),
     )
 
 
-def _read(source: str | Path) -> tuple[str, str]:
+def urdf_text(source: str | Path) -> str:
+    """Text of a bundled model's URDF or of a file; raises `UserError` where there is none."""
     if str(source) in BUNDLED:
-        text = importlib.resources.files("rrr_oc.urdf").joinpath(f"{source}.urdf").read_text()
-        return str(source), text
+        return importlib.resources.files("rrr_oc.urdf").joinpath(f"{source}.urdf").read_text(encoding="utf-8")
     path = Path(source)
     if not path.is_file():
         raise UserError(f"no robot at {str(source)!r}; give the path of a URDF or one of {', '.join(BUNDLED)}")
+    data = path.read_bytes()
     try:
-        return path.stem, path.read_text()
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise UserError(f"{path}: not a text file, so no URDF ({error.reason})") from None
+        try:  # the XML may declare another encoding
+            return ElementTree.tostring(ElementTree.fromstring(data), encoding="unicode")
+        except (ElementTree.ParseError, LookupError, ValueError):
+            raise UserError(f"{path}: not a text file, so no URDF ({error.reason})") from None
 
 
-def _parse(name: str, text: str) -> pin.Model:
+def _parse(name: str, text: str, joints: Sequence[str] | None) -> pin.Model:
     try:
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))  # a text has no encoding any more
     except ElementTree.ParseError as error:
         raise UserError(f"robot {name!r}: not well-formed XML: {error}") from None
     if root.tag != "robot":
@@ -162,12 +170,21 @@ def _parse(name: str, text: str) -> pin.Model:
         kind = joint.get("type")
         if kind is None:
             continue  # <joint> of a <transmission>
-        if kind not in ("fixed", "revolute", "continuous"):
+        turns, mimic = kind in ("fixed", "revolute", "continuous"), joint.find("mimic")
+        if joints is not None and joint.get("name") not in joints and not (turns and mimic is None):
+            kind = "fixed"  # locked at zero, as a gripper's fingers
+            joint.set("type", kind)
+            joint[:] = [part for part in joint if part.tag in ("parent", "child", "origin")]
+            continue
+        if not turns:
             raise UserError(
                 f"robot {name!r}: joint {joint.get('name')!r} is {kind}; allowed are revolute, continuous and fixed"
+                f"{'' if joints else ', and any type of joints that are not listed'}"
             )
-        if joint.find("mimic") is not None:
+        if mimic is not None:
             raise UserError(f"robot {name!r}: joint {joint.get('name')!r} mimics another; every joint must move on its own")
+        if kind != "fixed":
+            _check_axis(name, joint)
         if kind == "continuous":  # an angle without end is still one coordinate here
             joint.set("type", "revolute")
             limit = joint.find("limit")
@@ -181,23 +198,63 @@ def _parse(name: str, text: str) -> pin.Model:
             }
         elif kind == "revolute" and joint.find("limit") is None:
             raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
+    said: list[str] = []
     try:
-        return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+        with _heard(said):
+            return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     except (RuntimeError, ValueError) as error:
-        raise UserError(f"robot {name!r}: not a usable URDF: {str(error).strip()}") from None
+        why = "; ".join(said[:2]) or str(error).strip()
+        raise UserError(f"robot {name!r}: not a usable URDF: {why}") from None
+
+
+def _check_axis(name: str, joint: ElementTree.Element) -> None:
+    axis = joint.find("axis")
+    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    try:
+        given = np.array([float(x) for x in text.split()])
+    except ValueError:
+        given = np.zeros(0)
+    if given.shape != (3,) or not np.all(np.isfinite(given)) or not np.any(given):
+        raise UserError(
+            f"robot {name!r}: joint {joint.get('name')!r} has the axis {text!r}; three numbers, not all 0, are required"
+        )
+
+
+@contextmanager
+def _heard(said: list[str]) -> Iterator[None]:
+    """What the URDF parser, a C++ library, writes to stderr, without its own source's paths, instead of showing it."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as heard:
+        stderr = os.dup(2)
+        os.dup2(heard.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            heard.seek(0)
+            lines = heard.read().decode(errors="replace").splitlines()
+            errors = [re.sub(r"\s*at line \d+ in .*$", "", line) for line in lines]
+            said += [e.partition("Error:")[2].strip() for e in errors if "Error:" in e]
 
 
 def _lock_all_but(name: str, model: pin.Model, joints: Sequence[str] | None) -> pin.Model:
-    if joints is None:
-        return model
     present = list(model.names)[1:]
-    for joint in joints:
+    for joint in joints or ():
         if joint not in present:
             raise UserError(f"robot {name!r} has no joint {joint!r}; it has {', '.join(present)}")
-    if len(set(joints)) != len(joints) or [j for j in present if j in joints] != list(joints):
+    locked = [model.getJointId(j) for j in present if joints is not None and j not in joints]
+    if locked:
+        model = pin.buildReducedModel(model, locked, pin.neutral(model))
+    for i in range(1, model.njoints):
+        if model.parents[i] != i - 1:
+            raise UserError(
+                f"robot {name!r} is no serial chain: joint {model.names[i]!r} hangs on {model.names[model.parents[i]]!r}; "
+                "branches are not supported"
+            )
+    if joints is not None and tuple(model.names)[1:] != tuple(joints):
         raise UserError(f"robot {name!r}: joints {', '.join(joints)} are not in the order of the chain: {', '.join(present)}")
-    locked = [model.getJointId(j) for j in present if j not in joints]
-    return pin.buildReducedModel(model, locked, pin.neutral(model)) if locked else model
+    return model
 
 
 def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None:
@@ -206,7 +263,7 @@ def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None
         if not mass > 0:
             raise UserError(
                 f"robot {name!r}: link {_moved_link(model, i + 1)!r}, moved by joint {model.names[i + 1]!r}, has mass "
-                f"{mass:g} kg; a moving link needs a mass above 0"
+                f'{mass:g} kg; a moving link needs a mass above 0, or a recording set says "inertial": "identify"'
             )
         inertia = model.inertias[i + 1].inertia
         moments = np.linalg.eigvalsh(inertia)
@@ -215,6 +272,11 @@ def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None
                 f"robot {name!r}: link {_moved_link(model, i + 1)!r} has principal moments of inertia "
                 f"{', '.join(f'{m:.3g}' for m in moments)} kg m²; they must be positive and none above the sum of the other two"
             )
+
+
+def _tool_link(frames: Mapping[str, tuple[int, np.ndarray]], last: int) -> str:
+    tips = [link for link, (joint, _) in frames.items() if joint == last]
+    return ([link for link in tips if _TOOL.search(link)] or tips)[-1]
 
 
 def _limits(values: np.ndarray) -> np.ndarray:

@@ -48,8 +48,8 @@ def smooth(t: np.ndarray, x: np.ndarray, segments: Sequence[slice], window: floa
     return result
 
 
-def _smoothing_samples(t: np.ndarray, segment: slice, window: float) -> int:
-    count = min(window_samples(t[segment], window), (segment.stop - segment.start) // 10)
+def _smoothing_samples(t: np.ndarray, segment: slice, window: float, part: int = 10) -> int:
+    count = min(window_samples(t[segment], window), (segment.stop - segment.start) // part)
     return count - 1 + count % 2
 
 
@@ -89,10 +89,10 @@ def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, 
 
 
 def as_matrix(t: np.ndarray, segments: Sequence[slice], window: float = WINDOW, order: int = 3) -> csr_matrix:
-    """`smooth` as a matrix (K, K), for signals that are many and windows that are short."""
+    """`smooth` as a matrix (K, K), for signals that are many and windows that are short; never more than a third of a segment."""
     rows, columns, values = [], [], []
     for s in segments:
-        size, count = s.stop - s.start, _smoothing_samples(t, s, window)
+        size, count = s.stop - s.start, _smoothing_samples(t, s, window, 3)
         if count <= order:
             at = np.arange(s.start, s.stop)
             for part, entries in ((rows, at), (columns, at), (values, np.ones(len(at)))):
@@ -109,6 +109,8 @@ def as_matrix(t: np.ndarray, segments: Sequence[slice], window: float = WINDOW, 
             values.append(np.einsum("kwa,ka->kw", powers, solved).ravel())
             rows.append(np.repeat(at, count))
             columns.append(samples.ravel())
+    if not values:
+        return csr_matrix((len(t), len(t)))
     return csr_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(len(t), len(t)))
 
 

@@ -4,7 +4,7 @@ They are linear in the effects' coefficients (`effects.Trial`) and pass the same
 what is missing is found by linear algebra on few numbers.
 """
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -91,7 +91,7 @@ class Context:
     def of_motion(self) -> Signals:
         """What effects may depend on, as arrays, without what the model has to say."""
         r = self.recording
-        return Signals(r.q, r.dq, r.ddq, time=r.t - r.t[0], payload=r.payload)
+        return Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload)
 
     @cached_property
     def signals(self) -> Signals:
@@ -116,26 +116,22 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
     body = Body(ca.DM(model.robot.inertial), ca.DM(model.robot.gravity), 0.0, list(model.tool.position))
     for effect, theta, _ in named:
         body = effect.change(body, theta)
-    payload = r.payload + float(ca.DM(body.payload))
+    held = float(ca.DM(body.payload))
     gravity = np.array(ca.DM(ca.vertcat(*body.gravity)) if isinstance(body.gravity, list) else ca.DM(body.gravity)).reshape(3)
     body = replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.DM(gravity))
-    masses, which = np.unique(payload, return_inverse=True)
-    links = [np.array(ca.evalf(with_payload(ca.SX(body.inertial), model.tool.joint, m, body.position))) for m in masses]
-    shift = physics.shift(r)
-    motion = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(shift, 3), strict=True)]
-    parts = []
-    for k, link in enumerate(links):
-        at = np.flatnonzero(which == k)
-        moving = [x[:, at] for x in motion]
-        parts.append((at, along(chain.load_partials, *moving, link, gravity, physics.theta, physics.widths)[1:]))
+    links = _by_payload(
+        r, lambda m: np.array(ca.evalf(with_payload(ca.SX(body.inertial), model.tool.joint, held + m, body.position)))
+    )
+    links = links[0] if len(links) == 1 else np.concatenate(list(links), axis=1)
+    motion = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(physics.shift(r), 3), strict=True)]
+    found = along(chain.load_partials, *motion, links, gravity, physics.theta, physics.widths)[1:]
     widths_of = (n, n, n, 10 * n, 3)
-    partials = tuple(np.empty((n, width, len(r.t))) for width in widths_of)
-    for at, found in parts:
-        for whole, part, width in zip(partials, found, widths_of, strict=True):
-            whole[:, :, at] = np.moveaxis(part.reshape(n, len(at), width), 1, 2)
+    partials = tuple(
+        np.moveaxis(part.reshape(n, len(r.t), width), 1, 2).copy() for part, width in zip(found, widths_of, strict=True)
+    )
     friction = np.zeros_like(load)
     through = np.ones_like(load)
-    plain = Signals(r.q, r.dq, r.ddq, time=r.t - r.t[0], payload=r.payload)
+    plain = Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload)
     for effect, theta, width in named:
         if effect.plain and effect.name != "armature":
             friction[effect.joints[0]] += np.array(effect.torque(plain, theta, width)[0]).reshape(-1)
@@ -200,22 +196,32 @@ def _with_states(signals: Signals, recording: Recording, trial: Trial, theta, lo
 
 
 def _of_body(at: Context, effect, theta) -> np.ndarray:
-    r, total = at.recording, np.zeros_like(at.load)
-    masses, which = np.unique(r.payload, return_inverse=True)
-    tool = at.physics.model.tool.joint
-    for k, mass in enumerate(masses):
+    r, tool = at.recording, at.physics.model.tool.joint
+
+    def more(mass: float) -> np.ndarray:
         base = replace(at.body, payload=at.body.payload + mass)
         there = effect.change(base, theta)
         links = [np.array(with_payload(ca.DM(b.inertial), tool, b.payload, b.position)) for b in (base, there)]
         gravity = ca.vertcat(*there.gravity) if isinstance(there.gravity, list) else there.gravity
         pull = np.array(ca.evalf(ca.SX(gravity) - ca.SX(base.gravity))).reshape(3)
-        samples = which == k
-        more = (links[1] - links[0]).T.reshape(-1)
-        for by, change in ((at.partials[3], more), (at.partials[4], pull)):
-            if np.any(change):
-                used = np.flatnonzero(change)
-                total[:, samples] += np.einsum("ick,c->ik", by[:, used][:, :, samples], change[used])
+        return np.concatenate([(links[1] - links[0]).T.reshape(-1), pull])
+
+    change, total = _by_payload(r, more), np.zeros_like(at.load)
+    for by, part in ((at.partials[3], change[:, :-3]), (at.partials[4], change[:, -3:])):
+        used = np.flatnonzero(np.any(part, axis=0))
+        if len(used):
+            total += np.einsum("ick,kc->ik", by[:, used], np.broadcast_to(part[:, used], (len(r.t), len(used))))
     return total
+
+
+def _by_payload(recording: Recording, affine: Callable[[float], np.ndarray]) -> np.ndarray:
+    """What is affine in the listed payload [kg] at every sample, (K, …), or where that never changes (1, …)."""
+    low, high = float(recording.payload.min()), float(recording.payload.max())
+    first = affine(low)
+    if low == high:
+        return first[None]
+    share = (recording.payload - low) / (high - low)
+    return first + share.reshape(-1, *np.ones(first.ndim, int)) * (affine(high) - first)
 
 
 def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:

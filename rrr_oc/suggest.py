@@ -38,18 +38,26 @@ class Suggestion:
 
 
 def suggest(
-    recordings: RecordingSet, plain: CalibratedModel, findings: Sequence[Finding], seen: View, seed: int = 0
+    recordings: RecordingSet, plain: CalibratedModel, findings: Sequence[Finding], undecided: bool, seen: View, seed: int = 0
 ) -> list[Suggestion]:
     """For each effect with rivals the motion, of several, on which their torques differ most, and by how much.
 
     What counts is the difference that is left when the rival and the plain parameters do their best, in units of the noise.
+
+    Args:
+        undecided: Whether there is a mismatch that nothing found explains; then the motion which excites most is suggested.
     """
     contested = [f for f in findings if f.rivals]
-    if not contested:
+    if not contested and not undecided:
         return []
     motions = [_motion(recordings, seen, np.random.default_rng([seed, k])) for k in range(TRIED)]
     every = trials(seen, plain.torque)
     result = []
+    if undecided:
+        known = [_known(m, plain) for m in motions]
+        motion = motions[int(np.argmax(known))].recording
+        why = "of several motions this one tells most of friction and inertia; record it more than once, so that some can be held out"
+        result.append(Suggestion(why, (), motion.t, motion.q))
     for finding in contested:
         own = _trial(finding)
         rivals = [[t for t in every if (t.effect.name, t.effect.joints) == rival] for rival in finding.rivals]
@@ -62,6 +70,13 @@ def suggest(
         motion = motions[best].recording
         result.append(Suggestion(_why(apart[best]), names, motion.t, motion.q))
     return result
+
+
+def _known(motion: Prepared, plain: CalibratedModel) -> float:
+    """Logarithm of the determinant of what a motion tells of friction and inertia (D-optimality), but for what none tells."""
+    columns = np.concatenate(list(rows([motion], plain, inertial=True).jacobian))
+    values = np.linalg.eigvalsh(columns.T @ columns)
+    return float(np.sum(np.log(np.maximum(values, 1e-12 * values[-1]))))
 
 
 def _why(apart: float) -> str:

@@ -49,7 +49,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 QUANTILES = (0.25, 0.5, 0.75, 0.95)
-FEW = ("single", "faint", "short", "some", "current", "load", "identify", "locked")  # kinds with one effect at most
+FEW = ("single", "faint", "short", "some", "alone", "current", "load", "identify", "locked")  # kinds with one effect at most
 SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
 ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
@@ -327,7 +327,9 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "named": named,
         "every_effect_named": every,
         "how": dict(Counter(e["how"] for s in scores for e in inside(s) if e["named"])),
-        "recordings_right": share([e["named"] and e["recordings"] for s in of.get("some", []) for e in inside(s)]),
+        "recordings_right": share(
+            [e["named"] and e["recordings"] for k in ("some", "alone") for s in of.get(k, []) for e in inside(s)]
+        ),
         "outside_unexplained": share([e["named"] for _, e in outside]),
         "outside_or_equal": share([e["named"] or e["how"] == "equal" for _, e in outside]),
         "false_alarms": share([s["alarm"] for s in clean]),

@@ -1,5 +1,6 @@
 """Diagnosis of recordings that an independent plant made, with an effect concealed in them or with none."""
 
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,12 @@ from recorded import Plant, as_set, multisine, record
 from typer.testing import CliRunner
 
 from rrr_oc import diagnose as forward
-from rrr_oc.calibrate import identify, plain_model, widened
+from rrr_oc.calibrate import fit_terms, identify, plain_model, widened
 from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term, save_model
 from rrr_oc.cli import app
 from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnosis import _refuted, _sure, diagnose
+from rrr_oc.diagnosis_report import write_diagnosis
 from rrr_oc.effects import Trial
 from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
 from rrr_oc.effects.empirical import Empirical
@@ -28,11 +30,14 @@ from rrr_oc.evidence import Bench, Evidence
 from rrr_oc.inertial import precision, prior
 from rrr_oc.recordings import Recording, load_recordings
 from rrr_oc.regression import prepare, rows
-from rrr_oc.signatures import view
+from rrr_oc.replay import pieces
+from rrr_oc.signatures import columns, context, trials, view
 from rrr_oc.suggest import suggest
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case
+
+TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
 
 
 @pytest.fixture(scope="module")
@@ -299,7 +304,7 @@ def test_a_motion_is_suggested_that_tells_a_series_from_its_rival(made):
 
     def apart(size: float) -> str:
         found = Finding(Term(effect, (Estimate(size), Estimate(-size)), 0.05), 50.0, 2, 9, (("torque_offset", (1,)),))
-        (suggestion,) = suggest(recordings, replace(plain, noise=np.full(2, 0.01)), [found], view(prepared, plain))
+        (suggestion,) = suggest(recordings, replace(plain, noise=np.full(2, 0.01)), [found], False, view(prepared, plain))
         assert suggestion.separates == ("empirical", "torque_offset")
         return suggestion.why
 
@@ -463,3 +468,111 @@ def test_what_predicts_held_out_recordings_worse_is_refuted(after, groups, refut
     offset = replace(nominal_term(TorqueOffset((0,))), recordings=() if groups else "all", groups=groups)
     assert _refuted([Finding(offset, 20.0, 1, 9)], (np.array([0.05, 0.1]), np.array(after))) is refuted
     assert not _refuted([], (np.array([0.05]), np.array([0.06])))
+
+
+@pytest.mark.parametrize("change", ["payload", "gain", "offset"])
+def test_what_only_one_recording_has_is_found_there(planar, change):
+    """Nothing but pieces of that recording can confirm it."""
+    plant, rng = planar(1), np.random.default_rng(2)
+    made = [
+        record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, 0.5 * (change == "payload" and i == 1), TOOL) for i in range(4)
+    ]
+    made = [replace(r, payload=0 * r.t) for r in made]
+    other = {"payload": made[1].tau, "gain": 1.1 * made[1].tau, "offset": made[1].tau + 1.0}[change]
+    recordings = as_set(plant, [made[0], replace(made[1], tau=other), *made[2:]])
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    (found,) = diagnose(recordings, jobs=1).findings
+    names = {"payload": "payload_mass", "gain": "torque_gain", "offset": "torque_offset"}
+    assert found.term.effect.name == names[change]
+    assert found.term.groups == ("1.csv",)
+
+
+def test_a_drift_within_an_only_recording_goes_on_from_block_to_block(planar):
+    plant, rng = planar(1), np.random.default_rng(2)
+    whole = record(plant, "0.csv", rng, 40.0, 0.01)
+    friction = np.tanh(whole.dq / plant.width) + whole.dq
+    warm = replace(whole, tau=whole.tau + 0.5 * np.exp(-whole.t / 5.0) * friction)
+    found = diagnose(as_set(plant, [warm]), jobs=1)
+    (drift,) = found.findings
+    assert drift.term.effect.name == "friction_drift"
+    assert drift.term.named == pytest.approx({"ratio": 0.5, "time_constant": 5.0}, rel=0.05)
+    assert found.held_out[1][0] < 0.2 * found.held_out[0][0]
+
+
+def test_recorded_load_torque_may_hold_what_no_law_explains(planar, tmp_path):
+    """A detent: on the link's side, for no drive is in what was recorded."""
+    plant, rng = planar(1), np.random.default_rng(4)
+    made = [record(plant, f"{i}.csv", rng, 12.0, 0.01, load=True) for i in range(4)]
+    made = [replace(r, tau=r.tau + 1.5 * np.exp(-((r.q / 0.25) ** 2))) for r in made]
+    found = diagnose(as_set(plant, made, torque="load"), jobs=1)
+    (term,) = (f.term for f in found.findings if f.term.effect.lawless)
+    assert term.effect.side == "link"
+    assert term.effect.depends_on == (("q", 0),)
+    assert found.held_out[1][0] < 0.3 * found.held_out[0][0]
+    save_model(found.model, tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json").terms == found.model.terms
+
+
+def test_a_joint_that_stands_still_is_no_reason_to_fail(planar):
+    plant, rng = planar(2), np.random.default_rng(5)
+    made = []
+    for i in range(3):
+        q, dq, ddq = multisine(2, np.arange(1000) / 100, rng)
+        still = np.array([[0.0], [1.0]])
+        r = record(plant, f"{i}.csv", rng, 10.0, 0.01, (still * q, still * dq, still * ddq))
+        made.append(r)
+    assert not diagnose(as_set(plant, made), jobs=1).findings
+
+
+def test_pieces_too_short_for_the_filter_do_not_count(planar):
+    """After 8 s bursts of 8 samples between gaps, and one recording only: blocks are made of what can be used."""
+    plant, rng = planar(1), np.random.default_rng(6)
+    whole = record(plant, "0.csv", rng, 16.0, 0.01)
+    kept = np.flatnonzero((whole.t < 8) | (np.arange(len(whole.t)) % 40 < 8))
+    arrays = {name: getattr(whole, name)[..., kept] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    gaps = np.flatnonzero(np.diff(arrays["t"]) > 0.05) + 1
+    ends = [0, *gaps.tolist(), len(kept)]
+    torn = replace(whole, **arrays, segments=tuple(slice(a, b) for a, b in itertools.pairwise(ends)))
+    assert not diagnose(as_set(plant, [torn]), jobs=1).findings
+    one, other = (fit_terms(s, prepare(s), plain_model(s)).model for s in (as_set(plant, [torn]), as_set(plant, [whole])))
+    for term, whole_term in zip(one.terms, other.terms, strict=True):
+        for e, w in zip(term.estimates, whole_term.estimates, strict=True):
+            assert e.std is not None
+            assert w.std is not None
+            assert e.std < 4 * w.std  # of half the time
+
+
+def test_a_mismatch_that_nothing_explains_is_said_to_be_one(planar, tmp_path):
+    """Torques of another course in every recording: beyond the noise, and nothing holds on recordings left out."""
+    plant, rng, made = planar(1), np.random.default_rng(7), []
+    for i in range(4):
+        r = record(plant, f"{i}.csv", rng, 12.0, 0.003)
+        f, phase = rng.uniform(1.2, 2.0, 3), rng.uniform(0, 6.3, 3)
+        made.append(replace(r, tau=r.tau + 0.4 * np.sin(2 * np.pi * f[:, None] * r.t + phase[:, None]).sum(axis=0)))
+    found = diagnose(as_set(plant, made), jobs=1)
+    assert found.findings == ()
+    assert found.verdict == "cannot_tell"
+    assert found.mismatch[0]["significant"]
+    content = write_diagnosis(found, tmp_path)
+    assert "these recordings do not decide what" in (tmp_path / "report.html").read_text()
+    (suggested,) = content["suggested_recordings"]
+    assert (tmp_path / suggested["trajectory"]).exists()
+
+
+def test_a_payload_that_runs_through_many_values_costs_no_more(planar):
+    """What a payload does to the links is affine in its mass: the same as with each mass by itself."""
+    plant, rng = planar(2), np.random.default_rng(8)
+    r = record(plant, "0.csv", rng, 3.0)
+    ramp = replace(r, payload=np.linspace(0.0, 2.0, len(r.t)))
+    whole = as_set(plant, [ramp])
+    whole = replace(whole, tool=whole.robot.point(whole.robot.links[-1], [0.2, 0.1, 0]))
+    model, at = plain_model(whole), [0, 150, 299]
+    moving = context(prepare(whole)[0], model)
+    for k in at:
+        held = replace(whole, recordings=(replace(r, payload=np.full(len(r.t), ramp.payload[k])),))
+        alone = context(prepare(held)[0], model)
+        for a, b in zip(moving.partials, alone.partials, strict=True):
+            assert a[..., k] == pytest.approx(b[..., k], abs=1e-9)
+        trial = next(t for t in trials(view(prepare(whole), model), "motor") if t.effect.name == "payload_com")
+        assert columns(moving, trial)[..., k] == pytest.approx(columns(alone, trial)[..., k], abs=1e-9)
+    assert 10 < len(pieces(ramp)) < 60

@@ -655,7 +655,7 @@ def arm():
     surface = Empirical((1,), (("q", 1), ("load", 1)), (span[0], -30.0), (span[1], 30.0), (2, 1), True)
     zero = dict.fromkeys(surface.amplitudes, 0.0)
     by_name["empirical"] = [Trial(surface, tuple(zero | {a: 1.0} for a in surface.amplitudes), width=0.05)]
-    by_name["echo"] = list(Echo.unnamed(view(prepared, model), 1, {}))
+    by_name["echo"] = list(Echo.unnamed(view(prepared, model), 1, {}, "motor"))
     return model, prepared, by_name
 
 

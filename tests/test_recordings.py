@@ -457,7 +457,7 @@ def test_broken_json_and_missing_files(write, tmp_path):
     assert "an object" in refused(write("[]"))
     (tmp_path / "recordings.json").write_bytes(b'{"format": "\xff"}')
     assert "UTF-8" in refused(tmp_path)
-    assert "cannot be read" in refused(tmp_path / "nowhere")
+    assert "a folder with recordings.json is required" in refused(tmp_path / "nowhere")
 
 
 def test_a_misspelt_column_is_no_silent_substitute(write):

@@ -38,33 +38,38 @@ class Backlash(Effect):
         return (0 * signals.q[self.joints[0]],)
 
     def motion(self, t, load, stiffness, inertia, theta):
-        half, count = theta["gap"] / 2, len(t)
+        half, count = float(theta["gap"]) / 2, len(t)
         result = np.zeros((3, count))
         if half <= 0.0:
             return result
         mass = np.maximum(inertia, 1e-9)
-        slowing = theta["damping"] / mass
         steps = np.append(np.diff(t), t[-1] - t[-2] if count > 1 else 1.0)
         leaving = {1: np.flatnonzero(load + stiffness * half > 0), -1: np.flatnonzero(load - stiffness * half < 0)}
+        numbers = [
+            x.tolist() for x in (load, stiffness, mass, theta["damping"] / mass, steps)
+        ]  # quicker one at a time than arrays
+        samples = list(zip(*numbers, strict=True))
         side, k, v = -1 if load[0] > 0 else 1, 0, 0.0
         while True:
-            next_ = np.searchsorted(leaving[side], k)
+            next_ = leaving[side].searchsorted(k)
             end = int(leaving[side][next_]) if next_ < len(leaving[side]) else count
             result[0, k:end] = x = side * half
-            k = end
-            while k < count:  # in the gap
-                before, part = v, steps[k] / STEPS
-                result[:2, k] = x, v
+            motion = []
+            for k in range(end, count):  # in the gap
+                pull, spring, inert, slowing, step = samples[k]
+                before, part, start = v, step / STEPS, (x, v)
                 for _ in range(STEPS):
-                    v = (v - (load[k] + stiffness[k] * x) / mass[k] * part) / (1 + slowing[k] * part)
+                    v = (v - (pull + spring * x) / inert * part) / (1 + slowing * part)
                     x += v * part
                     if abs(x) >= half:
                         x, v = (half if x > 0 else -half), 0.0
-                result[2, k] = (v - before) / steps[k]
-                k += 1
+                motion.append((*start, (v - before) / step))
                 if abs(x) == half:
                     break
-            else:
+            k = end + len(motion)
+            if motion:
+                result[:, end:k] = np.transpose(motion)
+            if k == count:
                 return result * np.array([[1.0], [self.impacts], [self.impacts]])
             side = 1 if x > 0 else -1
 

@@ -68,8 +68,8 @@ class Echo(Effect):
         return iter(())
 
     @classmethod
-    def unnamed(cls, view, j, ranges):
-        for frequency in FREQUENCIES:
+    def unnamed(cls, view, j, ranges, torque):
+        for frequency in FREQUENCIES if torque != "load" else ():  # there it would be driven by itself
             for damping in DAMPINGS:
                 points = tuple({"frequency": frequency, "damping": damping, "lag": lag, "swing": 1 - lag} for lag in (1.0, 0.0))
                 yield Trial(cls((j,)), points)

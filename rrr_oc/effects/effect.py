@@ -259,7 +259,7 @@ class Effect(ABC):
                 yield cls((j,)).trial(view)
 
     @classmethod
-    def unnamed(cls, view: View, j: int, ranges: Mapping[tuple[str, int], tuple[float, float]]) -> Iterator[Trial]:
+    def unnamed(cls, view: View, j: int, ranges: Mapping[tuple[str, int], tuple[float, float]], torque: str) -> Iterator[Trial]:
         """The ways in which a joint might have what is `lawless`.
 
         Args:

@@ -30,6 +30,8 @@ class Empirical(Effect):
         signed: Whether it turns with the direction of its own joint.
         edges: (±1, edge in [0, 1], power) of what begins at an edge, upwards or downwards.
         largest: Bound of a series' coefficients [Nm]: terms that cancel each other where recordings are mean nothing beyond them.
+        on_link: Whether it acts on the link, not in the drive: where the load torque was recorded, and it may depend on positions and
+            speeds.
     """
 
     name = "empirical"
@@ -45,6 +47,11 @@ class Empirical(Effect):
     signed: bool = field(default=False)
     edges: tuple[tuple[int, float, int], ...] = field(default=())
     largest: float = field(default=1e6)
+    on_link: bool = field(default=False)
+
+    def __post_init__(self) -> None:
+        if self.on_link:
+            object.__setattr__(self, "side", "link")
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:
@@ -117,15 +124,20 @@ class Empirical(Effect):
         return iter(())
 
     @classmethod
-    def unnamed(cls, view, j, ranges):
+    def unnamed(cls, view, j, ranges, torque):
         """Of one variable, coarse and fine, or beginning at an edge; and of two."""
-        n, largest = view.n, max(map(abs, ranges["motor", j]))
+        on_link, largest = torque == "load", max(map(abs, ranges["motor", j]))
+        for effect in cls._shapes(view.n, j, ranges, largest, on_link):
+            if not on_link or all(kind in ("q", "dq") for kind, _ in effect.variables):
+                zero = dict.fromkeys(effect.amplitudes, 0.0)
+                yield Trial(effect, tuple(zero | {a: 1.0} for a in effect.amplitudes), width=effect.sign_width(view))
+
+    @classmethod
+    def _shapes(cls, n, j, ranges, largest, on_link):
 
         def one(variables, orders=(), signed=False, edges=()):
             low, high = zip(*(ranges[v] for v in variables), strict=True)
-            effect = cls((j,), tuple(variables), low, high, tuple(orders), signed, tuple(edges), largest)
-            zero = dict.fromkeys(effect.amplitudes, 0.0)
-            return Trial(effect, tuple(zero | {a: 1.0} for a in effect.amplitudes), width=effect.sign_width(view))
+            return cls((j,), tuple(variables), low, high, tuple(orders), signed, tuple(edges), largest, on_link)
 
         for v in ranges:
             if v[0] == "motor" and v[1] == j:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from validation.concealed.arms import PROTOTYPE_MOTOR, Arm, generated_arm, holding_torque, rrr_arm
-from validation.concealed.cases import Case, Concealed
+from validation.concealed.cases import OWN, Case, Concealed
 from validation.concealed.catalogue import SENSED, effect_type
 from validation.concealed.effect import Effect, Motion, Signals
 from validation.concealed.equal import Jacobian, equal_effects
@@ -71,7 +71,8 @@ class Bench:
         self.case, self.arm, self.kinds, self.seen, self.duration = case, arm, kinds, seen, duration
         self.setup = mounted(case, arm, len(kinds))
         some = any(c.groups for c in case.concealed)
-        self.groups = (*GROUPS[:seen], *self.unseen_groups()) if some else (None,) * len(kinds)
+        known = (OWN if case.alone else GROUPS)[:seen]
+        self.groups = (*known, *self.unseen_groups(known)) if some else (None,) * len(kinds)
         self.histories: dict[tuple, History] = {}
         self.constants = case.rng("current").uniform(5.0, 15.0, arm.n) if case.torque == "current" else None
         self.baseline = self.history([])
@@ -82,10 +83,10 @@ class Bench:
         self.floor = np.zeros(1)
         self.floor = self.fit(x).residual
 
-    def unseen_groups(self) -> tuple[str, ...]:
+    def unseen_groups(self, known: tuple[str, ...]) -> tuple[str, ...]:
         """One unseen recording of the group that has an effect, the others of groups that have none."""
         affected = next(c.groups[0] for c in self.case.concealed if c.groups)
-        others = [g for g in "abcd" if g != affected]
+        others = [g for g in dict.fromkeys(known) if g != affected]
         return (affected, *others)[: len(self.kinds) - self.seen]
 
     def references(self, step: float) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from validation.concealed.catalogue import CATALOGUE, OUTSIDE, TWO_JOINTS
 
 RATIOS = (3.0, 1.0, 0.5)  # residual after plain calibration / noise
+OWN = tuple(f"set-up {b + 1}" for b in range(8))  # of recordings that share none
 FAINT = (0.3, 0.2, 0.1)
 ROBOTS = ("rrr", "rrr_prototype", "arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "arm7")
 
@@ -35,6 +36,7 @@ class Case:
     torque: str = "motor"
     inertial: str = "nominal"
     motor: bool = False  # the prototype's motors, Eq. 7–9
+    alone: bool = False  # each recording is a set-up of its own; else two of them are of one group, where groups matter
     locked: int = 0  # further joints of the URDF that are not recorded
     options: dict = field(default_factory=dict)  # of Sensing
 
@@ -55,7 +57,7 @@ def fitting_robot(names: tuple[str, ...], rng: np.random.Generator, choices: tup
 def declare(seed: int = 0) -> list[Case]:
     """All cases of a seed, in a fixed order."""
     cases: list[Case] = []
-    for make in (clean, single, short_single, faint, some_recordings, several, outside, other_data):
+    for make in (clean, single, short_single, faint, some_recordings, several, outside, other_data, one_recording):
         cases += make(seed)
     keys = [c.key for c in cases]
     if len(set(keys)) != len(keys):
@@ -141,6 +143,29 @@ def some_recordings(seed: int) -> list[Case]:
             rng = draw(seed, key)
             group = str(rng.choice(["a", "b", "c", "d"]))
             out.append(Case(key, "some", seed, fitting_robot((name,), rng), (Concealed(name, ratio, (group,)),)))
+    return out
+
+
+def one_recording(seed: int) -> list[Case]:
+    """Effects that one recording has of eight, or of four in an untidy set, none of which shares a set-up with another."""
+    names = (
+        "payload_mass",
+        "torque_gain",
+        "torque_offset",
+        "cable_harness",
+        "parallel_spring",
+        "spring_stiffness",
+        "time_delay",
+    )
+    out = []
+    for name in names:
+        for ratio in RATIOS[:2]:
+            key = f"alone/{name}/{ratio}"
+            rng = draw(seed, key)
+            short = bool(rng.random() < 0.3)
+            group = str(rng.choice(OWN[: 4 if short else 8]))
+            concealed = (Concealed(name, ratio, (group,)),)
+            out.append(Case(key, "alone", seed, fitting_robot((name,), rng), concealed, short=short, alone=True))
     return out
 
 
