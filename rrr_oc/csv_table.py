@@ -80,7 +80,7 @@ class Table:
             return float(cell) if cell else math.nan
         except ValueError:
             found = cell if len(cell) <= 40 else cell[:40] + "…"
-            comma = ", with a decimal point" if "," in cell else ""
+            comma = " with a decimal point," if "," in cell else ""
             raise UserError(
                 f"{self.path}, line {number}, column {self.names[column]!r}: found {found!r}; a number{comma} or nan is allowed"
             ) from None

@@ -249,8 +249,8 @@ def _lock_all_but(name: str, model: pin.Model, joints: Sequence[str] | None) -> 
     for i in range(1, model.njoints):
         if model.parents[i] != i - 1:
             raise UserError(
-                f"robot {name!r} is no serial chain: joint {model.names[i]!r} hangs on {model.names[model.parents[i]]!r}; "
-                "branches are not supported"
+                f"robot {name!r} is no serial chain: joint {model.names[i]!r} hangs on "
+                f"{repr(model.names[model.parents[i]]) if model.parents[i] else 'the base'}; branches are not supported"
             )
     if joints is not None and tuple(model.names)[1:] != tuple(joints):
         raise UserError(f"robot {name!r}: joints {', '.join(joints)} are not in the order of the chain: {', '.join(present)}")

@@ -126,4 +126,9 @@ def test_the_verdict_is_a_sentence(diagnosis):
     text = sentence(found)
     assert text.startswith("The calibrated model lacks payload mass in 1 of the recordings.")
     assert "joint2's torque goes from 80.0% to 20.0%" in text
-    assert sentence({"verdict": "nothing_missing"}).startswith("Nothing is missing")
+    errors = {"calibration": {"before": {"joint1": 0.05, "joint2": 0.1}}, "held_out": {"before": {"joint1": 0.06, "joint2": 0.8}}}
+    silent = {"verdict": "nothing_missing", "nrmse": errors}
+    assert sentence(silent).startswith("Nothing is missing: the calibrated model explains these recordings to their noise. But")
+    assert "(joint2: NRMSE 0.8 against 0.1)" in sentence(silent)
+    errors["held_out"]["before"]["joint2"] = 0.12
+    assert sentence(silent).endswith("noise.")

@@ -94,6 +94,12 @@ MISTAKES = {
         ["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{1}/e.json", "--predictions", "{0}/set/0.csv"],
         "0.csv: is a file; a folder is required",
     ),
+    "model over": (["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{0}/out/model.json"], "would be overwritten"),
+    "header over": (["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{0}/set/recordings.json"], "would be overwritten"),
+    "predictions over": (
+        ["evaluate", "{0}/out/model.json", "{0}/set", "--predictions", "{0}/out/../set"],
+        "0.csv: is read by this command and would be overwritten",
+    ),
     "absurd": (["calibrate", "{1}/absurd", "--out", "{1}/o"], "q_joint2 reaches"),
     "constants": (
         ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a:3"],
@@ -144,6 +150,30 @@ def test_a_place_that_cannot_be_written_is_told_before_the_work(folder, monkeypa
     for arguments in (["calibrate", folder / "set", "--out"], ["diagnose", folder / "set", "--out"]):
         assert run(monkeypatch, *arguments, "/proc/results") == 2
         assert "/proc/results: cannot be written" in capsys.readouterr().err
+
+
+def test_what_was_left_out_and_what_cannot_be_right_is_told(folder, monkeypatch, tmp_path, capsys):
+    header = json.loads((folder / "set" / "recordings.json").read_text())
+    rows = (folder / "set" / "0.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    turned = [",".join(cells[0] + ["vel_joint1"])]
+    places = [k for k, name in enumerate(cells[0]) if name.startswith("tau_")]
+    for i, row in enumerate(cells[1:]):
+        changed = [str(-float(x)) if k in places else x for k, x in enumerate(row)]
+        turned.append(",".join(["nan" if 100 <= i < 150 and k == 1 else x for k, x in enumerate(changed)] + ["0"]))
+    (tmp_path / "recordings.json").write_text(json.dumps(header | {"recordings": [{"file": "0.csv", "payload": 1.0}]}))
+    (tmp_path / "0.csv").write_text("\n".join(turned))
+    assert run(monkeypatch, "calibrate", tmp_path, "--out", tmp_path / "out [/x]") == 0
+    printed = capsys.readouterr()
+    assert "0.csv: 50 of 600 rows are left out" in printed.err
+    assert "0.csv: column vel_joint1 mean nothing here" in printed.err
+    assert "the torque of joint2 is explained no better than by a constant" in printed.err
+    assert "out [/x]" in printed.out
+
+
+def test_help_keeps_its_units(monkeypatch, capsys):
+    assert run(monkeypatch, "evaluate", "--help") == 0
+    assert "[s]" in capsys.readouterr().out
 
 
 def test_unknown_options_and_commands_end_with_status_2(monkeypatch, capsys):

@@ -8,12 +8,13 @@ import pytest
 from recorded import Plant, as_set, record
 from scipy.signal import savgol_filter
 
-from rrr_oc.calibrate import plain_model
+from rrr_oc.calibrate import calibrate, plain_model
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.errors import UserError
 from rrr_oc.evaluate import SIGNALS, evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import RecordingSet
+from rrr_oc.rigid_body import rigid_body
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
 
@@ -141,3 +142,28 @@ def test_other_robots_and_signals_are_refused(pair):
     other = replace(recordings, robot=replace(recordings.robot, joints=("a", "b", "c")))
     with pytest.raises(UserError, match="records the joints a, b, c, but the model has joint1"):
         evaluate_simulated(model, other)
+
+
+def test_the_recordings_say_where_gravity_pulls_and_where_the_payload_is():
+    """A model of bare recordings predicts others with a payload at a tool of theirs, or hung from a ceiling."""
+    plant, rng, tool = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(3), (0.2, 0.0, 0.1)
+    bare = as_set(plant, [record(plant, f"{i}.csv", rng, 8.0) for i in range(2)])
+    model = calibrate(bare)
+    loaded = as_set(plant, [record(plant, "l.csv", rng, 8.0, payload=2.0, tool=tool)])
+    loaded = replace(loaded, tool=loaded.robot.point(loaded.robot.links[-1], tool))
+    up = replace(bare.robot, gravity=-bare.robot.gravity)
+    body, own = rigid_body(up), bare.recordings[0]
+    change = along_samples(body, up, own) - along_samples(body, bare.robot, own)
+    hung = replace(bare, robot=up, recordings=(replace(own, tau=own.tau + change),))
+    for other in (loaded, hung):
+        errors = evaluate_inverse(model, other)
+        assert all(e["nrmse"] < 0.05 for file in errors.values() for e in file.values())
+    assert evaluate_inverse(model, replace(hung, robot=bare.robot))["0.csv"]["joint2"]["nrmse"] > 0.5
+    longer = replace(bare.robot, placements=bare.robot.placements + 0.01 * (np.arange(16).reshape(4, 4) == 7))
+    with pytest.raises(UserError, match="sits or turns otherwise than in the model"):
+        evaluate_inverse(model, replace(bare, robot=longer))
+
+
+def along_samples(body, robot, r) -> np.ndarray:
+    columns = [body.inverse_dynamics(*x, robot.inertial, robot.gravity) for x in zip(r.q.T, r.dq.T, r.ddq.T, strict=True)]
+    return np.hstack([np.array(c) for c in columns])

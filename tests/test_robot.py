@@ -164,6 +164,8 @@ BRANCH = [link("base", 0), link("l1"), link("l2"), link("l3"), joint("j1", "base
         (robot(*BRANCH[:2], BRANCH[4], joint("j2", "l1", "l2")), "not a usable URDF"),
         (robot(link("base", 0), link("l1"), joint("j1", "base", "l1", inside="")), "joint 'j1' has no <limit>"),
         (arm(2).replace('velocity="3"/>', 'velocity="3"/><mimic joint="j2"/>', 1), "joint 'j1' mimics another"),
+        (arm(2).replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 0"/>', 1), "has the axis '0 0 0'; three numbers"),
+        (arm(2).replace('velocity="3"', 'velocity="fast"', 1), r"not a usable URDF: joint \[j1\]: velocity value \(fast\)"),
         (robot(link("base", 0), link("l1", -1.0), joint("j1", "base", "l1")), "has mass -1 kg"),
         (robot(link("base", 0), link("l1", 1.0, (1, 1, 3)), joint("j1", "base", "l1")), "none above the sum of the other two"),
         (robot(link("base", 0), link("l1", 1.0, (-1, 2, 2)), joint("j1", "base", "l1")), "must be positive"),
@@ -172,6 +174,38 @@ BRANCH = [link("base", 0), link("l1"), link("l2"), link("l3"), joint("j1", "base
 def test_robots_that_are_turned_away(load, text, message):
     with pytest.raises(UserError, match=message):
         load(text)
+
+
+def test_joints_of_any_type_may_be_left_out(load):
+    """A gripper's fingers, one of which mimics the other, are locked at zero as revolute joints are."""
+    fingers = [link("f1", 0.1), link("f2", 0.1)]
+    kinds = {"prismatic": "<axis xyz='0 1 0'/><limit lower='0' upper='1' effort='1' velocity='1'/>", "fixed": ""}
+    mimic = "<mimic joint='g1'/>"
+    arms = []
+    for kind, inside in kinds.items():
+        other = inside + (mimic if kind == "prismatic" else "")
+        both = [joint("g1", "l2", "f1", kind, inside), joint("g2", "l2", "f2", kind, other)]
+        arms.append(load(arm(2).replace("</robot>", "".join([*fingers, *both]) + "</robot>"), joints=["j1", "j2"]))
+    np.testing.assert_allclose(arms[0].inertial, arms[1].inertial, atol=1e-12)
+    with pytest.raises(UserError, match="joint 'g1' is prismatic"):
+        load(arm(2).replace("</robot>", fingers[0] + joint("g1", "l2", "f1", "prismatic", kinds["prismatic"]) + "</robot>"))
+
+
+def test_of_several_tool_frames_the_one_that_is_called_so(load):
+    fixed = "".join(
+        link(name, 0) + joint(f"to_{name}", "l2", name, "fixed", f"<origin xyz='{x} 0 0'/>")
+        for name, x in (("camera", 0.1), ("tool0", 0.3), ("wrist_cover", 0.05))
+    )
+    found = load(arm(2).replace("</robot>", fixed + "</robot>"))
+    assert found.tool_link == "tool0"
+    assert found.tool.position[0] == pytest.approx(0.3)
+
+
+def test_a_urdf_may_declare_its_encoding(tmp_path):
+    path = tmp_path / "arm.urdf"
+    text = arm(2).replace('<?xml version="1.0"?>', '<?xml version="1.0" encoding="ISO-8859-1"?><!-- für -->')
+    path.write_bytes(text.encode("latin-1"))
+    assert load_robot(path).joints == ("j1", "j2")
 
 
 @pytest.mark.parametrize(
