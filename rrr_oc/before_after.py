@@ -96,6 +96,11 @@ def _means(parts: Sequence[Errors | str], joints: Sequence[str]) -> dict[str, An
     if reasons:
         return {"why_not": reasons[0]}
     errors = [one for part in parts if not isinstance(part, str) for one in part.values()]
+    lost = [
+        file for part in parts if not isinstance(part, str) for file, one in part.items() if one[joints[0]]["q"]["rmse"] is None
+    ]
+    if lost:
+        return {"why_not": f"it diverges while it follows {lost[0]}"}
     return {j: {s: _known_mean([e[j][s]["nrmse"] for e in errors]) for s in SIGNALS} for j in joints}
 
 

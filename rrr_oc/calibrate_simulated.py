@@ -108,7 +108,7 @@ class Response:
     @cached_property
     def control(self) -> Controller:
         """The controllers of the simulation."""
-        return tracking_controller(self.model)
+        return tracking_controller(self.model, self.recordings)
 
     @cached_property
     def _targets(self) -> list["_Target"]:
@@ -162,6 +162,7 @@ class _Target:
             torque = motor[:, self.joints]
         else:
             ddq = differentiate(r.t, dq.reshape(-1, r.t.size), r.segments).reshape(dq.shape)
+            ddq = np.where(np.isnan(ddq) & np.isfinite(dq), r.ddq, ddq)
             torque = np.array([response.compared(*x)[0] for x in zip(dq, ddq, motor, strict=True)])
         flat = smooth(r.t, torque.reshape(-1, r.t.size), r.segments, response.window).reshape(shape)
         return (flat[:, :, self.kept] - self.recorded) / self.spread

@@ -167,7 +167,7 @@ class CalibratedModel:
         return output / np.array(self.torque_constant, float)[:, None] if self.torque == "current" else output
 
     def placed(self, recordings: RecordingSet) -> "CalibratedModel":
-        """The model under the gravity of recordings and, where they list a payload, with it at their tool.
+        """The model under the gravity and with the torque constants of recordings and, where they list a payload, with it at their tool.
 
         Raises `UserError` unless the recordings are of this robot's joints, as they are in space, and of the signal that is predicted.
         """
@@ -190,7 +190,8 @@ class CalibratedModel:
             )
         loaded = any(np.any(r.payload > 0) for r in recordings.recordings)
         tool = recordings.tool if loaded else self.tool
-        return replace(self, robot=replace(own, gravity=recordings.gravity), tool=tool)
+        constants = recordings.torque_constant if self.torque == "current" else self.torque_constant
+        return replace(self, robot=replace(own, gravity=recordings.gravity), tool=tool, torque_constant=constants)
 
 
 def save_model(model: CalibratedModel, path: str | Path) -> None:

@@ -87,6 +87,7 @@ def diagnose(
     check_jobs(jobs)
     check_folder(out)
     recordings = _loaded(dataset)
+    _check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
     with console.status("reading") as status:
         found = diagnose_recordings(recordings, lambda line: status.update(line), jobs)
         status.update("tracking the recordings in closed loop")
@@ -115,7 +116,9 @@ def evaluate(
         check_folder(predictions)
     recordings = _loaded(dataset)
     calibrated = load_model(model).placed(recordings)
-    _check_apart([model, *recordings.files], out, predictions, recordings)
+    written = [] if out is None else [out]
+    written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
+    _check_apart([model, *recordings.files], written)
     inverse = evaluate_inverse(calibrated, recordings, window)
     simulated = evaluate_simulated(calibrated, recordings, window) if simulate else None
     result = summary(inverse, simulated)
@@ -170,10 +173,8 @@ def _loaded(dataset: Path) -> RecordingSet:
     return recordings
 
 
-def _check_apart(read: Sequence[Path], out: Path | None, predictions: Path | None, recordings: RecordingSet) -> None:
+def _check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
     """Raise `UserError` where what is to be written would take the place of what was read."""
-    written = [] if out is None else [out]
-    written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
     inputs = {path.resolve() for path in read}
     for path in written:
         if path.resolve() in inputs:

@@ -22,6 +22,7 @@ from rrr_oc.recordings import RecordingSet
 from rrr_oc.savitzky_golay import smooth
 
 FEW_TIMES, FEW_LEAST = 3.0, 0.2  # of the error within the fit, and NRMSE: beyond both, recordings left out are not foreseen
+WIDE = 30.0  # ends of an axis over each other, from which its labels stand further apart
 POINTS = 4000  # of a map, at most
 COLOURS = {"before": "#c55a11", "after": "#1f6fb4"}
 SIGNAL_NAMES = dict(zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True))
@@ -73,7 +74,7 @@ def _alone(diagnosis: Diagnosis) -> list[str]:
 
 
 def about(recordings: RecordingSet) -> str:
-    """What was diagnosed, in a sentence."""
+    """What was diagnosed, in a sentence, and what is to be known of how it was read."""
     every, robot = recordings.recordings, recordings.robot
     seconds = sum(float(np.ptp(r.t)) for r in every)
     carrying, sprung = sum(bool(r.payload.any()) for r in every), sum(bool(r.springs) for r in every)
@@ -81,6 +82,7 @@ def about(recordings: RecordingSet) -> str:
         f"Robot {robot.name}, {robot.n} joint{'s' * (robot.n > 1)} ({', '.join(robot.joints)}); {len(every)} "
         f"recording{'s' * (len(every) > 1)} of {seconds:.0f} s together, {carrying} with a payload, {sprung} with springs; "
         f"{recordings.torque} {'torque ' * (recordings.torque != 'current')}recorded."
+        + "".join(f" {note[0].upper()}{note[1:]}." for note in recordings.notes)
     )
 
 
@@ -119,7 +121,8 @@ def sentence(found: Mapping[str, Any]) -> str:
     if ratios:
         joint = min(ratios, key=lambda j: ratios[j])
         before, after = (found["bootstrap"][joint][k]["value"] for k in ("before", "after"))
-        gain = f" On recordings left out of the fit the error of {joint}'s torque goes from {before:.1%} to {after:.1%} of its spread."
+        left_out = "recordings" if found.get("held_out") != "blocks" else "blocks of the recording"
+        gain = f" On {left_out} left out of the fit the error of {joint}'s torque goes from {before:.1%} to {after:.1%} of its spread."
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
     return f"The calibrated model lacks {lacking}.{gain}"
@@ -141,7 +144,10 @@ def _short(e: Mapping[str, Any]) -> str:
 
 
 def _before_after(found: Mapping[str, Any], figures: Mapping[str, Path]) -> list[str]:
-    what = "whole recordings" if found["held_out"] == "recordings" else "blocks of the only recording"
+    whole = found["held_out"] == "recordings"
+    what, unseen = (
+        ("whole recordings", "that recording") if whole else ("blocks of the only recording", "the part that is shaded")
+    )
     rows = [
         [joint, *(_with_interval(b[key]) for key in ("before", "after", "ratio"))] for joint, b in found["bootstrap"].items()
     ]
@@ -152,7 +158,7 @@ def _before_after(found: Mapping[str, Any], figures: Mapping[str, Path]) -> list
         *_foretold(found.get("alone", [])),
         _image(figures["before_after"], "error before and after"),
         *_simulated(found.get("simulated")),
-        "<p>Recorded and predicted torque where the plain model is worst, by models that did not see that recording:</p>",
+        f"<p>Recorded and predicted torque where the plain model is worst, by models that did not see {unseen}:</p>",
         _image(figures["prediction"], "recorded and predicted torque"),
     ]
     return parts
@@ -235,8 +241,9 @@ def _reading(found: Mapping[str, Any]) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
     return (
         "<h2>How to read this</h2><p class='small'>NRMSE: root mean square error over the recorded signal's standard deviation, both "
-        "smoothed over 0.15 s. Brackets: 95 % bootstrap intervals over recordings; of fewer than three there are none. “Plain”: dry "
-        "friction, viscous friction and armature of every joint, calibrated; “extended”: with what was added, everything calibrated "
+        "smoothed over 0.15 s. Brackets: 95 % bootstrap intervals over recordings, or over blocks of an "
+        "only one; of fewer than three there are none. “Plain”: dry friction, "
+        "viscous friction and armature of every joint, calibrated; “extended”: with what was added, everything calibrated "
         "anew. Share of error: fall of the held-out squared residual with the effect. As good: explains these recordings as well, "
         f"within the noise. {html.escape(versions)}.</p>"
     )
@@ -281,7 +288,8 @@ def _bars(found: Mapping[str, Any]) -> Any:
                     axis.plot(entry["interval"], [row, row], color=COLOURS[key], lw=2)
                 axis.plot(entry["value"], row, "o", ms=7, color=COLOURS[key], label=key if row > rows[0] - 0.5 else None)
         axis.set_xscale("log")
-        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        low, high = axis.get_xlim()
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < WIDE * low else (1,)))
         axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set_yticks(rows, joints)
@@ -311,6 +319,9 @@ def _prediction(diagnosis: Diagnosis) -> Any:
     for j, axis in enumerate(axes[:, 0]):
         for name, values, colour, width in curves:
             axis.plot(r.t - r.t[0], smooth(r.t, values[j : j + 1], r.segments)[0], color=colour, lw=width, label=name)
+        if diagnosis.way == "blocks":
+            part = np.array_split(r.t - r.t[0], len(fold.before) * len(diagnosis.folds))[fold.held[k]]
+            axis.axvspan(part[0], part[-1], color="0.93")
         axis.set_ylabel(f"{joints[j]} [Nm]")
         axis.grid(alpha=0.3)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="outside upper right")

@@ -32,7 +32,7 @@ def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window:
     other way round; both at the recorded motion. What the model's sensors add to a torque is taken off what was recorded.
     """
     model = model.placed(recordings)
-    control, result = tracking_controller(model), {}
+    control, result = tracking_controller(model, recordings), {}
     for r in recordings.recordings:
         simulated, measured = replay(model, r, control), _measured(model, recordings, r)
         found = {s: error(r.t, measured[s], getattr(simulated, s), r.segments, window) for s in SIGNALS}

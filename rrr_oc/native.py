@@ -65,8 +65,8 @@ static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
     motor[i] = d->act[i] + bias[1] * q[i] + bias[2] * dq[i];
     if (m->actuator_forcelimited[i]) motor[i] = motor[i] < range[0] ? range[0] : motor[i] > range[1] ? range[1] : motor[i];
   }}
-  const mjtNum* arg[{sz_arg}] = {{q, dq, &d->time, &payload, motor, d->act + {n}, damping, armature, dry, twist, before, values,
-                                widths, inertial}};
+  const mjtNum* arg[{sz_arg}] = {{q, dq, &d->time, &m->opt.timestep, &payload, motor, d->act + {n}, damping, armature, dry,
+                                twist, before, values, widths, inertial}};
   mjtNum* res[{sz_res}] = {{link, drive, rate}};
   effects(arg, res, iw, w, 0);
   for (int i = 0; i < {n}; i++) {{
@@ -182,17 +182,19 @@ def _set_next(native: Native, function: Any) -> None:
 def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     """What the library works out, dense.
 
-    (q, dq, time, payload, motor, states, damping, armature, frictionloss, twist, before, theta, widths, inertial) -> (link, drive,
+    (q, dq, time, step, payload, motor, states, damping, armature, frictionloss, twist, before, theta, widths, inertial) -> (link, drive,
     rates): torque of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is
     the actuators' torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,), `twist` (2 n,)
     what gears that give add to the links' positions and speeds, `before` (n,) the links' accelerations one step ago: behind such a
-    gear those of now are not the drive's, and the load torque is that of one step ago.
+    gear those of now are not the drive's, and the load torque is that of one step ago. Over the engine's `step` [s] a state that
+    falls off at a rate s of its own does so as exp(−s step), whatever the engine's explicit step would make of a stiff one.
     """
     n = model.robot.n
     q, dq, motor, damping, armature, dry = (
         ca.SX.sym(k, n) for k in ("q", "dq", "motor", "damping", "armature", "frictionloss")
     )
-    time, payload, states = ca.SX.sym("time"), ca.SX.sym("payload"), ca.SX.sym("states", len(model.states))
+    time, step, payload = ca.SX.sym("time"), ca.SX.sym("step"), ca.SX.sym("payload")
+    states = ca.SX.sym("states", len(model.states))
     theta, widths = ca.SX.sym("theta", len(model.parameters)), ca.SX.sym("widths", len(model.widths))
     inertial, ddq, load = ca.SX.sym("inertial", 10, n), ca.SX.sym("ddq", n), ca.SX.sym("load", n)
     twist, before = ca.SX.sym("twist", 2 * n), ca.SX.sym("before", n)
@@ -207,6 +209,9 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     rates = ca.vertcat(
         *(r for e, s, named, width in model.with_signals(signals, theta, widths) for r in e.rate(s, named, width))
     )
+    if model.states:
+        fading = ca.fmax(-step * ca.diag(ca.jacobian(rates, states)), 1e-9)
+        rates = rates * (1 - ca.exp(-fading)) / fading
     if any(chosen and e.load_dependent for e, chosen in zip(model.effects, inside, strict=True)):
         carried, gravity = model.rigid(inertial, payload, theta, widths)
         bias = model.body.inverse_dynamics(links.q, links.dq, ca.SX.zeros(n), carried, gravity)
@@ -218,7 +223,7 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
         gives = any(e.simulated for e in model.effects)
         found = mass @ (before if gives else _root(residual, ddq)) + extra
         drive, rates = (ca.substitute(x, load, found) for x in (drive, rates))
-    arguments = [q, dq, time, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
+    arguments = [q, dq, time, step, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
     return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(rates)])
 
 

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.model import Model
 from rrr_oc.native import installed
-from rrr_oc.recordings import Recording
+from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.robot import BUNDLED
 from rrr_oc.savitzky_golay import differentiate
 from rrr_oc.twin import K_P, Controller, Settings, Twin, controller, twin
@@ -24,6 +24,7 @@ from rrr_oc.twin import K_P, Controller, Settings, Twin, controller, twin
 SETTINGS = Settings(effects="native", timestep=1e-3, integrator="implicitfast")
 BANDWIDTH = 40.0  # [rad/s], of controllers whose gains are not known
 NO_LIMIT = 1e6  # [Nm]; a URDF's effort of 0 or beyond this means that none is known
+ASTRAY = np.pi  # [rad] off the recording: a simulation that diverged
 FELT = 0.02  # of the largest payload, by which it may change before the engine takes notice
 CHUNK = 4_000_000  # states of all candidates held at once
 
@@ -36,6 +37,8 @@ class Replayed:
         q, dq, ddq: Motion [rad, rad/s, rad/s²], shape (n, K); ddq is the derivative of dq as in the recording's reader.
         tau_motor: Torque of the controllers [Nm], shape (n, K).
         tau_load: M ddq + C dq + G less the springs' torque along that motion [Nm], shape (n, K).
+
+    All NaN where the simulation diverged.
     """
 
     q: np.ndarray
@@ -45,15 +48,19 @@ class Replayed:
     tau_load: np.ndarray
 
 
-def tracking_controller(model: CalibratedModel) -> Controller:
+def tracking_controller(model: CalibratedModel, recordings: RecordingSet | None = None) -> Controller:
     """Joint controllers for a calibrated robot: `twin.controller`, with the paper's gain for its own arms.
 
-    Of another robot's controllers nothing is known; they get a bandwidth of `BANDWIDTH` on the least inertia of each joint.
+    Of another robot's controllers nothing is known; they get a bandwidth of `BANDWIDTH` on the least inertia of each joint. The
+    URDF's effort is their limit, but for joints whose recorded torque goes beyond it.
     """
     plain = Model(model.robot, model.tool)
     gain = K_P if model.source in BUNDLED else BANDWIDTH**2 * plain.body.free_inertia(model.robot.inertial)
     control, effort = controller(plain, gain), model.robot.effort
-    return replace(control, limit=np.where((effort > 0) & (effort < NO_LIMIT), effort, np.inf))
+    most = np.zeros_like(effort)
+    if recordings is not None:
+        most = np.max([np.abs(recordings.output_torque(r)).max(axis=1) for r in recordings.recordings], axis=0)
+    return replace(control, limit=np.where((effort > most) & (effort < NO_LIMIT), effort, np.inf))
 
 
 def replay(model: CalibratedModel, recording: Recording, control: Controller) -> Replayed:
@@ -66,7 +73,10 @@ def replay(model: CalibratedModel, recording: Recording, control: Controller) ->
     engine = twin(physics.built, physics.theta, control, SETTINGS, physics.widths)
     start = physics.twist(recording), physics.states(recording)
     q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None], SETTINGS.timestep, *start))
+    if np.isnan(q).any():
+        return Replayed(q, dq, np.full_like(q, np.nan), tau, np.full_like(q, np.nan))
     ddq = differentiate(recording.t, dq, recording.segments)
+    ddq = np.where(np.isnan(ddq) & np.isfinite(dq), recording.ddq, ddq)  # of pieces too short for it
     moved = replace(recording, q=q, dq=dq, ddq=ddq)
     return Replayed(q, dq, ddq, tau, physics.torques(moved)[1])
 
@@ -93,7 +103,8 @@ def follow(
         states: Internal states of the effects, which each piece starts with, (number, K); nominal ones where not given.
 
     Returns:
-        q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged.
+        q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged, and as recorded at a
+        sample between two gaps.
     """
     found = np.full((3, len(engines), *recording.q.shape), np.nan)
     with installed(*{engine.library for engine in engines if engine.library is not None}):
@@ -105,6 +116,17 @@ def follow(
                 found[:, some, :, piece] = _follow(
                     engines[some], recording, piece, control, forward[some], expected[some], steps, twist, states
                 )
+    alone = np.ones(recording.t.size, bool)
+    for piece in pieces(recording):
+        alone[piece] = False
+    found[0][..., alone], found[1][..., alone], found[2][..., alone] = (
+        recording.q[:, alone],
+        recording.dq[:, alone],
+        forward[..., alone],
+    )
+    with np.errstate(invalid="ignore"):
+        astray = ~(np.abs(found[0] - recording.q).max(axis=(1, 2)) < ASTRAY)  # the engine goes on from zero then
+    found[:, astray] = np.nan
     return found[0], found[1], found[2]
 
 
@@ -115,7 +137,7 @@ def pieces(recording: Recording) -> list[slice]:
     for s in recording.segments:
         ends = [s.start]
         for k in (np.flatnonzero(np.diff(payload[s])) + 1 + s.start).tolist():
-            if abs(payload[k] - payload[ends[-1]]) > felt:
+            if abs(payload[k] - payload[ends[-1]]) > felt and k - ends[-1] > 1 and s.stop - k > 1:
                 ends.append(k)
         result += [slice(a, b) for a, b in pairwise([*ends, s.stop]) if b - a > 1]
     return result

@@ -151,13 +151,16 @@ def track(
     engine = twin(model, theta, control, settings, widths)
     check_gears(engine)
     tracked: list[TrackedPhase] = []
+    held: np.ndarray | None = None  # internal states of the effects
     with engine.effects():
         for phase in phases:
             if tracked and settings.start == "continue":
                 start = tracked[-1].q[:, -1], tracked[-1].dq[:, -1]
             else:
                 start = phase.q[:, 0], phase.dq[:, 0]
-            tracked.append(_follow(engine, phase, control, start, settings.timestep))
+            held = held if settings.start == "continue" else None
+            phase_found, held = _follow(engine, phase, control, start, settings.timestep, held)
+            tracked.append(phase_found)
     return Tracked(tuple(tracked), engine, control, settings)
 
 
@@ -170,8 +173,10 @@ def check_gears(engine: Twin) -> None:
         )
 
 
-def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, timestep: float) -> TrackedPhase:
-    """One phase: a roll-out in one call, then its states read one by one."""
+def _follow(
+    engine: Twin, phase: ReferencePhase, control: Controller, start, timestep: float, held: np.ndarray | None
+) -> tuple[TrackedPhase, np.ndarray]:
+    """One phase: a roll-out in one call, then its states read one by one. And the internal states at its end; `held` at its start."""
     steps = max(1, int(np.ceil((phase.t[-1] - phase.t[0]) / timestep - 1e-9)))
     t = np.linspace(phase.t[0], phase.t[-1], steps + 1)
     engine.grip(phase.payload)
@@ -179,7 +184,7 @@ def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, tim
     data = mujoco.MjData(engine.mj)
     data.time, data.qpos[:], data.qvel[:] = t[0], *start
     u = _control_signal(phase, control, t)
-    rest = [x for effect in engine.model.effects for x in effect.rest(phase.tau_load[:, 0])]
+    rest = [x for effect in engine.model.effects for x in effect.rest(phase.tau_load[:, 0])] if held is None else held
     u = np.vstack([u, *(np.full_like(t, x) for x in rest)])  # whose rates the effects set
     data.act[:] = u[:, 0]
     physics = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -188,7 +193,8 @@ def _follow(engine: Twin, phase: ReferencePhase, control: Controller, start, tim
     states, _ = rollout.rollout(engine.mj, data, initial, (np.diff(u) / np.diff(t)).T)
     states = np.vstack([initial, np.asarray(states)[0]])[:, 1:]  # without time
     _check_finite(states, data, phase, t)
-    return _read(engine, phase, t, states)
+    count = len(engine.model.states)
+    return _read(engine, phase, t, states), states[-1, states.shape[1] - count :]
 
 
 def _position(phase: ReferencePhase) -> CubicHermiteSpline:

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.actuator import Actuators
-from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.codesign import CoDesign
 from rrr_oc.effects import Effect
 from rrr_oc.errors import UserError
 from rrr_oc.metrics import measure
 from rrr_oc.model import Model
 from rrr_oc.outcome import Motion, describe
+from rrr_oc.physics import Physics
+from rrr_oc.recordings import Recording
 from rrr_oc.simulate import ReferencePhase, check_gears, track
 from rrr_oc.task import PHASES
 from rrr_oc.twin import Settings, twin
@@ -100,8 +102,10 @@ def reference_phases(design: CoDesign, motion: Motion, theta: np.ndarray, calibr
     for i, k in enumerate(motion.phases()):
         q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
         t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
-        motor, _ = model.motor_inverse(q, dq, ddq, t[None], payload, theta, widths, model.robot.inertial)
-        references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, np.array(motor)))
+        held, whole = np.full(len(t), payload), (slice(0, len(t)),)
+        planned = Recording(PHASES[i], PHASES[i], t, q, dq, ddq, np.zeros_like(q), held, segments=whole)
+        motor, _ = Physics(model, theta, widths, model.robot.inertial).torques(planned)
+        references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, motor))
     return references
 
 
@@ -133,8 +137,14 @@ def _parts(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> 
     """The calibrated robot with the optimum's springs and the calibrated terms, and all their parameters."""
     springs = _springs(design)
     own = theta[: sum(len(e.parameters) for e in springs)]
-    effects = (*springs, *(term.effect for term in calibrated.terms))
-    return Model(calibrated.robot, calibrated.tool, effects), np.concatenate([own, *(t.values for t in calibrated.terms)])
+    terms = _terms(calibrated)
+    effects = (*springs, *(term.effect for term in terms))
+    return Model(calibrated.robot, calibrated.tool, effects), np.concatenate([own, *(t.values for t in terms)])
+
+
+def _terms(calibrated: CalibratedModel) -> list[Term]:
+    """The calibrated terms but for those of springs that were mounted then."""
+    return [term for term in calibrated.terms if not term.effect.of_spring]
 
 
 def _springs(design: CoDesign) -> list[Effect]:
@@ -144,4 +154,4 @@ def _springs(design: CoDesign) -> list[Effect]:
 
 def _widths(design: CoDesign, calibrated: CalibratedModel) -> np.ndarray:
     own = [e.width.nominal for e in _springs(design) if e.width is not None]
-    return np.array(own + [term.width for term in calibrated.terms if term.width is not None])
+    return np.array(own + [term.width for term in _terms(calibrated) if term.width is not None])

@@ -87,7 +87,10 @@ def main(
         "catalogue_search": catalogue_search,
         "options": asdict(options),
     }
-    asked["task"] = (Path(preset).read_text() if Path(preset).is_file() else preset, actuators if drives else None)
+    files = [f for f in (preset, catalogue, actuators if drives else None) if f is not None and Path(f).is_file()]
+    asked["files"] = [Path(f).read_text(encoding="utf-8") for f in files]
+    asked["robot"] = [task.robot.placements, task.robot.axes, task.robot.inertial]
+    asked["version"] = __version__
     found: dict[str, Any] = {}
     for name, design in designs.items():
         found |= _once(
@@ -126,6 +129,7 @@ def _once(out: Path, name: str, asked: dict, solve) -> dict[str, Any]:
         if content["asked"] == key and all((out / f"{n}.npz").is_file() for n in content["found"]):
             console.print(f"{name}: taken from the interrupted or repeated run in {out}")
             return content["found"]
+    saved.unlink(missing_ok=True)  # the motions beside it are about to change
     found, interrupted = solve()
     if not interrupted:
         write_json(saved, {"asked": key, "found": found})
@@ -251,7 +255,10 @@ def _published(name: str, design: CoDesign, options: SearchOptions) -> float | N
     if not springs or not {"joint2", "joint3"} <= set(task.joints):
         return None
     held = CoDesign(task, spring_bounds(task, name.rstrip("*")), design.cost, design.actuators).with_fixed(springs)
-    return search(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)).best.solution.cost
+    result = search(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0))
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return result.best.solution.cost
 
 
 def plain(value: Any) -> Any:
@@ -260,6 +267,8 @@ def plain(value: Any) -> Any:
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

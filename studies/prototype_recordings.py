@@ -57,8 +57,8 @@ def diagnosed(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:
     if not done.exists():
         console.rule(name)
         found = diagnose(variant(recordings, name), lambda line: console.print(line, highlight=False))
-        write_diagnosis(found, folder)
         write_json(folder / "black_box.json", black_boxes(found))
+        write_diagnosis(found, folder)  # diagnosis.json comes last
     return json.loads(done.read_text(encoding="utf-8")) | {
         "black_box": json.loads((folder / "black_box.json").read_text(encoding="utf-8"))
     }

@@ -235,7 +235,10 @@ def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) 
     file, content = folder / f"{name}.npz", folder / f"{name}.json"
     if not content.exists():
         began = time.perf_counter()
-        solution = search(design, options).best.solution
+        result = search(design, options)
+        if result.interrupted:
+            raise KeyboardInterrupt
+        solution = result.best.solution
         motion, own = sample_motion(design, solution), [s.effect for s in design.springs if not s.known]
         engine = measure([(p.t, p.tau_load[list(design.task.moving)]) for p in resimulate(design, solution, motion).phases])
         write_npz(file, vars(motion) | {"joints": np.array(design.task.joints)})

@@ -8,7 +8,7 @@ import pytest
 from recorded import Plant, as_set, record
 
 from rrr_oc import before_after
-from rrr_oc.before_after import in_closed_loop, intervals
+from rrr_oc.before_after import _means, in_closed_loop, intervals
 from rrr_oc.calibrate import plain_model
 from rrr_oc.calibrated import Estimate, Term
 from rrr_oc.diagnosis import Diagnosis, Fold, Shares
@@ -126,9 +126,19 @@ def test_the_verdict_is_a_sentence(diagnosis):
     text = sentence(found)
     assert text.startswith("The calibrated model lacks payload mass in 1 of the recordings.")
     assert "joint2's torque goes from 80.0% to 20.0%" in text
-    errors = {"calibration": {"before": {"joint1": 0.05, "joint2": 0.1}}, "held_out": {"before": {"joint1": 0.06, "joint2": 0.8}}}
+    errors = {
+        "calibration": {"before": {"joint1": 0.05, "joint2": 0.1}},
+        "held_out": {"before": {"joint1": 0.06, "joint2": 0.8}},
+    }
     silent = {"verdict": "nothing_missing", "nrmse": errors}
     assert sentence(silent).startswith("Nothing is missing: the calibrated model explains these recordings to their noise. But")
     assert "(joint2: NRMSE 0.8 against 0.1)" in sentence(silent)
     errors["held_out"]["before"]["joint2"] = 0.12
     assert sentence(silent).endswith("noise.")
+
+
+def test_a_twin_that_diverges_on_a_recording_gives_no_mean():
+    good = {"joint1": {s: {"nrmse": 0.1, "rmse": 1.0} for s in SIGNALS}}
+    bad = {"joint1": {s: {"nrmse": None, "rmse": None} for s in SIGNALS}}
+    assert _means([{"a.csv": good, "b.csv": good}], ["joint1"])["joint1"]["q"] == pytest.approx(0.1)
+    assert _means([{"a.csv": good}, {"b.csv": bad}], ["joint1"]) == {"why_not": "it diverges while it follows b.csv"}

@@ -1,6 +1,7 @@
 """Recorded motions followed by models with effects that a diagnosis found."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from rrr_oc.calibrated import Estimate, Term
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.nrmse import error
-from rrr_oc.replay import replay, tracking_controller
+from rrr_oc.replay import pieces, replay, tracking_controller
 from rrr_oc.robot import load_robot
 
 FOUND = {
@@ -118,3 +119,46 @@ def test_a_gear_that_twists_and_has_play_is_turned_away(plain):
     terms = [Term(CATALOGUE[name]((1,)), tuple(map(Estimate, numbers))) for name, (numbers, _) in GEARS.items()]
     with pytest.raises(UserError, match="not both at one joint"):
         replay(replace(model, terms=(*model.terms, *terms)), recording, tracking_controller(model))
+
+
+@pytest.mark.parametrize(("stiffness", "level"), [(2e4, 4.0), (2e7, 4.0), (100.0, 0.0)])
+def test_bristles_too_stiff_for_the_engines_step_are_no_reason_to_diverge(stiffness, level, plain):
+    model, recording = plain
+    bristles = Term(CATALOGUE["presliding_hysteresis"]((1,)), (Estimate(stiffness), Estimate(level)), 0.05)
+    repaired = replace(model, terms=(*model.terms, bristles))
+    motor = repaired.physics(recording).torques(recording)[0]
+    simulated = replay(repaired, recording, tracking_controller(model))
+    assert error(recording.t, motor, simulated.tau_motor, recording.segments)["nrmse"].max() < 0.05
+
+
+def test_lone_samples_are_left_as_recorded(plain):
+    """A row between two gaps, three rows, and a payload that passes through a value for one sample."""
+    model, recording = plain
+    kept = np.flatnonzero((np.arange(len(recording.t)) < 200) | np.isin(np.arange(len(recording.t)), [230, 260, 261, 262]))
+    kept = np.concatenate([kept, np.arange(300, len(recording.t))])
+    arrays = {name: getattr(recording, name)[..., kept] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    payload = np.where(np.arange(len(kept)) < 100, 0.0, 2.0)
+    payload[100] = 1.0
+    segments = tuple(slice(a, b) for a, b in pairwise([0, 200, 201, 204, len(kept)]))
+    torn = replace(recording, **(arrays | {"payload": payload}), segments=segments)
+    assert sum(p.stop - p.start for p in pieces(torn)) == len(kept) - 1
+    simulated = replay(model, torn, tracking_controller(model))
+    for values in (simulated.q, simulated.dq, simulated.ddq, simulated.tau_motor, simulated.tau_load):
+        assert np.all(np.isfinite(values))
+    assert np.abs(simulated.q - torn.q).max() < 0.02
+
+
+def test_a_simulation_that_diverges_gives_no_numbers(plain):
+    """A response that drives itself."""
+    model, recording = plain
+    wild = Term(CATALOGUE["echo"]((1,)), tuple(map(Estimate, (12.0, 0.01, 0.9, 0.9))))
+    simulated = replay(replace(model, terms=(*model.terms, wild)), recording, tracking_controller(model))
+    assert np.all(np.isnan(simulated.q))
+
+
+def test_an_effort_that_the_recording_exceeds_limits_nothing(plain):
+    model, recording = plain
+    low = replace(model, robot=replace(model.robot, effort=np.array([1e3, 1.0, 0.0])))
+    plant = Plant("rrr", np.zeros(3), np.zeros(3), np.zeros(3))
+    assert tracking_controller(low).limit.tolist() == [1e3, 1.0, np.inf]
+    assert tracking_controller(low, as_set(plant, [recording])).limit.tolist() == [1e3, np.inf, np.inf]

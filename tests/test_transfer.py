@@ -9,11 +9,13 @@ from recorded import Plant, as_set, record
 
 from rrr_oc.actuator import load_actuators
 from rrr_oc.calibrate import plain_model
+from rrr_oc.calibrated import Estimate, Term
 from rrr_oc.codesign import CoDesign, spring_bounds
+from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.outcome import Motion
 from rrr_oc.task import load_task
-from rrr_oc.transfer import check_transfer, describe_transfer, transfer_table
+from rrr_oc.transfer import check_transfer, describe_transfer, reference_phases, transfer_table
 
 
 def calibrated(dry=0.0, viscous=0.0, armature=0.0):
@@ -104,3 +106,29 @@ def test_the_table_has_a_row_per_transferred_optimum(moved):
     assert "50.0 %" in text
     assert "BPEA" not in text
     assert transfer_table({"SA": {"calibrated": None}}) == ""
+
+
+def test_what_builds_up_on_the_way_is_fed_forward(moved):
+    """Bristles have bent after the first moments: then the help is what the model predicts, and the arm keeps to its way."""
+    design, motion, theta = moved
+    start = calibrated()
+    bristles = Term(CATALOGUE["presliding_hysteresis"]((1,)), (Estimate(600.0), Estimate(6.0)), 0.05)
+    model = replace(start, terms=(*start.terms, bristles))
+    bare, helped = (reference_phases(design, motion, theta, m) for m in (start, model))
+    for one, other in zip(bare, helped, strict=True):
+        middle = len(one.t) // 2
+        assert abs(other.tau_load[1, middle] - one.tau_load[1, middle]) == pytest.approx(6.0, rel=0.01)
+    assert describe_transfer(design, motion, theta, model, load_actuators(design.task.joints))["tracking_error_rad"] < 0.01
+
+
+@pytest.mark.parametrize("name", ["SA", "PEA"])
+def test_what_was_found_of_another_spring_does_not_come_along(moved, name):
+    _, motion, theta = moved
+    task = load_task("paper")
+    design = CoDesign(task, spring_bounds(task, name))
+    theta = theta if name == "PEA" else theta[:0]
+    start = calibrated()
+    scaled = replace(start, terms=(*start.terms, Term(CATALOGUE["spring_stiffness"]((1,)), (Estimate(1.4),))))
+    check_transfer(design, scaled)
+    for one, other in zip(*(reference_phases(design, motion, theta, m) for m in (start, scaled)), strict=True):
+        np.testing.assert_array_equal(one.tau_load, other.tau_load)
