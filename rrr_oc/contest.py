@@ -178,11 +178,11 @@ def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candi
     """The best candidates in an effect's place other than itself, one for each effect at its joints."""
     result: list[Candidate] = []
     every = evidence.candidates()
-    most = max((c.likelihood for c in every), default=0.0)
-    for candidate in every:
-        effect = candidate.trial.effect
-        itself = (effect.name, effect.joints) == (own.effect.name, own.effect.joints)
-        if itself or any(key(c) == key(candidate) for c in result) or present(candidate, model):
+    itself = [key(c) == (own.effect.name, own.effect.joints) for c in every]
+    most = max((c.likelihood for c in every), default=0.0)  # what is not linear is foreseen too low, as its rivals are
+    most = max((c.likelihood for c, own_ in zip(every, itself, strict=True) if own_), default=most)
+    for candidate, own_ in zip(every, itself, strict=True):
+        if own_ or any(key(c) == key(candidate) for c in result) or present(candidate, model):
             continue
         if candidate.likelihood < NEAR * most or len(result) >= TRIED:
             break

@@ -27,6 +27,8 @@ CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 0.05  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 LEAST_SHARE = 0.007  # of a joint's squared residual, for an effect to be named
+APART = 0.25  # of a parameter, by which it must differ between recordings to be another in each
+HALF = 0.5  # of what a joint lacks, that makes an effect of a few places one that counts
 EXACT = 3e-4  # of a joint's torque (deviation): no law, and no simulation, is more exact than that
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
@@ -75,6 +77,7 @@ def search(
         chosen, planned = _next(bench, evidence, plain, fitted, lawless, planned, report)
         if chosen is None:
             break
+        chosen = _each_its_own(bench, chosen, report)
         fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
         terms = frozenset((_whatever_range(t.effect), t.groups) for t in fitted.model.terms[base:])
         if terms in seen:
@@ -82,6 +85,21 @@ def search(
         seen.add(terms)
         evidence = gathered(bench, fitted.model)
     return Found(plain, fitted, first)
+
+
+def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -> Fitted:
+    """The fit with the newest effect, of some groups, with parameters of its own in each, where these are others beyond doubt."""
+    *others, newest = fitted.model.terms
+    if len(newest.groups) < 2:
+        return fitted
+    each = [replace(newest, groups=(g,)) for g in newest.groups]
+    tried = refit(bench, replace(fitted.model, terms=(*others, *each)))
+    values = np.array([t.values for t in tried.model.terms[len(others) :]])
+    apart = np.any(np.ptp(values, axis=0) > APART * np.abs(values).max(axis=0))
+    if not apart or tried.better_than(fitted) < chance(values.size - values.shape[1], fitted.counts, len(each)):
+        return fitted
+    report(f"{newest.effect.name} is another in each")
+    return tried
 
 
 def _whatever_range(effect: Effect) -> Effect:
@@ -250,21 +268,22 @@ def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidat
 
 def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted) -> Best | None:
     """Score, fit and candidate of the best that is beyond chance and explains a share of the error worth a name."""
-    best = None
-    for candidate in candidates:
-        tried = fit_of(bench, evidence, fitted, candidate)
+    best, fits = None, [fit_of(bench, evidence, fitted, candidate) for candidate in candidates]
+    counts = np.max([f.counts for f in fits], axis=0, initial=0.0)  # alike for all, as in `Candidate.compared`
+    for candidate, tried in zip(candidates, fits, strict=True):
         gain = tried.better_than(fitted)
-        score = gain - candidate.penalty
+        compared = float(np.sum(counts * np.log(fitted.squares / tried.squares)))
+        score = compared - candidate.penalty
         share = _share(bench, plain, fitted, tried)
         steady = (
             _by_amplitude(candidate.trial.effect)
-            or steadily_better(bench, tried, fitted)
-            or _settled(bench, evidence, tried, candidate)
+            or steadily_better(bench, tried, fitted, candidate.scope)
+            or ((share > HALF or not noisy(bench, tried)) and _settled(evidence, candidate))
         )
         last = tried.model.terms[-1]
         possible = last.effect.possible(last.named, bench.least_payload(candidate.scope))
         if gain > candidate.least and share > LEAST_SHARE and steady and possible:
-            score -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * gain
+            score -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * compared
             best = (score, tried, candidate) if best is None or score > best[0] else best
     return best
 
@@ -290,10 +309,9 @@ def _by_amplitude(effect: Effect) -> bool:
     return effect.linear or effect.lawless
 
 
-def _settled(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> bool:
-    """Whether a candidate that acts in a few places only leaves nothing but noise, and is beyond chance there."""
-    effect = candidate.trial.effect
-    return not effect.abrupt and not noisy(bench, fitted) and robust_p(evidence, candidate) * evidence.tests < DOUBT
+def _settled(evidence: Evidence, candidate: Candidate) -> bool:
+    """Whether a candidate that acts in a few places only is beyond chance there; it must leave little of what is missing."""
+    return not candidate.trial.effect.abrupt and robust_p(evidence, candidate) * evidence.tests < DOUBT
 
 
 def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> float:

@@ -175,7 +175,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         model, fitted, held_out = plain, found.plain, (held_out[0], held_out[0])
         outcomes = [replace(o, model=o.plain, after=o.before) for o in outcomes]
     left = above_noise(bench, fitted)
-    undecided = [] if findings else np.flatnonzero(left > FAR).tolist()
+    undecided = np.flatnonzero(left > FAR).tolist()
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     where = mismatch(bench, refit(bench, plain), fitted, findings, undecided, calibration[0], held_out[0])
     suggestions = suggest(recordings, plain, findings, bool(undecided), view(prepared, plain))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rrr_oc.calibrated import Term, number
-from rrr_oc.diagnosis import Diagnosis
+from rrr_oc.diagnosis import FAR, Diagnosis
 from rrr_oc.recordings import RecordingSet
 
 FORMAT = "rrr_oc-diagnosis/1"
@@ -31,6 +31,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "verdict": diagnosis.verdict,
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
+        "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
         "effects": effects,
         "unexplained": unexplained,
         "suggested_recordings": [

@@ -125,7 +125,9 @@ def sentence(found: Mapping[str, Any]) -> str:
         gain = f" On {left_out} left out of the fit the error of {joint}'s torque goes from {before:.1%} to {after:.1%} of its spread."
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
-    return f"The calibrated model lacks {lacking}.{gain}"
+    rest = [f"{x:.0f} times the noise on {joint}" for joint, x in found.get("left_over", {}).items()]
+    left = f" What is left is still {' and '.join(rest)}: more is missing, or of another shape." if rest else ""
+    return f"The calibrated model lacks {lacking}.{gain}{left}"
 
 
 def _unforeseen(found: Mapping[str, Any]) -> str:

@@ -114,7 +114,9 @@ class Candidate:
         number: Of the trial among those of the evidence.
         scope: Groups that have the effect; None for all.
         coefficients: Fitted with all parameters of the model, (m,).
-        likelihood: Growth of twice the log-likelihood.
+        likelihood: Growth of twice the log-likelihood, with as many independent rows as the trial leaves.
+        compared: The same with as many as the whitest of its rivals leaves: what leaves another effect's correlated torque, which is
+            found next, is no worse for that.
         dimensions: Coefficients that the recordings tell apart.
         penalty: What its parameters and the choice of it would gain by chance, for ranking.
         least: Likelihood that it must add to be beyond chance.
@@ -125,14 +127,15 @@ class Candidate:
     scope: tuple[str, ...] | None
     coefficients: np.ndarray
     likelihood: float
+    compared: float
     dimensions: int
     penalty: float
     least: float
 
     @property
     def score(self) -> float:
-        """Evidence beyond chance."""
-        return self.likelihood - self.penalty
+        """Evidence beyond chance, for ranking."""
+        return self.compared - self.penalty
 
 
 @dataclass(frozen=True)
@@ -221,8 +224,9 @@ class Evidence:
                 if dimensions and gain - cost > best.get(key, (0.0,))[0]:
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
         found = sorted(best.values(), key=lambda one: -one[0])
-        result = [self._judged(*one[1:]) for one in found[:FIRST]]
-        return sorted(result, key=lambda r: -r.score)
+        judged = [self._judged(*one[1:]) for one in found[:FIRST]]
+        most = np.max([counts for _, counts, _ in judged], axis=0, initial=0.0)
+        return sorted((replace(c, compared=float(most @ ratio)) for c, _, ratio in judged), key=lambda c: -c.score)
 
     def pairs(self, parameters: int, count: int) -> list[tuple[Candidate, Candidate]]:
         """The pairs of trials for all recordings, of fewer parameters than given, that explain most together, best first."""
@@ -243,7 +247,7 @@ class Evidence:
         return [(one, other) for _, one, other in sorted(found, key=lambda f: -f[0])[:count]]
 
     def _bare(self, k: int, coefficients: np.ndarray, scope: tuple[str, ...] | None = None) -> Candidate:
-        return Candidate(self.table.trials[k], k, scope, coefficients, 0.0, len(coefficients), 0.0, 0.0)
+        return Candidate(self.table.trials[k], k, scope, coefficients, 0.0, 0.0, len(coefficients), 0.0, 0.0)
 
     @property
     def tests(self) -> int:
@@ -308,8 +312,8 @@ class Evidence:
             result.append((tuple(labels[i] for i in sorted(chosen)), *best[2]))
         return result
 
-    def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:
-        """The candidate with its likelihood."""
+    def _judged(self, k: int, scope, coefficients, dimensions: int) -> tuple[Candidate, np.ndarray, np.ndarray]:
+        """The candidate with its likelihood, and for each joint the independent rows it leaves and its logarithm of the squares' fall."""
         trial = self.table.trials[k]
         bare = replace(self._bare(k, coefficients, scope), dimensions=dimensions)
         left = replace(self.rows, residual=self.left_by(bare))
@@ -319,8 +323,9 @@ class Evidence:
         penalty = chance(dimensions + shape, self.counts, self.tests)
         chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
         least = penalty if trial.effect.lawless else min(penalty, significant(dimensions + shape, self.tests))
-        likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
-        return replace(bare, likelihood=likelihood, penalty=penalty + chosen, least=least + chosen)
+        counts = independent(left)  # under the noise that the trial leaves: what is missing is correlated
+        likelihood = float(counts @ ratio)
+        return replace(bare, likelihood=likelihood, penalty=penalty + chosen, least=least + chosen), counts, ratio
 
     def left_by(self, *candidates: Candidate) -> np.ndarray:
         """Residuals after the parameters are fitted beside candidates with the coefficients that they have, (n, M)."""
@@ -348,8 +353,11 @@ class Evidence:
             part = np.concatenate([np.delete(part, only, axis=0), self._pieces(candidate, only)])
         total, out = part.sum(axis=0) + self._believed[np.ix_(used, used)], 0.0
         inside = _fall(total, total, self.size)
-        for r in range(len(part)):
-            out += _fall(total - part[r], part[r], self.size)
+        for one in part:
+            rest = total - one
+            lost = np.append(np.diag(rest)[:-1] < NULL * np.diag(total)[:-1], False)  # what this recording alone knows of
+            rest[lost] = rest[:, lost] = 0.0
+            out += _fall(rest, one, self.size)
         return out / max(inside, 1e-300)
 
     def _pieces(self, candidate: Candidate, r: int) -> np.ndarray:
@@ -415,7 +423,8 @@ def correlation(found: Rows) -> np.ndarray:
 
 def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     """Of a normal matrix, with columns scaled and null directions left out."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale[scale == 0] = 1.0  # a column of zeros
     return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
 
 

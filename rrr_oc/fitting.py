@@ -1,5 +1,6 @@
 """A model fitted to a bench: Gauss–Newton within bounds on filtered residuals, made for comparing many models."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,11 +111,18 @@ def _straight(effect: Effect) -> bool:
     return effect.plain or (effect.linear and effect.side != "sensor" and not effect.load_dependent)
 
 
-def steadily_better(bench: Bench, one: Fitted, other: Fitted) -> bool:
-    """Whether the fit is better all along, not by luck in a few places: differences of squares by block of time."""
+def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[str] | None = None) -> bool:
+    """Whether the fit is better all along, not by luck in a few places: differences of squares by block of time.
+
+    Args:
+        scope: Groups of the recordings that have what is new; None for all.
+    """
     weights = one.rows.deviation() ** -2
     fall = weights @ (other.rows.residual**2 - one.rows.residual**2)
     blocks = bench.by_block(fall)
+    if scope is not None:
+        inside = np.repeat([float(g in scope) for g in bench.groups], np.diff(bench.edges))
+        blocks = blocks[bench.by_block(inside) > 0]
     return bool(blocks.sum() > STEADY * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
 
 

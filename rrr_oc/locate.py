@@ -29,7 +29,7 @@ def mismatch(
     """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end.
 
     Args:
-        undecided: Joints whose residual is far beyond the noise, though nothing was found that explains it.
+        undecided: Joints whose residual stays far beyond the noise whatever was found.
     """
     result, joints = [], plain.model.joints
     growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)

@@ -41,6 +41,7 @@ class Recording:
         dropped: Number of rows dropped for a NaN.
         short: Number of rows dropped because their segment is too short for a derivative that had to be computed.
         ignored: Columns of the file that mean nothing here.
+        turned: Columns of positions that jumped by a turn and were made to go on.
         start: When the motion began [s]; None: with the first sample.
     """
 
@@ -58,6 +59,7 @@ class Recording:
     dropped: int = 0
     short: int = 0
     ignored: tuple[str, ...] = ()
+    turned: tuple[str, ...] = ()
     start: float | None = None
 
     @property
@@ -123,6 +125,8 @@ class RecordingSet:
                     f"{r.file}: {r.dropped + r.short} of {total} rows are left out ({r.dropped} with a NaN, {r.short} in pieces "
                     "too short for a derivative)"
                 )
+            if r.turned:
+                notes.append(f"{r.file}: {', '.join(r.turned)} jumped by a whole turn and is taken to go on")
             if r.ignored:
                 ignored.setdefault(r.ignored, []).append(r.file)
         for names, files in ignored.items():
@@ -248,11 +252,12 @@ def _recording(path: Path, entry: Entry, header: Header, robot: Robot) -> Record
         columns.setdefault("payload", np.full(len(rows), entry.payload))
         plausibility.check_magnitudes(str(path), columns)
         segments = split(columns["t"])
+        turned = _unwrap(columns, robot.joints, segments)
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = np.array([columns[name] for name in recorded])
         result = Recording(
             entry.file, entry.group, columns["t"], q, dq, ddq, tau, columns["payload"], entry.springs, segments, computed,
-            dropped=values.shape[1] - len(rows), ignored=ignored,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned,
         )  # fmt: skip
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
@@ -307,6 +312,15 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
 
 def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -> UserError:
     return UserError(f"{table.path}, line {table.line(row)}, column {column!r}: found {found}; {allowed}")
+
+
+def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Sequence[slice]) -> tuple[str, ...]:
+    """Make positions go on that jump by a turn from one sample to the next; the names of these columns."""
+    names = [f"q_{joint}" for joint in joints]
+    turned = [name for name in names if any(np.any(np.abs(np.diff(columns[name][s])) > np.pi) for s in segments)]
+    for name in turned:
+        columns[name] = np.unwrap(columns[name])
+    return tuple(turned)
 
 
 def _motion(

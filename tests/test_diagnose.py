@@ -26,7 +26,7 @@ from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.effects.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.torque_offset import TorqueOffset
 from rrr_oc.evaluate import evaluate_inverse
-from rrr_oc.evidence import Bench, Evidence
+from rrr_oc.evidence import Bench, Evidence, pseudo_inverse
 from rrr_oc.inertial import precision, prior
 from rrr_oc.recordings import Recording, load_recordings
 from rrr_oc.regression import prepare, rows
@@ -576,3 +576,67 @@ def test_a_payload_that_runs_through_many_values_costs_no_more(planar):
         trial = next(t for t in trials(view(prepare(whole), model), "motor") if t.effect.name == "payload_com")
         assert columns(moving, trial)[..., k] == pytest.approx(columns(alone, trial)[..., k], abs=1e-9)
     assert 10 < len(pieces(ramp)) < 60
+
+
+def with_changes(plant: Plant, rng: np.random.Generator, change, count: int = 5) -> list[Recording]:
+    """Recordings of 10 s, each with what `change` adds to the torque of one of this number."""
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(count)]
+    return [replace(r, tau=r.tau + change(i, r)) for i, r in enumerate(made)]
+
+
+def test_an_effect_may_be_another_in_each_recording(planar):
+    plant, rng, truth = planar(1), np.random.default_rng(9), {1: 0.6, 3: -0.5, 4: 1.2}
+    found = diagnose(as_set(plant, with_changes(plant, rng, lambda i, r: truth.get(i, 0.0))), jobs=1).findings
+    assert {f.term.effect.name for f in found} == {"torque_offset"}
+    assert {g: f.term.values[0] for f in found for g in f.term.groups} == pytest.approx(
+        {f"{i}.csv": v for i, v in truth.items()}, abs=0.01
+    )
+
+
+def test_payloads_may_be_others_in_each_recording(planar):
+    plant, rng, truth = planar(1), np.random.default_rng(2), {1: 1.0, 3: 3.0}
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, truth.get(i, 0.0), TOOL) for i in range(5)]
+    recordings = as_set(plant, [replace(r, payload=0 * r.t) for r in made])
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    found = diagnose(recordings, jobs=1).findings
+    assert {f.term.effect.name for f in found} == {"payload_mass"}
+    assert {g: f.term.values[0] for f in found for g in f.term.groups} == pytest.approx({"1.csv": 1.0, "3.csv": 3.0}, rel=0.02)
+
+
+def test_a_spring_of_one_recording_of_many_beside_a_law_of_all(planar):
+    """Engaged half of the time in one of eight: what counts is whether it helps there."""
+    plant, rng = planar(1), np.random.default_rng(11)
+
+    def change(i: int, r: Recording) -> np.ndarray:
+        return 0.6 * r.dq * np.abs(r.dq) - (i == 2) * 8.0 * np.maximum(0.0 - r.q, 0.0)
+
+    found = diagnose(as_set(plant, with_changes(plant, rng, change, 8)), jobs=1).findings
+    assert {(f.term.effect.name, f.term.groups) for f in found} == {("quadratic_drag", ()), ("parallel_spring", ("2.csv",))}
+
+
+def test_a_payload_that_was_listed_and_not_mounted(planar):
+    plant, rng = planar(1), np.random.default_rng(12)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, 3.0 * (i == 3), TOOL) for i in range(4)]
+    made = [replace(r, payload=0 * r.t + 3.0 * (i in (1, 3))) for i, r in enumerate(made)]
+    recordings = as_set(plant, made)
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    (found,) = diagnose(recordings, jobs=1).findings
+    assert (found.term.effect.name, found.term.groups) == ("payload_mass", ("1.csv",))
+    assert found.term.values == pytest.approx([-3.0], rel=0.02)
+
+
+def test_the_position_channel_may_lag(planar):
+    plant, rng = planar(1), np.random.default_rng(13)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
+    early = [replace(r, tau=np.array([np.interp(r.t + 0.02, r.t, tau) for tau in r.tau])) for r in made]
+    (found,) = diagnose(as_set(plant, early), jobs=1).findings
+    assert found.term.effect.name == "time_delay"
+    assert found.term.values == pytest.approx([-0.02], abs=1e-3)
+
+
+def test_leaving_out_what_alone_knows_of_a_parameter_says_nothing_of_it():
+    """A column of zeros has neither an estimate nor a say."""
+    matrix = np.array([[4.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 2.0]])
+    inverse = pseudo_inverse(matrix)
+    assert np.all(inverse[1] == pytest.approx(0.0, abs=1e-12))
+    np.testing.assert_allclose(inverse[np.ix_([0, 2], [0, 2])], np.linalg.inv(matrix[np.ix_([0, 2], [0, 2])]), atol=1e-12)

@@ -583,3 +583,19 @@ def test_any_bytes_end_in_success_or_one_error(write, tmp_path, header, table):
     except UserError:
         return
     assert all(np.all(np.isfinite(r.ddq)) for r in found.recordings)
+
+
+def test_positions_given_within_a_turn_go_on(write):
+    """A joint that turns over, wrapped at ±π; what jumps over a gap only is left as it is."""
+    t = np.arange(300) / 100
+    q = np.array([1.5 * t, np.where(t < 1.5, -2.0, 2.0) + 0.1 * np.sin(t), 0.1 * t])
+    kept = (t < 1.4) | (t > 1.6)
+    wrapped = np.array([(q[0] + np.pi) % (2 * np.pi) - np.pi, q[1], q[2]])
+    table = np.vstack([t, wrapped, np.cos(t), np.sin(t), np.cos(2 * t)])[:, kept]
+    text = "t,q_joint1,q_joint2,q_joint3,tau_joint1,tau_joint2,tau_joint3\n" + "\n".join(
+        ",".join(map(repr, r)) for r in table.T.tolist()
+    )
+    loaded = load_recordings(write(ONE, a=text))
+    np.testing.assert_allclose(loaded.recordings[0].q, q[:, kept], atol=1e-12)
+    assert loaded.recordings[0].turned == ("q_joint1",)
+    assert "jumped by a whole turn" in loaded.notes[0]

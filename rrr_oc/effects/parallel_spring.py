@@ -3,10 +3,14 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from rrr_oc.effects.effect import Effect
 from rrr_oc.errors import UserError
 from rrr_oc.parameters import Parameter
 from rrr_oc.smooth import ramp, ramp_integral
+
+FURTHEST = 4 * np.pi  # [rad], of an equilibrium: beyond, a spring is no more than an offset
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,9 @@ class ParallelSpring(Effect):
         tendon.stiffness[0] = theta["stiffness"]
         tendon.springlength = [-1e6, -self._sign * theta["equilibrium"]]
         return True
+
+    def possible(self, theta, payload):
+        return abs(theta["equilibrium"]) < FURTHEST
 
     def moved(self, theta, offset):
         """Parameters with the equilibrium moved by an offset [rad]."""

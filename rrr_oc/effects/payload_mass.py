@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
 
+NOTHING = 0.05  # of a listed payload, below none: one that was not mounted is estimated to be a little less
+
 
 @dataclass(frozen=True)
 class PayloadMass(Effect):
@@ -26,7 +28,7 @@ class PayloadMass(Effect):
         return replace(body, payload=body.payload + theta["mass"])
 
     def possible(self, theta, payload):
-        return payload + theta["mass"] >= 0.0
+        return payload + theta["mass"] >= -NOTHING * payload
 
     @classmethod
     def trials(cls, view):

@@ -5,14 +5,17 @@ from dataclasses import dataclass
 from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
 
+LONGEST = 0.2  # [s]
+STEP = 1e-3  # [s], by which signals are shifted for a derivative
+
 
 @dataclass(frozen=True)
 class TimeDelay(Effect):
-    """recorded torque(t) = true torque(t − delay), for all joints."""
+    """recorded torque(t) = true torque(t − delay), for all joints; negative where the position channel lags."""
 
     name = "time_delay"
     equation = "recorded torque(t) = true torque(t - delay)"
-    parameters = (Parameter("delay", "s", 0.0, lower=0.0),)
+    parameters = (Parameter("delay", "s", 0.0, lower=-LONGEST, upper=LONGEST),)
     amplitudes = ("delay",)
     side = "sensor"
     local = True
@@ -25,6 +28,3 @@ class TimeDelay(Effect):
     @classmethod
     def trials(cls, view):
         yield Trial(cls(()), ({"delay": STEP},), STEP)
-
-
-STEP = 1e-3  # [s], by which signals are shifted for a derivative
