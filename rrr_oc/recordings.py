@@ -117,22 +117,27 @@ class RecordingSet:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a user should know of how the set was read, a sentence each."""
-        notes, ignored = [], {}
+        notes: list[str] = []
+        ignored: dict[tuple[str, ...], list[Recording]] = {}
+        torn = [r for r in self.recordings if r.dropped + r.short]
+        if torn:
+            nan, short = sum(r.dropped for r in torn), sum(r.short for r in torn)
+            rows = sum(len(r.t) for r in torn) + nan + short
+            notes.append(
+                f"{_named(torn)}: {nan + short} of {rows} rows are left out ({nan} with a NaN, {short} in pieces too short for a "
+                "derivative)"
+            )
+        turned: dict[tuple[str, ...], list[Recording]] = {}
         for r in self.recordings:
-            if r.dropped + r.short:
-                total = len(r.t) + r.dropped + r.short
-                notes.append(
-                    f"{r.file}: {r.dropped + r.short} of {total} rows are left out ({r.dropped} with a NaN, {r.short} in pieces "
-                    "too short for a derivative)"
-                )
             if r.turned:
-                notes.append(f"{r.file}: {', '.join(r.turned)} jumped by a whole turn and is taken to go on")
+                turned.setdefault(r.turned, []).append(r)
             if r.ignored:
-                ignored.setdefault(r.ignored, []).append(r.file)
-        for names, files in ignored.items():
-            where = files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+                ignored.setdefault(r.ignored, []).append(r)
+        for names, found in turned.items():
+            notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
+        for names, found in ignored.items():
             locked = "; joints that are not listed are taken to stay at 0" * any(name.startswith("q_") for name in names)
-            notes.append(f"{where}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
+            notes.append(f"{_named(found)}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
         same = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
         if same and any(np.any(r.payload > 0) for r in self.recordings):
             notes.append(
@@ -146,6 +151,10 @@ class RecordingSet:
         if self.torque != "current":
             return recording.tau
         return np.array(self.torque_constant, float)[:, None] * recording.tau
+
+
+def _named(some: Sequence[Recording]) -> str:
+    return some[0].file if len(some) == 1 else f"{some[0].file} and {len(some) - 1} more"
 
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
