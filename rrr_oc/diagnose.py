@@ -268,11 +268,11 @@ def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidat
 
 def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted) -> Best | None:
     """Score, fit and candidate of the best that is beyond chance and explains a share of the error worth a name."""
-    best, fits = None, [fit_of(bench, evidence, fitted, candidate) for candidate in candidates]
-    counts = np.max([f.counts for f in fits], axis=0, initial=0.0)  # alike for all, as in `Candidate.compared`
-    for candidate, tried in zip(candidates, fits, strict=True):
+    best = None
+    for candidate in candidates:
+        tried = fit_of(bench, evidence, fitted, candidate)
         gain = tried.better_than(fitted)
-        compared = float(np.sum(counts * np.log(fitted.squares / tried.squares)))
+        compared = float(fitted.counts @ np.log(fitted.squares / tried.squares))  # as in `Candidate`
         score = compared - candidate.penalty
         share = _share(bench, plain, fitted, tried)
         steady = (

@@ -115,8 +115,8 @@ class Candidate:
         scope: Groups that have the effect; None for all.
         coefficients: Fitted with all parameters of the model, (m,).
         likelihood: Growth of twice the log-likelihood, with as many independent rows as the trial leaves.
-        compared: The same with as many as the whitest of its rivals leaves: what leaves another effect's correlated torque, which is
-            found next, is no worse for that.
+        compared: The same with as many as the model without it leaves, alike for all its rivals: what leaves another effect's
+            correlated torque, which is found next, is no worse for that.
         dimensions: Coefficients that the recordings tell apart.
         penalty: What its parameters and the choice of it would gain by chance, for ranking.
         least: Likelihood that it must add to be beyond chance.
@@ -224,9 +224,8 @@ class Evidence:
                 if dimensions and gain - cost > best.get(key, (0.0,))[0]:
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
         found = sorted(best.values(), key=lambda one: -one[0])
-        judged = [self._judged(*one[1:]) for one in found[:FIRST]]
-        most = np.max([counts for _, counts, _ in judged], axis=0, initial=0.0)
-        return sorted((replace(c, compared=float(most @ ratio)) for c, _, ratio in judged), key=lambda c: -c.score)
+        result = [self._judged(*one[1:]) for one in found[:FIRST]]
+        return sorted(result, key=lambda r: -r.score)
 
     def pairs(self, parameters: int, count: int) -> list[tuple[Candidate, Candidate]]:
         """The pairs of trials for all recordings, of fewer parameters than given, that explain most together, best first."""
@@ -312,8 +311,8 @@ class Evidence:
             result.append((tuple(labels[i] for i in sorted(chosen)), *best[2]))
         return result
 
-    def _judged(self, k: int, scope, coefficients, dimensions: int) -> tuple[Candidate, np.ndarray, np.ndarray]:
-        """The candidate with its likelihood, and for each joint the independent rows it leaves and its logarithm of the squares' fall."""
+    def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:
+        """The candidate with its likelihood."""
         trial = self.table.trials[k]
         bare = replace(self._bare(k, coefficients, scope), dimensions=dimensions)
         left = replace(self.rows, residual=self.left_by(bare))
@@ -323,9 +322,9 @@ class Evidence:
         penalty = chance(dimensions + shape, self.counts, self.tests)
         chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
         least = penalty if trial.effect.lawless else min(penalty, significant(dimensions + shape, self.tests))
-        counts = independent(left)  # under the noise that the trial leaves: what is missing is correlated
-        likelihood = float(counts @ ratio)
-        return replace(bare, likelihood=likelihood, penalty=penalty + chosen, least=least + chosen), counts, ratio
+        likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
+        gains = {"likelihood": likelihood, "compared": float(self.counts @ ratio)}
+        return replace(bare, penalty=penalty + chosen, least=least + chosen, **gains)
 
     def left_by(self, *candidates: Candidate) -> np.ndarray:
         """Residuals after the parameters are fitted beside candidates with the coefficients that they have, (n, M)."""
