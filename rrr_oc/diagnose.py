@@ -28,7 +28,8 @@ DOUBT = 0.05  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 LEAST_SHARE = 0.007  # of a joint's squared residual, for an effect to be named
 APART = 0.25  # of a parameter, by which it must differ between recordings to be another in each
-HALF = 0.5  # of what a joint lacks, that makes an effect of a few places one that counts
+FEWER_LEFT = 2.0  # times less of the squared residual: better, however few independent rows that leaves
+HALF = 0.5  # of what a joint lacks
 EXACT = 3e-4  # of a joint's torque (deviation): no law, and no simulation, is more exact than that
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
@@ -268,23 +269,26 @@ def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidat
 
 def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted) -> Best | None:
     """Score, fit and candidate of the best that is beyond chance and explains a share of the error worth a name."""
-    best = None
+    found: list[Best] = []
     for candidate in candidates:
         tried = fit_of(bench, evidence, fitted, candidate)
         gain = tried.better_than(fitted)
-        compared = float(fitted.counts @ np.log(fitted.squares / tried.squares))  # as in `Candidate`
-        score = compared - candidate.penalty
+        score = gain - candidate.penalty
         share = _share(bench, plain, fitted, tried)
         steady = (
             _by_amplitude(candidate.trial.effect)
             or steadily_better(bench, tried, fitted, candidate.scope)
-            or ((share > HALF or not noisy(bench, tried)) and _settled(evidence, candidate))
+            or ((_most_of_some(candidate, share) or not noisy(bench, tried)) and _settled(evidence, candidate))
         )
         last = tried.model.terms[-1]
         possible = last.effect.possible(last.named, bench.least_payload(candidate.scope))
         if gain > candidate.least and share > LEAST_SHARE and steady and possible:
-            score -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * compared
-            best = (score, tried, candidate) if best is None or score > best[0] else best
+            score -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * gain
+            found.append((score, tried, candidate))
+    best = max(found, key=lambda b: b[0], default=None)
+    if best is not None:  # what leaves another effect's torque, to be found next, leaves few rows that are independent
+        fewer = [b for b in found if _size(b[2]) <= _size(best[2]) and b[1].misfit < best[1].misfit - np.log(FEWER_LEFT)]
+        best = min(fewer, key=lambda b: b[1].misfit, default=best)
     return best
 
 
@@ -307,6 +311,11 @@ def worth(plain, less, more):
 def _by_amplitude(effect: Effect) -> bool:
     """Whether its signature holds for any size of it, so that the robust test of that says all."""
     return effect.linear or effect.lawless
+
+
+def _most_of_some(candidate: Candidate, share: float) -> bool:
+    """Whether a candidate of some recordings explains most of what is missing, whatever else is."""
+    return candidate.scope is not None and share > HALF
 
 
 def _settled(evidence: Evidence, candidate: Candidate) -> bool:
@@ -346,9 +355,12 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
     """The candidates worth an exact fit: beyond chance, robustly so, near the best; of each effect at its joints the best."""
     others = len(evidence.bench.prepared) > 1
     result: list[Candidate] = []
-    for candidate in evidence.candidates():
-        if result and (len(result) >= TRIED or candidate.score < min(CLOSE * result[0].score, result[0].score - SAME)):
-            break
+    every = evidence.candidates()
+    most = max((c.compared for c in every), default=0.0)
+    for candidate in every:
+        far = bool(result) and (len(result) >= TRIED or candidate.score < min(CLOSE * result[0].score, result[0].score - SAME))
+        if far and candidate.compared < most:
+            continue
         if candidate.likelihood < candidate.least:
             continue
         same = any(key(c) == key(candidate) for c in result)

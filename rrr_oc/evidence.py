@@ -115,8 +115,7 @@ class Candidate:
         scope: Groups that have the effect; None for all.
         coefficients: Fitted with all parameters of the model, (m,).
         likelihood: Growth of twice the log-likelihood, with as many independent rows as the trial leaves.
-        compared: The same with as many as the model without it leaves, alike for all its rivals: what leaves another effect's
-            correlated torque, which is found next, is no worse for that.
+        compared: The same with as many as the model without it leaves, alike for all its rivals.
         dimensions: Coefficients that the recordings tell apart.
         penalty: What its parameters and the choice of it would gain by chance, for ranking.
         least: Likelihood that it must add to be beyond chance.
@@ -134,8 +133,8 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Evidence beyond chance, for ranking."""
-        return self.compared - self.penalty
+        """Evidence beyond chance."""
+        return self.likelihood - self.penalty
 
 
 @dataclass(frozen=True)
