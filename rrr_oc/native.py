@@ -32,6 +32,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.model import Model
 
 PAYLOAD = "rrr_oc:payload"
+STIFF = 0.5  # of itself, that a state loses in a step, from which an explicit step is too coarse
 STEPS = 4  # of Newton's method for the load torque
 _WRAPPER = """
 #include <string.h>
@@ -186,8 +187,8 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     rates): torque of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is
     the actuators' torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,), `twist` (2 n,)
     what gears that give add to the links' positions and speeds, `before` (n,) the links' accelerations one step ago: behind such a
-    gear those of now are not the drive's, and the load torque is that of one step ago. Over the engine's `step` [s] a state that
-    falls off at a rate s of its own does so as exp(−s step), whatever the engine's explicit step would make of a stiff one.
+    gear those of now are not the drive's, and the load torque is that of one step ago. A state that falls off
+    at a rate s of its own does so as exp(−s step) over the engine's `step` [s] where that is fast: its explicit step would diverge.
     """
     n = model.robot.n
     q, dq, motor, damping, armature, dry = (
@@ -211,7 +212,7 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     )
     if model.states:
         fading = ca.fmax(-step * ca.diag(ca.jacobian(rates, states)), 1e-9)
-        rates = rates * (1 - ca.exp(-fading)) / fading
+        rates = ca.if_else(fading > STIFF, rates * (1 - ca.exp(-fading)) / fading, rates)
     if any(chosen and e.load_dependent for e, chosen in zip(model.effects, inside, strict=True)):
         carried, gravity = model.rigid(inertial, payload, theta, widths)
         bias = model.body.inverse_dynamics(links.q, links.dq, ca.SX.zeros(n), carried, gravity)

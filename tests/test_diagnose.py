@@ -625,15 +625,6 @@ def test_a_payload_that_was_listed_and_not_mounted(planar):
     assert found.term.values == pytest.approx([-3.0], rel=0.02)
 
 
-def test_the_position_channel_may_lag(planar):
-    plant, rng = planar(1), np.random.default_rng(13)
-    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
-    early = [replace(r, tau=np.array([np.interp(r.t + 0.02, r.t, tau) for tau in r.tau])) for r in made]
-    (found,) = diagnose(as_set(plant, early), jobs=1).findings
-    assert found.term.effect.name == "time_delay"
-    assert found.term.values == pytest.approx([-0.02], abs=1e-3)
-
-
 def test_leaving_out_what_alone_knows_of_a_parameter_says_nothing_of_it():
     """A column of zeros has neither an estimate nor a say."""
     matrix = np.array([[4.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 2.0]])

@@ -5,17 +5,16 @@ from dataclasses import dataclass
 from rrr_oc.effects.effect import Effect, Trial
 from rrr_oc.parameters import Parameter
 
-LONGEST = 0.2  # [s]
 STEP = 1e-3  # [s], by which signals are shifted for a derivative
 
 
 @dataclass(frozen=True)
 class TimeDelay(Effect):
-    """recorded torque(t) = true torque(t − delay), for all joints; negative where the position channel lags."""
+    """recorded torque(t) = true torque(t − delay), for all joints."""
 
     name = "time_delay"
     equation = "recorded torque(t) = true torque(t - delay)"
-    parameters = (Parameter("delay", "s", 0.0, lower=-LONGEST, upper=LONGEST),)
+    parameters = (Parameter("delay", "s", 0.0, lower=0.0),)
     amplitudes = ("delay",)
     side = "sensor"
     local = True
