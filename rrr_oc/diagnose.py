@@ -89,9 +89,12 @@ def search(
 
 
 def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -> Fitted:
-    """The fit with the newest effect, of some groups, with parameters of its own in each, where these are others beyond doubt."""
+    """The fit with the newest effect, of some groups, with parameters of its own in each, where these are others beyond doubt.
+
+    Of what is put on and taken off, and of sensors, which are set anew; a law of the drives stays what it is.
+    """
     *others, newest = fitted.model.terms
-    if len(newest.groups) < 2:
+    if len(newest.groups) < 2 or not (newest.effect.mounted or newest.effect.side == "sensor"):
         return fitted
     each = [replace(newest, groups=(g,)) for g in newest.groups]
     tried = refit(bench, replace(fitted.model, terms=(*others, *each)))
