@@ -36,8 +36,8 @@ from rrr_oc.inference import box_step, condition, covariance, intervals, normal_
 from rrr_oc.nrmse import DROPPED
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.regression import STRIDE, Prepared, Rows, derivatives, prepare
-from rrr_oc.replay import SETTINGS, follow, tracking_controller
-from rrr_oc.savitzky_golay import differentiate, smooth
+from rrr_oc.replay import SETTINGS, accelerations, follow, tracking_controller
+from rrr_oc.savitzky_golay import smooth
 from rrr_oc.twin import Controller, twin
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
@@ -161,8 +161,7 @@ class _Target:
         if response.drives is None:
             torque = motor[:, self.joints]
         else:
-            ddq = differentiate(r.t, dq.reshape(-1, r.t.size), r.segments).reshape(dq.shape)
-            ddq = np.where(np.isnan(ddq) & np.isfinite(dq), r.ddq, ddq)
+            ddq = accelerations(r, dq)
             torque = np.array([response.compared(*x)[0] for x in zip(dq, ddq, motor, strict=True)])
         flat = smooth(r.t, torque.reshape(-1, r.t.size), r.segments, response.window).reshape(shape)
         return (flat[:, :, self.kept] - self.recorded) / self.spread

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from rrr_oc.before_after import in_closed_loop
@@ -35,7 +34,7 @@ app = typer.Typer(
 )
 importers = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True)
 app.add_typer(importers, name="import")
-console, errors = wide_console(), Console(stderr=True, markup=False)
+console, errors = wide_console(), wide_console(stderr=True)
 
 
 class Way(StrEnum):
@@ -115,7 +114,7 @@ def evaluate(
     if predictions is not None:
         check_folder(predictions)
     recordings = _loaded(dataset)
-    calibrated = load_model(model).placed(recordings)
+    calibrated = load_model(model)
     written = [] if out is None else [out]
     written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
     _check_apart([model, *recordings.files], written)

@@ -14,7 +14,7 @@ from rrr_oc.diagnose import Lawless, above_noise, as_seen, search, worth
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.inertial import precision, prior
-from rrr_oc.locate import mismatch
+from rrr_oc.locate import FAR, mismatch
 from rrr_oc.nrmse import error
 from rrr_oc.recordings import Recording, RecordingSet
 from rrr_oc.regression import Prepared, prepare, rows, thinned, without_reversals, without_spikes
@@ -31,7 +31,6 @@ SHORT = 10  # samples of a segment that a block has no use for
 SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
-FAR = 3.0  # times the noise: a residual that is a mismatch, whether or not something was found that holds on other recordings
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
@@ -175,10 +174,9 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         model, fitted, held_out = plain, found.plain, (held_out[0], held_out[0])
         outcomes = [replace(o, model=o.plain, after=o.before) for o in outcomes]
     left = above_noise(bench, fitted)
-    undecided = np.flatnonzero(left > FAR).tolist()
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
-    where = mismatch(bench, refit(bench, plain), fitted, findings, undecided, calibration[0], held_out[0])
-    suggestions = suggest(recordings, plain, findings, bool(undecided), view(prepared, plain))
+    where = mismatch(bench, refit(bench, plain), fitted, findings, left, calibration[0], held_out[0])
+    suggestions = suggest(recordings, plain, findings, bool(np.any(left > FAR)), view(prepared, plain))
     return Diagnosis(
         recordings,
         plain,

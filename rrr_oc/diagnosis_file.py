@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from rrr_oc.calibrated import Term, number
-from rrr_oc.diagnosis import FAR, Diagnosis
+from rrr_oc.diagnosis import Diagnosis
+from rrr_oc.locate import FAR
 from rrr_oc.recordings import RecordingSet
 
 FORMAT = "rrr_oc-diagnosis/1"

@@ -76,9 +76,7 @@ def run_gradient(store: Path, labels: Mapping[str, Any], starts: int, seed: int)
     def show(start: Start) -> None:
         rows.append((time.process_time() - began, start.polished))
 
-    result = search(design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show)
-    if result.interrupted:  # it is not kept as if it were whole
-        raise KeyboardInterrupt
+    result = search(design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show).whole()
     core_s = time.process_time() - began
     solution = result.best.solution
     motion, engine = sample_motion(design, solution), None

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from rrr_oc.calibrated import CalibratedModel, number
 from rrr_oc.contest import Finding
@@ -14,6 +15,7 @@ from rrr_oc.regression import through_filter
 
 LEAST_GROWTH = 0.005  # of the squared residual without the effects, for a joint to be called one of the mismatch
 BINS = 12  # of a variable, when it is asked where the error is
+FAR = 3.0  # times the noise: a residual that is a mismatch, whether or not something was found that holds on other recordings
 NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
 
 
@@ -22,14 +24,15 @@ def mismatch(
     plain: Fitted,
     fitted: Fitted,
     findings: Sequence[Finding],
-    undecided: Sequence[int],
+    left_over: np.ndarray,
     calibration: np.ndarray,
     held_out: np.ndarray,
 ) -> tuple[dict[str, Any], ...]:
     """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end.
 
     Args:
-        undecided: Joints whose residual stays far beyond the noise whatever was found.
+        left_over: What `fitted` leaves of each joint's torque over what noise accounts for, (n,): far beyond it (`FAR`) there is a
+            mismatch, whatever was found.
     """
     result, joints = [], plain.model.joints
     growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)
@@ -40,13 +43,15 @@ def mismatch(
         significant = bool(own and growth[j] > LEAST_GROWTH)
         if not significant and findings and growth[j] > 0.1:  # an effect elsewhere shows here too
             significant, p = True, min(f.p_value for f in findings)
-        if j in undecided:
-            significant, p = True, 0.0
+        alone = left_over[j] > FAR and not significant
+        if alone:
+            count = max(float(fitted.counts[j]), 1.0)
+            significant, p = True, float(fisher.sf(left_over[j] ** 2, count, count))
         moving = plain.rows.moving[j]
         error = (plain.rows.residual[j] ** 2) * moving
         left = np.array([float(np.mean(e)) for e in np.split(error, bench.edges[1:-1])])
         floor = float(np.mean((fitted.rows.residual[j] ** 2) * moving))
-        files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor or j in undecided]
+        files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor or alone]
         result.append(
             {
                 "joint": joint,

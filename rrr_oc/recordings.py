@@ -62,6 +62,21 @@ class Recording:
     turned: tuple[str, ...] = ()
     start: float | None = None
 
+    @classmethod
+    def planned(
+        cls,
+        name: str,
+        t: np.ndarray,
+        q: np.ndarray,
+        dq: np.ndarray,
+        ddq: np.ndarray,
+        payload: float,
+        springs: tuple[Spring, ...] = (),
+        group: str | None = None,
+    ) -> "Recording":
+        """A motion that has not been recorded yet, without torque, with one payload [kg]."""
+        return cls(name, group or name, t, q, dq, ddq, 0.0 * q, np.full(len(t), payload), springs, (slice(0, len(t)),))
+
     @property
     def clock(self) -> np.ndarray:
         """Time since the motion began [s], (K,)."""

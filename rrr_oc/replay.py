@@ -75,10 +75,15 @@ def replay(model: CalibratedModel, recording: Recording, control: Controller) ->
     q, dq, tau = (x[0] for x in follow([engine], recording, control, forward[None], forward[None], SETTINGS.timestep, *start))
     if np.isnan(q).any():
         return Replayed(q, dq, np.full_like(q, np.nan), tau, np.full_like(q, np.nan))
-    ddq = differentiate(recording.t, dq, recording.segments)
-    ddq = np.where(np.isnan(ddq) & np.isfinite(dq), recording.ddq, ddq)  # of pieces too short for it
+    ddq = accelerations(recording, dq)
     moved = replace(recording, q=q, dq=dq, ddq=ddq)
     return Replayed(q, dq, ddq, tau, physics.torques(moved)[1])
+
+
+def accelerations(recording: Recording, dq: np.ndarray) -> np.ndarray:
+    """Derivative of speeds (…, n, K) along a recording; where a piece is too short for one, what was recorded."""
+    flat = differentiate(recording.t, dq.reshape(-1, dq.shape[-1]), recording.segments).reshape(dq.shape)
+    return np.where(np.isnan(flat) & np.isfinite(dq), recording.ddq, flat)
 
 
 def follow(
@@ -106,9 +111,9 @@ def follow(
         q, dq and motor torque at the recording's times, each (engines, n, K); NaN where a simulation diverged, and as recorded at a
         sample between two gaps.
     """
-    found = np.full((3, len(engines), *recording.q.shape), np.nan)
+    found, parts = np.full((3, len(engines), *recording.q.shape), np.nan), pieces(recording)
     with installed(*{engine.library for engine in engines if engine.library is not None}):
-        for piece in pieces(recording):
+        for piece in parts:
             steps = max(2, int(np.ceil((recording.t[piece.stop - 1] - recording.t[piece.start]) / timestep)))
             size = max(1, CHUNK // (steps * 3 * recording.q.shape[0]))
             for first in range(0, len(engines), size):
@@ -117,7 +122,7 @@ def follow(
                     engines[some], recording, piece, control, forward[some], expected[some], steps, twist, states
                 )
     alone = np.ones(recording.t.size, bool)
-    for piece in pieces(recording):
+    for piece in parts:
         alone[piece] = False
     found[0][..., alone], found[1][..., alone], found[2][..., alone] = (
         recording.q[:, alone],

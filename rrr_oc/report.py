@@ -12,9 +12,9 @@ from rrr_oc.metrics import decrease
 _DEGREES = ("q_eq", "q_0")
 
 
-def wide_console() -> Console:
+def wide_console(stderr: bool = False) -> Console:
     """Where commands print: a log's lines may be longer than the 80 columns that are assumed of it, and names may hold brackets."""
-    console = Console(markup=False)
+    console = Console(markup=False, stderr=stderr)
     if not console.is_terminal:
         console.width = 160
     return console

@@ -122,6 +122,12 @@ class SearchResult:
         """The best optimum found."""
         return self.optima[0]
 
+    def whole(self) -> "SearchResult":
+        """The result; an interrupt where it was stopped early, for what is kept must not look whole."""
+        if self.interrupted:
+            raise KeyboardInterrupt
+        return self
+
     def layers(self) -> dict[str, dict[str, float]]:
         """What each layer contributed: polishes, failures, best and median cost, and the best before IPOPT."""
         rows = {}

@@ -129,7 +129,5 @@ def _motion(recordings: RecordingSet, seen: View, rng: np.random.Generator) -> P
     q, dq, ddq = scale[:, None] * q + middle[:, None], scale[:, None] * dq, scale[:, None] * ddq
     payload = max(float(r.payload.max()) for r in recordings.recordings)
     springs = max((r.springs for r in recordings.recordings), key=len)
-    recording = Recording(
-        "suggested", "suggested", t, q, dq, ddq, np.zeros_like(q), np.full(len(t), payload), springs, (slice(0, len(t)),)
-    )
+    recording = Recording.planned("suggested", t, q, dq, ddq, payload, springs)
     return Prepared(recording, np.zeros_like(q), np.ones(q.shape, bool), 0.2, np.zeros(seen.n, int))

@@ -102,8 +102,7 @@ def reference_phases(design: CoDesign, motion: Motion, theta: np.ndarray, calibr
     for i, k in enumerate(motion.phases()):
         q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
         t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
-        held, whole = np.full(len(t), payload), (slice(0, len(t)),)
-        planned = Recording(PHASES[i], PHASES[i], t, q, dq, ddq, np.zeros_like(q), held, segments=whole)
+        planned = Recording.planned(PHASES[i], t, q, dq, ddq, payload)
         motor, _ = Physics(model, theta, widths, model.robot.inertial).torques(planned)
         references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, motor))
     return references

@@ -255,10 +255,7 @@ def _published(name: str, design: CoDesign, options: SearchOptions) -> float | N
     if not springs or not {"joint2", "joint3"} <= set(task.joints):
         return None
     held = CoDesign(task, spring_bounds(task, name.rstrip("*")), design.cost, design.actuators).with_fixed(springs)
-    result = search(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0))
-    if result.interrupted:
-        raise KeyboardInterrupt
-    return result.best.solution.cost
+    return search(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)).whole().best.solution.cost
 
 
 def plain(value: Any) -> Any:

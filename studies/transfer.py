@@ -235,10 +235,7 @@ def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) 
     file, content = folder / f"{name}.npz", folder / f"{name}.json"
     if not content.exists():
         began = time.perf_counter()
-        result = search(design, options)
-        if result.interrupted:
-            raise KeyboardInterrupt
-        solution = result.best.solution
+        solution = search(design, options).whole().best.solution
         motion, own = sample_motion(design, solution), [s.effect for s in design.springs if not s.known]
         engine = measure([(p.t, p.tau_load[list(design.task.moving)]) for p in resimulate(design, solution, motion).phases])
         write_npz(file, vars(motion) | {"joints": np.array(design.task.joints)})
@@ -262,10 +259,7 @@ def helped_by(model: CalibratedModel, plans: Sequence[PlannedRecording]) -> list
 
 def planned(p: PlannedRecording) -> Recording:
     """A plan as a recording that has not been made yet; the arm's set-up is that of the protocol without springs."""
-    label, count = group(replace(p, springs=())), len(p.t)
-    return Recording(
-        p.name, label, p.t, p.q, p.dq, p.ddq, np.zeros_like(p.q), np.full(count, p.payload), p.springs, (slice(0, count),)
-    )
+    return Recording.planned(p.name, p.t, p.q, p.dq, p.ddq, p.payload, p.springs, group(replace(p, springs=())))
 
 
 def cost_on(arm: Prototype, plans: Sequence[PlannedRecording], model: CalibratedModel, rows: Sequence[int]) -> dict[str, float]:

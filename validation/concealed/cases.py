@@ -2,6 +2,7 @@
 
 import hashlib
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,14 +137,7 @@ def some_recordings(seed: int) -> list[Case]:
         "time_delay",
         "load_dependent_friction",
     )
-    out = []
-    for name in names:
-        for ratio in RATIOS[:2]:
-            key = f"some/{name}/{ratio}"
-            rng = draw(seed, key)
-            group = str(rng.choice(["a", "b", "c", "d"]))
-            out.append(Case(key, "some", seed, fitting_robot((name,), rng), (Concealed(name, ratio, (group,)),)))
-    return out
+    return [_of_a_group(seed, "some", name, ratio, ["a", "b", "c", "d"]) for name in names for ratio in RATIOS[:2]]
 
 
 def one_recording(seed: int) -> list[Case]:
@@ -157,16 +151,16 @@ def one_recording(seed: int) -> list[Case]:
         "spring_stiffness",
         "time_delay",
     )
-    out = []
-    for name in names:
-        for ratio in RATIOS[:2]:
-            key = f"alone/{name}/{ratio}"
-            rng = draw(seed, key)
-            short = bool(rng.random() < 0.3)
-            group = str(rng.choice(OWN[: 4 if short else 8]))
-            concealed = (Concealed(name, ratio, (group,)),)
-            out.append(Case(key, "alone", seed, fitting_robot((name,), rng), concealed, short=short, alone=True))
-    return out
+    return [_of_a_group(seed, "alone", name, ratio, OWN) for name in names for ratio in RATIOS[:2]]
+
+
+def _of_a_group(seed: int, kind: str, name: str, ratio: float, groups: Sequence[str]) -> Case:
+    """An effect that one of the groups has; where each recording is one, some sets are short."""
+    key, alone = f"{kind}/{name}/{ratio}", groups is OWN
+    rng = draw(seed, key)
+    short = alone and bool(rng.random() < 0.3)
+    group = str(rng.choice(groups[:4] if short else groups))
+    return Case(key, kind, seed, fitting_robot((name,), rng), (Concealed(name, ratio, (group,)),), short=short, alone=alone)
 
 
 def several(seed: int) -> list[Case]:
