@@ -3,10 +3,25 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel, Term, nominal_term
-from rrr_oc.diagnose import SAME, TRIED, Found, extended, fit_of, gathered, key, least, noisy, present, rarity, without
+from rrr_oc.diagnose import (
+    SAME,
+    TRIED,
+    Found,
+    extended,
+    fit_of,
+    gathered,
+    key,
+    least,
+    noisy,
+    present,
+    rarity,
+    rewidened,
+    without,
+)
 from rrr_oc.effects import Effect
 from rrr_oc.effects.cable_harness import CableHarness
 from rrr_oc.effects.parallel_spring import ParallelSpring
@@ -17,6 +32,7 @@ CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of 
 MANY = 3  # parameters, beyond which two effects may be the simpler explanation
 NEAR = 0.6  # of the likelihood of what is in place, for others to be fitted there
 PAIRS = 6  # of them that are tried
+STILL = 0.5  # of the squared error while a joint stands, that a model must leave to be preferred to its equal
 
 
 @dataclass(frozen=True)
@@ -66,6 +82,8 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             tried = fit_of(bench, evidence, less, candidate)
             if tried.better_than(fitted) > -CALL * SAME:
                 tried = refit(bench, tried.model)
+                if own.effect.width is not None or candidate.trial.effect.width is not None:
+                    tried = rewidened(bench, tried)  # it may show another width of dry friction
             better = tried.better_than(fitted)
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
             likelier = 0 if candidate.scope is None or muddled else _put_on(candidate.trial.effect) - _put_on(own.effect)
@@ -73,6 +91,8 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             if simpler <= 0:  # the simplest of equals needs no excuse
                 lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
             lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
+            if abs(better) < SAME:
+                lead += 2 * SAME * _nearer_at_rest(bench, tried.model, fitted.model)
             worse = SAME * (max(simpler, 1) if own.effect.lawless else 1)  # many coefficients also fit noise
             if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
@@ -108,6 +128,19 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         i += 1
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
+
+
+def _nearer_at_rest(bench: Bench, one: CalibratedModel, other: CalibratedModel) -> int:
+    """1 where one of two equal models errs much less while a joint stands, -1 where the other does, else 0.
+
+    Those samples count for nothing in a fit, as dry friction is anything below its level there; but it may well be none.
+    """
+    squares = [np.full(bench.n, 1e-300), np.full(bench.n, 1e-300)]
+    for p in bench.prepared:
+        for left, model in zip(squares, (one, other), strict=True):
+            left += np.sum(np.where(p.moving, 0.0, p.measured - model.output_torque(p.recording)) ** 2, axis=1)
+    fall = float(np.sum(np.log(squares[0] / squares[1])))
+    return int(fall < np.log(STILL)) - int(-fall < np.log(STILL))
 
 
 def _put_on(effect: Effect) -> bool:

@@ -79,7 +79,7 @@ def search(
         if chosen is None:
             break
         chosen = _each_its_own(bench, chosen, report)
-        fitted = _rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
+        fitted = rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
         terms = frozenset((_whatever_range(t.effect), t.groups) for t in fitted.model.terms[base:])
         if terms in seen:
             break  # two ways to say the same would oust each other for ever
@@ -111,7 +111,7 @@ def _whatever_range(effect: Effect) -> Effect:
     return replace(effect, low=(), high=(), largest=0.0) if isinstance(effect, Empirical) else effect
 
 
-def _rewidened(bench: Bench, fitted: Fitted) -> Fitted:
+def rewidened(bench: Bench, fitted: Fitted) -> Fitted:
     """The fit with dry friction as abrupt as the new model shows it; what was missing had distorted it.
 
     With its course over speed left open and as it is: which is right depends on what is still missing.
@@ -153,7 +153,7 @@ def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best |
 
 def _exactly(bench: Bench, fitted: Fitted, best: Best) -> Best:
     """The same with the fit and the score that all parameters together reach."""
-    there = _rewidened(bench, refit(bench, best[1].model))
+    there = rewidened(bench, refit(bench, best[1].model))
     return max(best[0], there.better_than(fitted) - best[2].penalty), there, best[2]
 
 
@@ -243,7 +243,7 @@ def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, goal: flo
     while best is not None and len(found) < TOGETHER:
         found.append(key(best[2]))
         cost += best[2].penalty
-        there = _rewidened(bench, refit(bench, best[1].model))
+        there = rewidened(bench, refit(bench, best[1].model))
         reached = there.better_than(fitted) - cost
         if reached >= goal:
             return found[1:]
@@ -289,6 +289,11 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
             score -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * gain
             found.append((score, tried, candidate))
     best = max(found, key=lambda b: b[0], default=None)
+    equal = [b for b in found if best is not None and b[0] > best[0] - SAME]
+    if len(equal) > 1:  # as things are; but each may show another width of dry friction
+        there = [rewidened(bench, refit(bench, tried.model)) for _, tried, _ in equal]
+        equal = [(b[0] + f.better_than(b[1]), f, b[2]) for b, f in zip(equal, there, strict=True)]
+        best = max(equal, key=lambda b: b[0])
     if best is not None:  # what leaves another effect's torque, to be found next, leaves few rows that are independent
         fewer = [b for b in found if _size(b[2]) <= _size(best[2]) and b[1].misfit < best[1].misfit - np.log(FEWER_LEFT)]
         best = min(fewer, key=lambda b: b[1].misfit, default=best)

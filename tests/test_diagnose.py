@@ -261,6 +261,24 @@ def test_nothing_is_missing_where_joints_stop_and_some_of_their_friction_stays(p
     assert dry == pytest.approx(plant.dry, rel=0.02)
 
 
+@pytest.mark.parametrize(("width", "noise"), [(0.02, 0.02), (0.02, 0.2), (0.05, 0.02)])
+@pytest.mark.parametrize("name", ["torque_offset", "coulomb_asymmetry"])
+def test_of_two_laws_alike_in_motion_the_one_that_holds_at_rest_is_named(planar, name, width, noise):
+    """Point to point with a second of rest after each move, with speeds that are trapezoids."""
+    plant, rng, made = replace(planar(1), width=width), np.random.default_rng(1), []
+    shape, always = np.repeat([1.0, 0.0, -1.0, 0.0], [30, 60, 30, 100]), 1.0 if name == "torque_offset" else 0.0
+    for i in range(4):
+        sizes = np.diff(rng.uniform(-1.0, 1.0, 8), prepend=0.0) / 0.27
+        ddq = np.concatenate([size * shape for size in sizes])[None]
+        dq = np.concatenate([[[0.0]], np.cumsum(ddq[:, :-1], axis=1) / 100], axis=1)
+        q = np.concatenate([[[0.0]], np.cumsum(dq[:, :-1] + ddq[:, :-1] / 200, axis=1) / 100], axis=1)
+        ddq[:, 1:] = (ddq[:, 1:] + ddq[:, :-1]) / 2  # where it jumps
+        r = record(plant, f"{i}.csv", rng, ddq.size / 100, noise, (q, dq, ddq))
+        made.append(replace(r, tau=r.tau + 0.4 * np.maximum(always, np.tanh(r.dq / width) ** 2)))
+    (finding,) = diagnose(as_set(plant, made), jobs=1).findings
+    assert finding.term.effect.name == name
+
+
 def bristles(dq: np.ndarray, t: np.ndarray, width: float, reach: float) -> np.ndarray:
     """z of dz/dt = |dq| (tanh(dq / width) − z) / reach, in steps a tenth of the samples'."""
     fine = np.linspace(t[0], t[-1], 10 * (len(t) - 1) + 1)
@@ -281,7 +299,7 @@ def test_bristles_turn_at_once_or_as_gradually_as_the_recordings_show(planar, be
     law = Term(PreslidingHysteresis((0,)), (Estimate(500.0), Estimate(1.0)), begin)
     model = plain_model(recordings)
     wrong = replace(model, terms=(*(widened(t, {(0,): 0.05}) for t in model.terms), law))
-    right = forward._rewidened(bench := Bench(prepared, False), forward.refit(bench, wrong)).model.terms[-1]
+    right = forward.rewidened(bench := Bench(prepared, False), forward.refit(bench, wrong)).model.terms[-1]
     assert right.width == (0.0 if width < 1e-3 else 0.05)
     assert right.values == pytest.approx([500.0, 1.0], rel=0.1)
 
@@ -353,7 +371,7 @@ def test_friction_of_a_joint_becomes_as_abrupt_as_it_is_all_at_once(planar, begi
     model, bench = plain_model(recordings), Bench(prepared, False)
     laws = (*model.terms, nominal_term(CoulombAsymmetry((0,))))
     wrong = replace(model, terms=tuple(widened(t, {(0,): begin}) for t in laws))
-    right = forward._rewidened(bench, forward.refit(bench, wrong)).model.terms
+    right = forward.rewidened(bench, forward.refit(bench, wrong)).model.terms
     assert [t.width for t in right if t.width is not None] == pytest.approx([plant.width, plant.width], rel=0.01)
     assert right[-1].values == pytest.approx([2.0], rel=0.03)
 
