@@ -163,7 +163,7 @@ def _size(*candidates: Candidate) -> int:
 
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """The evidence for torques on a joint that no law of the catalogue describes."""
-    seen, ranges = view(bench.prepared, model), _ranges(bench, model)
+    seen, ranges = view(bench.whole or bench.prepared, model), _ranges(bench, model)
     every = [trial for kind in CATALOGUE.values() if kind.lawless for trial in kind.unnamed(seen, j, ranges, model.torque)]
     return Evidence.gather(bench, model, every)
 
@@ -204,7 +204,7 @@ def as_seen(bench: Bench, model: CalibratedModel, terms: Sequence[Term]) -> tupl
 
 def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
     """The evidence for every trial at a model."""
-    seen = view(bench.prepared, model)
+    seen = view(bench.whole or bench.prepared, model)
     return Evidence.gather(bench, model, trials(seen, model.torque))
 
 

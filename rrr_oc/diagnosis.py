@@ -32,6 +32,7 @@ SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
+HEAVY = 5e8  # bytes
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
 
@@ -215,10 +216,16 @@ def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
     if count == 1:
         bench, count, way = _blocks(bench), BLOCKS, "blocks"
     else:
-        bench, way = replace(bench), "recordings"  # what it has found out so far is not for other processes
+        bench, way = replace(bench, prepared=_lean(bench.prepared)), "recordings"
     number = min(count, FOLDS if bench.n <= SMALL else FEWER)
     alike = sorted(range(count), key=lambda i: (*_mounted(bench.prepared[i].recording), bench.labels.index(bench.groups[i])))
     return way, [(bench, sorted(alike[k::number])) for k in range(number)]  # those that are alike fall apart
+
+
+def _lean(prepared: tuple[Prepared, ...]) -> tuple[Prepared, ...]:
+    """The recordings for other processes, without the signatures found so far where these are more to hand over than to find."""
+    size = sum(x.nbytes for p in prepared for found in p.signatures.values() for pair in found.values() for x in pair)
+    return prepared if size < HEAVY else tuple(replace(p) for p in prepared)
 
 
 def _mounted(r: Recording) -> tuple[float, int]:

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.effects import Trial
 from rrr_oc.regression import CORRELATION, STRIDE, Prepared, Rows, kept_rows, rows
-from rrr_oc.signatures import Known, Table, context, table
+from rrr_oc.signatures import Table, context, table
 
 LONGEST = 2.0  # [s], of the lags over which residuals are correlated
 WHITE = 0.11  # [s], over which the common filter correlates white noise
@@ -37,25 +37,22 @@ class Bench:
         identify: Whether the links' inertial parameters are unknown.
         belief: What is then believed of them beside the recordings: links (10, n) that are bodies, and how surely (10 n, 10 n), as
             `inertial.precision` has it. A few recordings leave much open, on which others depend.
+        whole: The recordings of which these are some; theirs are the motions that say where to look for effects.
     """
 
     prepared: tuple[Prepared, ...]
     identify: bool
     belief: tuple[np.ndarray, np.ndarray] | None = None
+    whole: tuple[Prepared, ...] = ()
 
     def part(self, keep: Sequence[int]) -> "Bench":
         """The bench of some of the recordings."""
-        return replace(self, prepared=tuple(self.prepared[i] for i in keep))
+        return replace(self, prepared=tuple(self.prepared[i] for i in keep), whole=self.whole or self.prepared)
 
     @cached_property
     def edges(self) -> np.ndarray:
         """First row of each recording, and the end."""
         return np.concatenate([[0], np.cumsum([len(kept_rows(p.recording)[0]) for p in self.prepared])]).astype(int)
-
-    @cached_property
-    def known(self) -> tuple[Known, ...]:
-        """Signatures that no model changes, for each recording, as `signatures.table` fills them in."""
-        return tuple({} for _ in self.prepared)
 
     @cached_property
     def torque(self) -> np.ndarray:
@@ -163,7 +160,7 @@ class Evidence:
     def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
-        signatures = table([context(p, model) for p in bench.prepared], every, bench.known)
+        signatures = table([context(p, model) for p in bench.prepared], every)
         nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
         return cls(bench, model, found, signatures, *nothing).under(found)
 

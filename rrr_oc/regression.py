@@ -6,8 +6,8 @@ motion would bias the estimates, whereas the noise that they let through is take
 measured by `validation/calibration_coverage.py`.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -47,6 +47,7 @@ class Prepared:
             anything below its level. Samples elsewhere count for nothing.
         window: Of the common filter [s].
         spikes: Samples of `measured` that were replaced, one count per joint (n,).
+        signatures: Of trials, by the parts of a model that they depend on, as `signatures.table` fills them in.
     """
 
     recording: Recording
@@ -54,6 +55,9 @@ class Prepared:
     moving: np.ndarray
     window: float
     spikes: np.ndarray
+    signatures: dict[Hashable, dict[Hashable, tuple[np.ndarray, np.ndarray]]] = field(
+        default_factory=dict, init=False, compare=False, repr=False
+    )
 
     @property
     def matrix(self) -> csr_matrix:

@@ -7,6 +7,7 @@ what is missing is found by linear algebra on few numbers.
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -101,10 +102,36 @@ class Context:
         return replace(self.of_motion, load=self.load, friction=self.friction, springs=springs)
 
     @cached_property
-    def sensed(self) -> set[int]:
-        """Joints whose recorded torque the model takes for another than the true one."""
-        sensors = [effect for effect in self.physics.model.effects if effect.side == "sensor"]
-        return {j for effect in sensors for j in (range(len(self.load)) if effect.of_arm else effect.joints)}
+    def gain(self) -> np.ndarray | None:
+        """Recorded over true change of each joint's torque (n,), as the model's sensors have it; None where they delay it."""
+        if any(effect.side == "sensor" and effect.of_arm for effect in self.physics.model.effects):
+            return None
+        return self.physics.passed_on(self.recording, np.ones_like(self.load))[:, 0]
+
+    @cached_property
+    def _at_work(self) -> dict[str, tuple[Any, ...]]:
+        """What is at work with its numbers: what load torques and the rigid body follow from, and what depends on load torques."""
+        named = [(effect, tuple(theta.values()), width) for effect, theta, width in self.physics.named()]
+
+        def of(*sides: str) -> tuple[Any, ...]:
+            return (self.physics.inertial.tobytes(), *(one for one in named if one[0].side in sides))
+
+        load = of("link", "body", "motion")
+        return {
+            "load": load,
+            "body": load if any(effect.simulated for effect, *_ in named) else of("body", "motion"),
+            "through": tuple(one for one in named if one[0].load_dependent and self.torque != "load"),
+        }
+
+    def behind(self, effect: Effect) -> Hashable | None:
+        """What of the model the signature of an effect follows from, before sensors; None where from nearly all of it."""
+        if effect.side == "sensor" or effect.of_friction:
+            return None
+        felt = range(len(self.load)) if effect.side != "link" else effect.joints
+        through = [one for one in self._at_work["through"] if effect.side != "drive" and one[0].joints[0] in felt]
+        if effect.load_dependent or effect.side == "motion" or through:
+            return *through, self._at_work["load"]
+        return self._at_work["body"] if effect.side == "body" else ()
 
 
 def context(prepared: Prepared, model: CalibratedModel) -> Context:
@@ -147,6 +174,14 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
 
 def columns(at: Context, trial: Trial) -> np.ndarray:
     """Change of the predicted recorded torque for each coefficient, unfiltered, (m, n, K) [Nm]."""
+    true = _before_sensors(at, trial)
+    if trial.effect.side == "sensor":
+        return true
+    return np.array([at.physics.passed_on(at.recording, change) for change in true])
+
+
+def _before_sensors(at: Context, trial: Trial) -> np.ndarray:
+    """Change of the predicted torque as no sensor distorts it, or of what one records, where the effect is one of sensors."""
     effect, r = trial.effect, at.recording
     result = np.zeros((len(trial.points), *r.q.shape))
     if effect.of_spring and effect.joints not in (at.signals.springs or {}):
@@ -173,9 +208,6 @@ def columns(at: Context, trial: Trial) -> np.ndarray:
                 result[k] = _of_body(at, effect, theta) if effect.side == "body" else _of_motion(at, trial, theta)
     if effect.side not in ("sensor", "drive"):
         result *= at.through
-    reached = at.sensed.intersection(effect.joints) if effect.side in ("link", "drive") else at.sensed
-    if effect.side != "sensor" and reached:
-        result = np.array([at.physics.passed_on(r, result[k]) for k in range(len(result))])
     return result / trial.size
 
 
@@ -248,20 +280,11 @@ class Table:
     used: tuple[np.ndarray, ...]
 
 
-Passed = tuple[np.ndarray, np.ndarray]  # where a trial's columns are not 0 (m, n), and these, filtered (number of them, M)
-Known = dict[Hashable, Passed]
-
-
-def table(contexts: Sequence[Context], every: Iterable[Trial], known: Sequence[Known] | None = None) -> Table:
-    """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps.
-
-    Args:
-        known: One a recording: signatures that no model changes; what is missing is added.
-    """
+def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
+    """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps."""
     every = tuple(every)
     start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
-    known = known or [{} for _ in contexts]
-    found = [[_passed(at, trial, there) for trial in every] for at, there in zip(contexts, known, strict=True)]
+    found = [[_passed(at, trial) for trial in every] for at in contexts]
     live = np.array([np.concatenate([where for where, _ in part]) for part in found])  # (R, columns, n)
     edges = np.cumsum([0, *(at.prepared.counted.shape[1] for at in contexts)])
     values, used = [], []
@@ -281,16 +304,25 @@ def table(contexts: Sequence[Context], every: Iterable[Trial], known: Sequence[K
     return Table(every, start, tuple(values), tuple(used))
 
 
-def _passed(at: Context, trial: Trial, known: Known) -> Passed:
-    effect = trial.effect
-    lasts = not (_needs_model(effect) or isinstance(effect, Empirical)) and at.sensed.isdisjoint(effect.joints)
-    lasts &= effect.side == "drive" or bool(np.all(at.through == 1.0))  # of series there are too many to keep
+def _passed(at: Context, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
+    """Where a trial's columns are not 0 (m, n), and these, filtered (number of them, M).
+
+    What the same parts of a model gave before, at first or last, is taken as it was; of series there are too many to keep.
+    """
+    effect, gain = trial.effect, at.gain
+    behind = None if isinstance(effect, Empirical) or gain is None else at.behind(effect)
     key = (effect, trial.width, trial.size, *(tuple(point.items()) for point in trial.points))
-    if lasts and key in known:
-        return known[key]
-    raw = columns(at, trial)
-    where = np.any(raw != 0, axis=2)
-    passed = where, at.prepared.passed(raw[where], np.nonzero(where)[1])
-    if lasts:
-        known[key] = passed
-    return passed
+    before = at.prepared.signatures.setdefault(key, {}) if behind is not None else {}
+    if behind in before:
+        where, passed = before[behind]
+    else:
+        raw = columns(at, trial) if gain is None else _before_sensors(at, trial)
+        where = np.any(raw != 0, axis=2)
+        passed = at.prepared.passed(raw[where], np.nonzero(where)[1])
+        if behind is not None:
+            if len(before) > 1:
+                before.popitem()
+            before[behind] = where, passed
+    if gain is None or effect.side == "sensor" or np.all(gain == 1.0):
+        return where, passed
+    return where, passed * gain[np.nonzero(where)[1], None]

@@ -345,6 +345,7 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             name: {
                 "named": share([e["named"] for s in scores for e in s["true"] if e["effect"] == name]),
                 "coverage": share([c for s in scores for e in s["true"] if e["effect"] == name for c in e["covered"]]),
+                "missed_at": max((v for v, effect, found in lone(scores) if effect == name and not found), default=None),
             }
             for name in effects
         },
@@ -364,12 +365,19 @@ def quartiles(pairs: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
     return {name: [float(x) for x in np.quantile(values, QUANTILES)] for name, values in rows.items()}
 
 
+def lone(scores: Sequence[Mapping[str, Any]]) -> list[tuple[float, str, bool]]:
+    """Of each case with one effect that the oracle has looked for: how visible it is, its name, whether it was named."""
+    return [
+        (s["visible"], s["true"][0]["effect"], s["true"][0]["named"]) for s in scores if s["visible"] and len(s["true"]) == 1
+    ]
+
+
 def sensitivity(scores: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
     """Strength at which half of the lone effects are named, over the one at which the oracle detects them: a logistic curve."""
-    cases = [(s["visible"], s["true"][0]["named"]) for s in scores if s["visible"] and len(s["true"]) == 1]
-    if len({named for _, named in cases}) < 2:
+    cases = lone(scores)
+    if len({named for *_, named in cases}) < 2:
         return None
-    x, named = np.log([v for v, _ in cases]), np.array([n for _, n in cases])
+    x, named = np.log([v for v, *_ in cases]), np.array([n for *_, n in cases])
 
     def cost(p: np.ndarray) -> float:
         return float(np.sum(np.logaddexp(0, np.where(named, -1, 1) * np.exp(p[1]) * (x - p[0]))))
@@ -438,10 +446,16 @@ def report(summary: Mapping[str, Any]) -> str:
         ]
     lines += ["| time per case | median [s] | longest [s] |", "| --- | --- | --- |"]
     lines += [f"| {k} | {a:.1f} | {b:.1f} |" for k, (a, b) in summary["seconds"].items()]
-    lines += ["", "| effect | of | named | its own 95 % interval | intervals | hold |", "| --- | --- | --- | --- | --- | --- |"]
+    lines += [
+        "",
+        "`missed at`: of the lone ones that were not named, the most visible, over what one who knows what to look for",
+    ]
+    lines += [f"needs to detect it (p < {DETECTED:g}).", ""]
+    lines += ["| effect | of | named | its own 95 % interval | missed at | intervals | hold |"]
+    lines += ["| --- | --- | --- | --- | --- | --- | --- |"]
     for name, s in summary["by_effect"].items():
-        c = s["coverage"]
-        lines.append(f"{row(name, s['named'])} {c['of']} | {percent(c['share'])} |")
+        c, missed = s["coverage"], "" if s["missed_at"] is None else f"{s['missed_at']:.2f}"
+        lines.append(f"{row(name, s['named'])} {missed} | {c['of']} | {percent(c['share'])} |")
     missed = [s for s in summary["scores"] if (not s["true"] and s["alarm"]) or not all(e["named"] for e in s["true"])]
     lines += ["", "## Missed", "", "| case | key | found |", "| --- | --- | --- |"]
     lines += [f"| {s['case']} | {s['key']} | {'; '.join(s['found']) or s['first']} |" for s in missed]
