@@ -27,7 +27,8 @@ CLOSE = 0.4  # of the best score, for a candidate to be tried
 DOUBT = 0.05  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 LEAST_SHARE = 0.007  # of a joint's squared residual, for an effect to be named
-APART = 0.25  # of a parameter, by which it must differ between recordings to be another in each
+APART = 0.1  # of a parameter, by which it must differ between recordings to be another in each
+FAR_APART = 0.4  # the same, far from the noise, where it takes up what else is missing
 FEWER_LEFT = 2.0  # times less of the squared residual: better, however few independent rows that leaves
 HALF = 0.5  # of what a joint lacks
 EXACT = 3e-4  # of a joint's torque (deviation): no law, and no simulation, is more exact than that
@@ -99,7 +100,8 @@ def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -
     each = [replace(newest, groups=(g,)) for g in newest.groups]
     tried = refit(bench, replace(fitted.model, terms=(*others, *each)))
     values = np.array([t.values for t in tried.model.terms[len(others) :]])
-    apart = np.any(np.ptp(values, axis=0) > APART * np.abs(values).max(axis=0))
+    enough = FAR_APART if noisy(bench, tried) else APART
+    apart = np.any(np.ptp(values, axis=0) > enough * np.abs(values).max(axis=0))
     if not apart or tried.better_than(fitted) < chance(values.size - values.shape[1], fitted.counts, len(each)):
         return fitted
     report(f"{newest.effect.name} is another in each")

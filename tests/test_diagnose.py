@@ -611,6 +611,18 @@ def test_an_effect_may_be_another_in_each_recording(planar):
     )
 
 
+@pytest.mark.parametrize(("missing", "own"), [(0.0, 2), (0.5, 1)])
+def test_what_differs_by_little_is_another_in_each_only_near_the_noise(planar, missing, own):
+    """Far from it, other values take up what else is missing."""
+    plant, rng, truth = planar(1), np.random.default_rng(9), {1: 0.6, 3: 0.75}
+    made = with_changes(plant, rng, lambda i, r: truth.get(i, 0.0) + missing * np.sin(7 * r.q))
+    bench, start = Bench(prepare(recordings := as_set(plant, made)), False), plain_model(recordings)
+    some = replace(nominal_term(TorqueOffset((0,))), recordings=(), groups=("1.csv", "3.csv"))
+    fitted = forward.refit(bench, replace(start, terms=(*start.terms, some)))
+    found = forward._each_its_own(bench, fitted, lambda line: None).model.terms[len(start.terms) :]
+    assert len(found) == own
+
+
 def test_payloads_may_be_others_in_each_recording(planar):
     plant, rng, truth = planar(1), np.random.default_rng(2), {1: 1.0, 3: 3.0}
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, truth.get(i, 0.0), TOOL) for i in range(5)]
