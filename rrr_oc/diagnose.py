@@ -28,7 +28,7 @@ DOUBT = 0.05  # p-value of the robust test, all effects together
 CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
 LEAST_SHARE = 0.007  # of a joint's squared residual, for an effect to be named
 APART = 0.1  # of a parameter, by which it must differ between recordings to be another in each
-FAR_APART = 0.4  # the same, far from the noise, where it takes up what else is missing
+LESS_LEFT = 0.8  # of the squared residual: what that must leave far from the noise, where it takes up what else is missing
 FEWER_LEFT = 2.0  # times less of the squared residual: better, however few independent rows that leaves
 HALF = 0.5  # of what a joint lacks
 EXACT = 3e-4  # of a joint's torque (deviation): no law, and no simulation, is more exact than that
@@ -100,8 +100,9 @@ def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -
     each = [replace(newest, groups=(g,)) for g in newest.groups]
     tried = refit(bench, replace(fitted.model, terms=(*others, *each)))
     values = np.array([t.values for t in tried.model.terms[len(others) :]])
-    enough = FAR_APART if noisy(bench, tried) else APART
-    apart = np.any(np.ptp(values, axis=0) > enough * np.abs(values).max(axis=0))
+    apart = np.any(np.ptp(values, axis=0) > APART * np.abs(values).max(axis=0))
+    if noisy(bench, tried):
+        apart &= tried.misfit < fitted.misfit + np.log(LESS_LEFT)
     if not apart or tried.better_than(fitted) < chance(values.size - values.shape[1], fitted.counts, len(each)):
         return fitted
     report(f"{newest.effect.name} is another in each")
