@@ -7,18 +7,15 @@ How abruptly dry friction changes sign is a property of the joint too, and is ch
 
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from scipy.linalg import orth
-from scipy.optimize import minimize_scalar
 
 from rrr_oc import __version__
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term, nominal_term
-from rrr_oc.effects import Signals
 from rrr_oc.effects.armature import Armature
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.viscous_friction import ViscousFriction
@@ -31,18 +28,16 @@ from rrr_oc.inference import (
     covariance,
     intervals,
     normal_equations,
-    scales,
     undetermined,
 )
 from rrr_oc.nrmse import error
-from rrr_oc.recordings import Recording, RecordingSet
+from rrr_oc.recordings import RecordingSet
 from rrr_oc.regression import (
     CORRELATION,
     FILTER,
     STRIDE,
     Prepared,
     Rows,
-    filtered,
     is_linear,
     noise,
     prepare,
@@ -51,13 +46,11 @@ from rrr_oc.regression import (
     without_spikes,
 )
 from rrr_oc.robot import BUNDLED, urdf_text
+from rrr_oc.widths import clear_of_widths, sharpened, with_widths
 
 PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
-WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], between which the best is looked for
-FINE = 0.005  # of a width: a few per cent off already look like a law of low speeds
-COURSES = (0.1, 0.2, 0.4)  # of a joint's highest speed, beyond which friction may have fallen off
-DOUBT = 12.0  # of a squared residual over its variance: below 0.1 % by chance
+SHARPENED = 2  # times that widths are moved together with all else
 STEPS = 30  # of Gauss–Newton, at most
 TOLERANCE = 1e-9  # of the squared residual: a step that promises less is not taken
 
@@ -117,75 +110,6 @@ def calibrate(recordings: RecordingSet) -> CalibratedModel:
     return fit.model
 
 
-def with_widths(
-    prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False, doubt: float = DOUBT
-) -> CalibratedModel:
-    """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, that leaves the least residual.
-
-    Another than the model's own only where it is better beyond doubt: where the squared residual, counted in independent
-    samples, falls by more than `doubt`. Inertial parameters that are to be identified are free in the comparison. All friction of a
-    joint changes sign alike, so the other laws of that joint get the same width.
-
-    Args:
-        free: Whether the course of friction over speed is left open in the comparison, so that a law which the model lacks is not
-            taken for an abrupt sign.
-        doubt: 0 for the best width, beyond doubt or not.
-    """
-    columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
-    chosen = [i for i, t in enumerate(model.terms) if isinstance(t.effect, DryFriction) and t.width is not None]
-    if not chosen:
-        return model
-    found = rows(prepared, model, inertial=model.inertial == "identify")
-    fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
-    fastest = np.maximum(fastest, 1e-3)  # a joint may stand still
-    speeds = np.array(COURSES if free else ())[:, None] * fastest
-    widths = {
-        model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds, doubt)
-        for i in chosen
-    }
-    return replace(model, terms=tuple(widened(term, widths) for term in model.terms))
-
-
-def widened(term: Term, widths: Mapping[tuple[int, ...], float]) -> Term:
-    """The term with its joint's width [rad/s], where its law changes sign with the speed, and not at once."""
-    known = term.effect.width is not None and term.effect.width.unit == "rad/s" and bool(term.width)
-    return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
-
-
-def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int, speeds: np.ndarray, doubt: float) -> float:
-    """The width of a joint's dry friction, free to fall off beyond speeds (m, n), that leaves least beside all other columns."""
-    (j,), own = term.effect.joints, cast(float, term.width)
-    others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
-    span = orth(others / scales(others.T @ others))
-    target = found.residual[j] + found.jacobian[j][:, column] * term.values[0]  # as if the joint had no dry friction yet
-    target = target - span @ (span.T @ target)
-
-    def left(width: float) -> float:
-        laws = filtered(prepared, lambda r: _unit_laws(term, r, width, speeds[:, j]), [j] * (1 + len(speeds))).T
-        laws = laws - span @ (span.T @ laws)
-        return float(np.sum((target - laws @ np.linalg.lstsq(laws, target, rcond=1e-9)[0]) ** 2))
-
-    best, count = best_width(left), found.moving[j].sum() * STRIDE / CORRELATION
-    return best if count * (left(own) / max(left(best), 1e-300) - 1) > doubt else own
-
-
-def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:
-    """The width between the ends of `WIDTHS` that costs least, to a share `fine` of it."""
-    costs = [cost(width) for width in WIDTHS]
-    k = int(np.argmin(costs))
-    ends = WIDTHS[max(k - 1, 0)], WIDTHS[min(k + 1, len(WIDTHS) - 1)]
-    between = minimize_scalar(lambda x: cost(float(np.exp(x))), bounds=np.log(ends), method="bounded", options={"xatol": fine})
-    return min((costs[k], WIDTHS[k]), (float(between.fun), float(np.exp(between.x))))[1]
-
-
-def _unit_laws(term: Term, recording: Recording, width: float, speeds: np.ndarray) -> np.ndarray:
-    """Dry friction of level 1, constant and falling off beyond each of the speeds (m,), (1 + m, K)."""
-    (j,), dq = term.effect.joints, recording.dq
-    (torque,) = term.effect.torque(Signals(recording.q, dq), {"level": 1.0}, width)
-    constant = np.array(torque).reshape(-1)
-    return np.array([constant, *(constant * np.exp(-((dq[j] / speed) ** 2)) for speed in speeds)])
-
-
 def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:
     """The parameters of a model's terms, all together, within their bounds, with trusted inertial parameters.
 
@@ -196,10 +120,19 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
     model = replace(start, terms=with_parameter_values(start.terms, values))
     prepared = without_spikes(prepared, model)
     values, found = _minimised(prepared, model, with_residuals(found, prepared, model))
+    model = replace(model, terms=with_parameter_values(model.terms, values))
+    for _ in range(SHARPENED):
+        sharp = sharpened(found, prepared, model)
+        new, there = _minimised(prepared, sharp, rows(prepared, sharp)) if sharp is not model else (values, found)
+        if np.prod(there.deviation()) >= np.prod(found.deviation()):
+            break
+        values, found = new, there
+        model = replace(sharp, terms=with_parameter_values(sharp.terms, values))
     weights = found.deviation() ** -2
-    matrix, right = normal_equations(found, weights)
-    estimates, spread = _estimates(found, weights, matrix, right, values, bounds(start.terms))
-    model = replace(start, terms=with_estimates(start.terms, estimates))
+    known = clear_of_widths(found, prepared, model, weights)
+    matrix, right = normal_equations(known, weights)
+    estimates, spread = _estimates(known, weights, matrix, right, values, bounds(start.terms))
+    model = replace(model, terms=with_estimates(model.terms, estimates))
     report = {"way": "inverse dynamics"} | _report(model, prepared, found, matrix, spread, began)
     return Fit(finished(recordings, prepared, model, report), found, weights, spread)
 
@@ -250,8 +183,9 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
         prepared = without_spikes(prepared, model) if cleaned == 1 else prepared
         found = rows(prepared, model, inertial=True)
     weights = found.deviation() ** -2 * STRIDE / CORRELATION
-    matrix, _ = normal_equations(found, weights)
-    return _identified(recordings, prepared, model, found, weights, matrix, xi, guess, base, open_, began)
+    known = clear_of_widths(found, prepared, model, weights)
+    matrix, _ = normal_equations(known, weights)
+    return _identified(recordings, prepared, model, known, weights, matrix, xi, guess, base, open_, began)
 
 
 def _identified(recordings, prepared, model, found: Rows, weights, matrix, xi, guess: Prior, base, open_, began) -> Fit:

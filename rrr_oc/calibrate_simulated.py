@@ -28,7 +28,6 @@ from rrr_oc.calibrate import (
     plain_model,
     with_estimates,
     with_parameter_values,
-    with_widths,
 )
 from rrr_oc.calibrated import CalibratedModel, Estimate
 from rrr_oc.errors import UserError
@@ -39,6 +38,7 @@ from rrr_oc.regression import STRIDE, Prepared, Rows, derivatives, prepare
 from rrr_oc.replay import SETTINGS, accelerations, follow, tracking_controller
 from rrr_oc.savitzky_golay import smooth
 from rrr_oc.twin import Controller, twin
+from rrr_oc.widths import with_widths
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
 PATIENCE = 1e-5  # of the objective: a Gauss–Newton step that gains less is the last; of its first spread: so is such a spread of CMA-ES

@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.calibrate import best_width, widened, with_widths
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.empirical import Empirical
@@ -20,6 +19,7 @@ from rrr_oc.fitting import Fitted, refit, steadily_better
 from rrr_oc.inference import normal_equations
 from rrr_oc.regression import Rows, noise
 from rrr_oc.signatures import trials, view
+from rrr_oc.widths import best_width, widened, with_widths
 
 MOST = 12  # effects
 TRIED = 5  # candidates that are fitted exactly in each round
@@ -166,7 +166,7 @@ def _size(*candidates: Candidate) -> int:
 
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """The evidence for torques on a joint that no law of the catalogue describes."""
-    seen, ranges = view(bench.whole or bench.prepared, model), _ranges(bench, model)
+    seen, ranges = view(bench.whole, model), _ranges(bench, model)
     every = [trial for kind in CATALOGUE.values() if kind.lawless for trial in kind.unnamed(seen, j, ranges, model.torque)]
     return Evidence.gather(bench, model, every)
 
@@ -207,7 +207,7 @@ def as_seen(bench: Bench, model: CalibratedModel, terms: Sequence[Term]) -> tupl
 
 def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
     """The evidence for every trial at a model."""
-    seen = view(bench.whole or bench.prepared, model)
+    seen = view(bench.whole, model)
     return Evidence.gather(bench, model, trials(seen, model.torque))
 
 

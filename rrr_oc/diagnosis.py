@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc import parallel
-from rrr_oc.calibrate import fit_terms, identify, plain_model, with_widths
+from rrr_oc.calibrate import fit_terms, identify, plain_model
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnose import Lawless, above_noise, as_seen, search, worth
@@ -21,6 +21,7 @@ from rrr_oc.regression import Prepared, prepare, rows, thinned, without_reversal
 from rrr_oc.reversals import blurred_joints, other_turns, with_turns
 from rrr_oc.signatures import view
 from rrr_oc.suggest import Suggestion, suggest
+from rrr_oc.widths import with_widths
 
 FOLDS = 4  # of the recordings, each held out once
 FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
@@ -32,7 +33,7 @@ SURE = 3.0  # standard errors from absence, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
 WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
-HEAVY = 5e8  # bytes
+HEAVY = 5e8  # bytes of signatures, above which another process finds them anew
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
 

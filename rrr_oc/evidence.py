@@ -37,17 +37,22 @@ class Bench:
         identify: Whether the links' inertial parameters are unknown.
         belief: What is then believed of them beside the recordings: links (10, n) that are bodies, and how surely (10 n, 10 n), as
             `inertial.precision` has it. A few recordings leave much open, on which others depend.
-        whole: The recordings of which these are some; theirs are the motions that say where to look for effects.
+        of: The recordings of which these are some; nothing where these are all.
     """
 
     prepared: tuple[Prepared, ...]
     identify: bool
     belief: tuple[np.ndarray, np.ndarray] | None = None
-    whole: tuple[Prepared, ...] = ()
+    of: tuple[Prepared, ...] = ()
 
     def part(self, keep: Sequence[int]) -> "Bench":
         """The bench of some of the recordings."""
-        return replace(self, prepared=tuple(self.prepared[i] for i in keep), whole=self.whole or self.prepared)
+        return replace(self, prepared=tuple(self.prepared[i] for i in keep), of=self.whole)
+
+    @property
+    def whole(self) -> tuple[Prepared, ...]:
+        """All recordings, whose motions say where to look for effects."""
+        return self.of or self.prepared
 
     @cached_property
     def edges(self) -> np.ndarray:

@@ -60,7 +60,7 @@ class Oscillator:
         even, odd = ((slow + fast) / 2).real, ((slow - fast) / (2 * root)).real
         keep = np.array([[even + decay * odd, odd], [-square * odd, even - decay * odd]])
         gain = end - np.einsum("ijk,jk->ik", keep, p[:2])
-        bands = np.zeros((4, 2 * len(h) + 2), order="F")  # position and speed at a sample from those at the one before
+        bands = np.zeros((4, 2 * len(h) + 2))  # position and speed at a sample from those at the one before
         bands[0] = 1.0
         bands[2, 0:-2:2], bands[1, 1:-2:2], bands[3, 0:-2:2], bands[2, 1:-2:2] = -keep.reshape(4, -1)
         right = np.concatenate([starts, np.broadcast_to(gain.T.reshape(-1), (len(starts), gain.size))], axis=1)

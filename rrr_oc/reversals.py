@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from rrr_oc.calibrate import with_widths
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.diagnose import Found
 from rrr_oc.effects.dry_friction import DryFriction
@@ -17,6 +16,7 @@ from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.regression import variance, without_reversals
 from rrr_oc.smooth import TURNS
+from rrr_oc.widths import with_widths
 
 BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
 

@@ -187,7 +187,7 @@ def _before_sensors(at: Context, trial: Trial) -> np.ndarray:
     if effect.of_spring and effect.joints not in (at.signals.springs or {}):
         return result
     if effect.side in ("link", "drive"):
-        signals = at.signals if _needs_model(effect) else at.of_motion
+        signals = at.signals if effect.load_dependent or effect.of_spring or effect.of_friction else at.of_motion
         if isinstance(effect, Empirical):
             coefficients = np.array([[point[a] for a in effect.amplitudes] for point in trial.points])
             result[:, effect.joints[0]] = -coefficients @ np.array(effect.basis(signals, trial.width))
@@ -209,11 +209,6 @@ def _before_sensors(at: Context, trial: Trial) -> np.ndarray:
     if effect.side not in ("sensor", "drive"):
         result *= at.through
     return result / trial.size
-
-
-def _needs_model(effect: Effect) -> bool:
-    """Whether the torque of an effect depends on more than the recorded motion."""
-    return effect.side not in ("link", "drive") or effect.load_dependent or effect.of_spring or effect.of_friction
 
 
 def _add(change: np.ndarray, effect, torques, sign: float = 1.0) -> None:
@@ -311,18 +306,20 @@ def _passed(at: Context, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
     """
     effect, gain = trial.effect, at.gain
     behind = None if isinstance(effect, Empirical) or gain is None else at.behind(effect)
-    key = (effect, trial.width, trial.size, *(tuple(point.items()) for point in trial.points))
-    before = at.prepared.signatures.setdefault(key, {}) if behind is not None else {}
-    if behind in before:
-        where, passed = before[behind]
+    kept = behind is not None
+    follows = trial.width, behind
+    key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
+    before = at.prepared.signatures.setdefault(key, {}) if kept else {}
+    if follows in before:
+        where, passed = before[follows]
     else:
         raw = columns(at, trial) if gain is None else _before_sensors(at, trial)
         where = np.any(raw != 0, axis=2)
         passed = at.prepared.passed(raw[where], np.nonzero(where)[1])
-        if behind is not None:
+        if kept:
             if len(before) > 1:
                 before.popitem()
-            before[behind] = where, passed
+            before[follows] = where, passed
     if gain is None or effect.side == "sensor" or np.all(gain == 1.0):
         return where, passed
     return where, passed * gain[np.nonzero(where)[1], None]

@@ -29,7 +29,7 @@ from scipy.optimize import linear_sum_assignment, minimize
 from scipy.stats import beta, chi2
 
 from rrr_oc import parallel
-from rrr_oc.calibrate import fit_terms, plain_model, with_widths
+from rrr_oc.calibrate import fit_terms, plain_model
 from rrr_oc.calibrated import CalibratedModel
 from rrr_oc.diagnose import term
 from rrr_oc.diagnosis import diagnose
@@ -44,6 +44,7 @@ from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.regression import prepare, thinned, without_spikes
 from rrr_oc.report import wide_console
 from rrr_oc.signatures import trials, view
+from rrr_oc.widths import with_widths
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -282,7 +283,11 @@ def covered(truth: Mapping[str, Any], found: Mapping[str, Any]) -> list[bool]:
 
 
 def flat(x: Any) -> list[Any]:
-    return [v for y in x for v in flat(y)] if isinstance(x, list) else [x]
+    """The numbers of a parameter; of a symmetric matrix each once."""
+    if not isinstance(x, list):
+        return [x]
+    square = all(isinstance(y, list) for y in x)
+    return [v for k, y in enumerate(x) for v in (y[k:] if square else flat(y))]
 
 
 def intervals(parameter: Mapping[str, Any]) -> list[tuple[float, float] | None]:

@@ -14,7 +14,7 @@ from chains import random_chain
 from recorded import Plant, as_set, behind_gear, multisine, record
 from scipy.optimize import lsq_linear
 
-from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model, with_parameter_values, with_widths
+from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model, with_parameter_values
 from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
 from rrr_oc.calibrated import CalibratedModel, Term, load_model, nominal_term, save_model
 from rrr_oc.effects.joint_elasticity import JointElasticity
@@ -27,6 +27,7 @@ from rrr_oc.recordings import RecordingSet, load_recordings
 from rrr_oc.regression import Rows, is_linear, prepare, rows, with_residuals
 from rrr_oc.rigid_body import rigid_body
 from rrr_oc.robot import load_robot
+from rrr_oc.widths import widened, with_widths
 
 SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])  # dry, viscous, armature of three joints
@@ -93,6 +94,19 @@ def test_abrupt_friction_gets_its_own_width(tmp_path, width):
     model = calibrate(as_set(plant, [record(plant, f"{i}.csv", rng, 20.0) for i in range(2)]))
     assert model.terms[0].width == pytest.approx(width, rel=0.02)
     np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2], rtol=0.02)
+
+
+def test_a_width_that_was_fitted_is_an_estimate_like_any_other(tmp_path):
+    plant, rng = one(folder=tmp_path, width=0.03), np.random.default_rng(5)
+    recordings = as_set(plant, [record(plant, f"{i}.csv", rng, 20.0) for i in range(3)])
+    prepared, start = prepare(recordings), plain_model(recordings)
+    off = replace(start, terms=tuple(widened(t, {(0,): 0.033}) for t in start.terms))  # as a coarse search leaves it
+    fit, exact = fit_terms(recordings, prepared, off), fit_terms(recordings, prepared, with_widths(prepared, start))
+    assert fit.model.terms[0].width == pytest.approx(exact.model.terms[0].width, rel=2e-3)
+    assert np.all(np.abs(values(fit.model) - values(exact.model)) < 0.2 * exact.covariance.std)
+    matrix, _ = normal_equations(fit.rows, fit.weights)
+    pinned = covariance(fit.rows, fit.weights, np.linalg.inv(matrix), np.linalg.inv(matrix)).std
+    assert np.all(fit.covariance.std[:2] > 1.02 * pinned[:2])  # a wider sign needs a higher level, and less viscous friction
 
 
 def test_rounding_carries_no_parameter_over_its_bound(concealed):

@@ -13,7 +13,7 @@ from recorded import Plant, as_set, multisine, record
 from typer.testing import CliRunner
 
 from rrr_oc import diagnose as forward
-from rrr_oc.calibrate import fit_terms, identify, plain_model, widened
+from rrr_oc.calibrate import fit_terms, identify, plain_model
 from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term, save_model
 from rrr_oc.cli import app
 from rrr_oc.contest import Finding, contested
@@ -33,6 +33,7 @@ from rrr_oc.regression import prepare, rows
 from rrr_oc.replay import pieces
 from rrr_oc.signatures import columns, context, trials, view
 from rrr_oc.suggest import suggest
+from rrr_oc.widths import widened
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case

@@ -31,6 +31,7 @@ LADDER = (
     ("recordings", ("importers", "calibrated", "sweeps")),
     ("recordings", ("regression",)),
     ("recordings", ("inference", "excitation", "signatures")),
+    ("recordings", ("widths",)),
     ("recordings", ("calibrate", "evidence")),
     ("recordings", ("fitting",)),
     ("recordings", ("diagnose",)),

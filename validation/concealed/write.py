@@ -173,7 +173,10 @@ def truth_of(built: Built, scaled: Scaled, index: int) -> dict:
 
 
 def motor_truth(built: Built) -> list[dict]:
-    """What Eq. 7–9 conceal beyond the plain model: gain k c_1 on the load, k c_12 friction with the load, k c_v2 drag."""
+    """What Eq. 7–9 conceal beyond the plain model: gain k c_1 on the load, k c_12 friction with the load, k c_v2 drag.
+
+    As recorded = (1 + gain) × true has it, where c_12 and c_v2 are of the recorded torque: theirs are divided by k c_1.
+    """
     motor = built.arm.motor
     if motor is None:
         return []
@@ -183,7 +186,7 @@ def motor_truth(built: Built) -> list[dict]:
         for name, key, value, unit in (
             ("torque_gain", "gain", gain - 1, "1"),
             ("load_dependent_friction", "mu", motor.constant[j] * motor.c12[j] / gain, "1"),
-            ("quadratic_drag", "coefficient", motor.constant[j] * motor.cv2[j], "Nm s²/rad²"),
+            ("quadratic_drag", "coefficient", motor.constant[j] * motor.cv2[j] / gain, "Nm s²/rad²"),
         ):
             entry = {"effect": name, "in_catalogue": True, "joint": joint, "recordings": "all", "equation": "Eq. 9"}
             out.append(entry | {"parameters": {key: {"value": value, "unit": unit}}})
