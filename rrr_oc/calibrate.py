@@ -123,7 +123,9 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
     model = replace(model, terms=with_parameter_values(model.terms, values))
     for _ in range(SHARPENED):
         sharp = sharpened(found, prepared, model)
-        new, there = _minimised(prepared, sharp, rows(prepared, sharp)) if sharp is not model else (values, found)
+        if sharp is model:
+            break
+        new, there = _minimised(prepared, sharp, rows(prepared, sharp))
         if np.prod(there.deviation()) >= np.prod(found.deviation()):
             break
         values, found = new, there
@@ -183,18 +185,17 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
         prepared = without_spikes(prepared, model) if cleaned == 1 else prepared
         found = rows(prepared, model, inertial=True)
     weights = found.deviation() ** -2 * STRIDE / CORRELATION
-    known = clear_of_widths(found, prepared, model, weights)
-    matrix, _ = normal_equations(known, weights)
-    return _identified(recordings, prepared, model, known, weights, matrix, xi, guess, base, open_, began)
+    return _identified(recordings, prepared, model, found, weights, xi, guess, base, open_, began)
 
 
-def _identified(recordings, prepared, model, found: Rows, weights, matrix, xi, guess: Prior, base, open_, began) -> Fit:
+def _identified(recordings, prepared, model, found: Rows, weights, xi, guess: Prior, base, open_, began) -> Fit:
     """The model with its estimates and report, at the optimum."""
     size = len(model.values)
-    turn = _turn(_inertial(xi)[1], size)
+    turn, known = _turn(_inertial(xi)[1], size), clear_of_widths(found, prepared, model, weights)
+    matrix, _ = normal_equations(known, weights)
     precision = np.concatenate([np.where(open_, 1e12, 0.0), guess.std**-2])
     bread = np.linalg.pinv(turn.T @ matrix @ turn + np.diag(precision), hermitian=True)
-    whole = covariance(found, weights, bread @ turn.T, turn @ bread @ turn.T)
+    whole = covariance(known, weights, bread @ turn.T, turn @ bread @ turn.T)
     whole = Covariance(whole.matrix + bread @ np.diag(precision) @ bread, whole.freedom)
     spread = Covariance(whole.matrix[:size, :size], whole.freedom[:size])
     lower, upper = bounds(model.terms)

@@ -92,38 +92,36 @@ def _unit_laws(term: Term, recording: Recording, width: float, speeds: np.ndarra
     return np.array([constant, *(constant * np.exp(-((dq[j] / speed) ** 2)) for speed in speeds)])
 
 
-def _by_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> dict[tuple[int, ...], np.ndarray]:
-    """d residual / d logarithm of the width of each joint's friction where it was fitted, (n, M) each."""
-    result = {}
-    for t in model.terms:
-        if isinstance(t.effect, DryFriction) and t.width not in (None, nominal_term(t.effect).width):
-            wider = {t.effect.joints: cast(float, t.width) * (1 + WIDER)}
-            there = replace(model, terms=tuple(widened(one, wider) for one in model.terms))
-            result[t.effect.joints] = (with_residuals(found, prepared, there).residual - found.residual) / WIDER
-    return result
-
-
 def sharpened(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
-    """The model with the widths of friction that were fitted to all its joint's laws, moved to where they leave least beside all else."""
-    by_width = _by_widths(found, prepared, model)
-    if not by_width:
+    """The model with those widths of friction that were fitted moved to where they leave least, all other parameters moving along."""
+    widths, whole = _by_widths(found, prepared, model)
+    if not widths:
         return model
-    whole = replace(found, jacobian=np.concatenate([found.jacobian, -np.stack(list(by_width.values()), axis=2)], axis=2))
     matrix, right = normal_equations(whole, found.deviation() ** -2)
-    free = np.full(found.jacobian.shape[2], np.inf)
-    most = np.full(len(by_width), np.log(SHARPER))
-    step = box_step(matrix, right, np.concatenate([-free, -most]), np.concatenate([free, most]))[len(free) :]
-    widths = {t.effect.joints: cast(float, t.width) for t in model.terms if isinstance(t.effect, DryFriction)}
-    moved = {at: float(np.clip(widths[at] * np.exp(s), WIDTHS[0], WIDTHS[-1])) for at, s in zip(by_width, step, strict=True)}
+    most = np.full(len(right), np.inf)
+    most[-len(widths) :] = np.log(SHARPER)
+    steps = box_step(matrix, right, -most, most)[-len(widths) :]
+    moved = {at: float(np.clip(w * np.exp(s), WIDTHS[0], WIDTHS[-1])) for (at, w), s in zip(widths.items(), steps, strict=True)}
     return replace(model, terms=tuple(widened(t, moved) for t in model.terms))
 
 
 def clear_of_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel, weights: np.ndarray) -> Rows:
     """The rows with derivatives less what other widths of friction would take up, where these were fitted: they are estimates, too."""
-    by_width = _by_widths(found, prepared, model)
-    if not by_width:
+    widths, whole = _by_widths(found, prepared, model)
+    if not widths:
         return found
-    columns = np.stack(list(by_width.values()), axis=2)
-    weighted = columns * weights[:, None, None]
-    own, cross = (np.einsum("jka,jkb->ab", weighted, x, optimize=True) for x in (columns, found.jacobian))
-    return replace(found, jacobian=found.jacobian - columns @ (np.linalg.pinv(own, hermitian=True) @ cross))
+    matrix, size = normal_equations(whole, weights)[0], found.jacobian.shape[2]
+    share = np.linalg.pinv(matrix[size:, size:], hermitian=True) @ matrix[size:, :size]
+    return replace(found, jacobian=found.jacobian - whole.jacobian[:, :, size:] @ share)
+
+
+def _by_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[dict[tuple[int, ...], float], Rows]:
+    """Widths of friction that were fitted, by joint, and the rows with derivatives by their logarithms after all others."""
+    friction = [t for t in model.terms if isinstance(t.effect, DryFriction)]
+    widths = {t.effect.joints: cast(float, t.width) for t in friction if t.width not in (None, nominal_term(t.effect).width)}
+    columns = [found.jacobian]
+    for joints, width in widths.items():
+        there = replace(model, terms=tuple(widened(t, {joints: width * (1 + WIDER)}) for t in model.terms))
+        change = found.residual - with_residuals(found, prepared, there).residual
+        columns.append(change[:, :, None] / WIDER)
+    return widths, replace(found, jacobian=np.concatenate(columns, axis=2))
