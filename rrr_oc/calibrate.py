@@ -46,7 +46,7 @@ from rrr_oc.regression import (
     without_spikes,
 )
 from rrr_oc.robot import BUNDLED, urdf_text
-from rrr_oc.widths import clear_of_widths, sharpened, with_widths
+from rrr_oc.widths import DOUBT, clear_of_widths, sharpened, with_widths
 
 PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
@@ -121,22 +121,44 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
     prepared = without_spikes(prepared, model)
     values, found = _minimised(prepared, model, with_residuals(found, prepared, model))
     model = replace(model, terms=with_parameter_values(model.terms, values))
+    model, found = _in_sharper_forms(prepared, model, found)
     for _ in range(SHARPENED):
         sharp = sharpened(found, prepared, model)
-        if sharp is model:
+        if sharp is model or (better := _better(prepared, found, sharp)) is None:
             break
-        new, there = _minimised(prepared, sharp, rows(prepared, sharp))
-        if np.prod(there.deviation()) >= np.prod(found.deviation()):
-            break
-        values, found = new, there
-        model = replace(sharp, terms=with_parameter_values(sharp.terms, values))
+        model, found = better
     weights = found.deviation() ** -2
     known = clear_of_widths(found, prepared, model, weights)
     matrix, right = normal_equations(known, weights)
-    estimates, spread = _estimates(known, weights, matrix, right, values, bounds(start.terms))
+    estimates, spread = _estimates(known, weights, matrix, right, model.values, bounds(start.terms))
     model = replace(model, terms=with_estimates(model.terms, estimates))
     report = {"way": "inverse dynamics"} | _report(model, prepared, found, matrix, spread, began)
     return Fit(finished(recordings, prepared, model, report), found, weights, spread)
+
+
+def _in_sharper_forms(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows) -> tuple[CalibratedModel, Rows]:
+    """The model with each law as sharp as leaves least, where that is better than as it is beyond doubt; and its rows."""
+    for i, term in enumerate(model.terms):
+        best, effect = (model, found), term.effect.sharper()
+        while effect is not None:
+            sharp = replace(
+                model, terms=(*best[0].terms[:i], replace(best[0].terms[i], effect=effect), *best[0].terms[i + 1 :])
+            )
+            if (better := _better(prepared, best[1], sharp)) is None:
+                break
+            best, effect = better, effect.sharper()
+        counts = found.moving.sum(axis=1) * STRIDE / CORRELATION
+        if 2 * counts @ np.log(found.deviation() / best[1].deviation()) > DOUBT:
+            model, found = best
+    return model, found
+
+
+def _better(prepared: Sequence[Prepared], found: Rows, tried: CalibratedModel) -> tuple[CalibratedModel, Rows] | None:
+    """Another model, fitted, and its rows; None where it leaves no less than was found."""
+    values, there = _minimised(prepared, tried, rows(prepared, tried))
+    if np.prod(there.deviation()) >= np.prod(found.deviation()):
+        return None
+    return replace(tried, terms=with_parameter_values(tried.terms, values)), there
 
 
 def _minimised(prepared: Sequence[Prepared], model: CalibratedModel, found: Rows) -> tuple[np.ndarray, Rows]:

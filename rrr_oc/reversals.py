@@ -12,12 +12,16 @@ import numpy as np
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.diagnose import Found
 from rrr_oc.effects.dry_friction import DryFriction
+from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
-from rrr_oc.regression import variance, without_reversals
+from rrr_oc.regression import SPEED_WINDOW, variance, without_reversals
+from rrr_oc.savitzky_golay import smooth
 from rrr_oc.smooth import TURNS
 from rrr_oc.widths import with_widths
 
+LEAST = 7  # samples of a smooth motion, from which positions are told
+NORMAL = 0.6745  # standard deviations that half of a normal sample is within
 BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
 
 
@@ -25,14 +29,26 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
     """The joints of which no law of the catalogue explains what happens when they reverse, (n,).
 
     Abrupt dry friction may hold a joint for a moment then, and may be anything below its level; a term that no law stands behind
-    may take up even that, so that it is asked without such, too.
+    may take up even that, so that it is asked without such, too. Bristles that bend by less than recorded positions tell are none.
     """
     clear, model = without_reversals(bench.prepared), found.fitted.model
     lawful = replace(model, terms=tuple(t for t in model.terms if not t.effect.lawless))
     result = np.zeros(bench.n, bool)
     for one in (model,) if len(lawful.terms) == len(model.terms) else (model, refit(bench, lawful).model):
         result |= variance(bench.prepared, one) > BLURRED * variance(clear, one)
+    bristles = [(t.effect.joints[0], t.named) for t in lawful.terms if isinstance(t.effect, PreslidingHysteresis)]
+    for j, theta in bristles:
+        result[j] |= theta["level"] < theta["stiffness"] * _resolution(bench, j)
     return result
+
+
+def _resolution(bench: Bench, j: int) -> float:
+    """Deviation of a joint's recorded positions from a smooth motion [rad]."""
+    off = []
+    for r in (p.recording for p in bench.prepared):
+        window = max(SPEED_WINDOW, LEAST * float(np.median(np.diff(r.t))))
+        off.append(r.q[j] - smooth(r.t, r.q[j : j + 1], r.segments, window)[0])
+    return float(np.median(np.abs(np.concatenate(off))) / NORMAL)
 
 
 def other_turns(bench: Bench, found: Found) -> dict[int, Term]:

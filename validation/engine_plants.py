@@ -5,8 +5,9 @@
 Serial arms of 1 to 7 joints with random links, axes, friction and armature follow multisines or go from point to point, with and
 without stops, under a stiff controller. Dry friction is MuJoCo's constraint, which holds a joint, or a torque that changes sign in one
 of five ways over a random width. Sampling, resolution and noise are random, too; speeds, current and inertial parameters are given or
-not. Three sets of five have nothing missing, the others have one effect: a payload and a harness in every other recording, the rest in
-all. A set that is done is not done again. The plant shares no physics with the package.
+not. Three sets of five have nothing missing, the others have one effect: an unlisted payload and a harness in every other recording,
+the rest in all. A link behind a gear that gives is a second joint of the engine. A set that is done is not done again. The plant shares
+no physics with the package.
 """
 
 import json
@@ -48,7 +49,27 @@ EFFECTS = (
     "cable_harness",
     "friction_drift",
     "unexplained",
+    "joint_elasticity",
+    "backlash",
+    "load_dependent_friction",
+    "encoder_offset",
+    "time_delay",
+    "gravity_tilt",
+    "presliding_hysteresis",
+    "link_inertial",
+    "coupled_friction",
+    "torque_offset",
+    "payload_com",
+    "position_dependent_friction",
+    "biarticular_spring",
+    "spring_stiffness",
+    "spring_preload",
+    "spring_hysteresis",
 )
+LEAD = 1.0  # [s] before a recording begins, in which a link behind its gear comes to rest
+LISTED = 0.5  # [rad], the equilibrium of a spring that recordings list
+PRESLIDING = 0.015  # [rad], in which a bristle is at its level
+HELD = 2.0  # [kg], a payload that recordings list
 SIGNS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "tanh": np.tanh,
     "erf": erf,
@@ -90,26 +111,69 @@ class Plant:
         """Number of joints."""
         return len(self.dry)
 
+    @property
+    def other(self) -> int:
+        """The joint that shares an effect with the joint that has it."""
+        return self.joint - 1 if self.joint else 1
+
+    @property
+    def spring(self) -> float:
+        """Stiffness of the spring that recordings list, at the joint [Nm/rad]; 0 without."""
+        return 8 * self.dry[self.joint] if self.effect.startswith("spring_") else 0.0
+
     def model(self, payload: float) -> Any:
         """The engine's model with a mass at the last link's tip [kg]."""
+        off = np.array([0.05, -0.04, 0.03]) * self.strength * (self.effect == "payload_com")
         link = f'<link name="held"><inertial><mass value="{payload}"/><inertia ixx="1e-8" iyy="1e-8" izz="1e-8" ixy="0" ixz="0" iyz="0"/>'
         link += f'</inertial></link><joint name="grip" type="fixed"><parent link="link{self.n}"/><child link="held"/>'
-        link += f'<origin xyz="{self.tip} 0 0"/></joint>'
-        model = mujoco.MjModel.from_xml_string(self.urdf.replace("</robot>", (link if payload else "") + "</robot>"))
+        link += f'<origin xyz="{self.tip + off[0]} {off[1]} {off[2]}"/></joint>'
+        spec = mujoco.MjSpec.from_string(self.urdf.replace("</robot>", (link if payload else "") + "</robot>"))
+        if self.effect in ("joint_elasticity", "backlash"):
+            self._gear(spec)
+        model = spec.compile()
         model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        model.jnt_limited[:] = 0
-        model.dof_damping[:], model.dof_armature[:] = self.viscous, self.armature
+        at = [model.joint(f"joint{i + 1}").id for i in range(self.n)]
+        model.jnt_limited[at] = 0
+        model.dof_damping[at], model.dof_armature[at] = self.viscous, self.armature
         if self.sign == "constraint":
-            model.dof_frictionloss[:] = self.dry
+            model.dof_frictionloss[at] = self.dry * (
+                np.arange(self.n) != self.joint if self.effect == "presliding_hysteresis" else 1
+            )
+        if self.effect == "link_inertial":
+            model.body_mass[self.joint + 1] *= 1 + 0.15 * self.strength
+            model.body_inertia[self.joint + 1] *= 1 + 0.15 * self.strength
+        if self.effect == "gravity_tilt":
+            model.opt.gravity[:] = 9.81 * np.array([0.02 * self.strength, 0.03 * self.strength, -1.0])
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
-    def torque(self, q: np.ndarray, v: np.ndarray, t: float, mounted: bool) -> np.ndarray:
-        """What acts on the joints beside the engine's own forces and the motors (n,) [Nm]."""
-        j, dry, k = self.joint, self.dry[self.joint], self.strength * self.dry[self.joint]
+    def _gear(self, spec: Any) -> None:
+        """Make the link behind the joint's gear move by itself, about a joint of its own."""
+        drive = spec.joint(f"joint{self.joint + 1}")
+        rigid = spec.copy().compile()
+        data, inertia = mujoco.MjData(rigid), np.zeros((self.n, self.n))
+        mujoco.mj_forward(rigid, data)
+        mujoco.mj_fullM(rigid, data, inertia)
+        own = inertia[self.joint, self.joint]
+        twist = spec.body(f"link{self.joint + 1}").add_joint(
+            name="twist", type=mujoco.mjtJoint.mjJNT_HINGE, axis=drive.axis, pos=drive.pos
+        )
+        if self.effect == "joint_elasticity":
+            twist.stiffness[0], twist.damping[0] = own * (30 / self.strength) ** 2, own * 6
+        else:
+            twist.limited, twist.range, twist.damping[0] = 1, [-0.01 * self.strength, 0.01 * self.strength], own * 5
+            twist.solref_limit, twist.solimp_limit = [0.002, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
+
+    def torque(self, q: np.ndarray, v: np.ndarray, t: float, mounted: bool, load: np.ndarray, bristle: float) -> np.ndarray:
+        """What acts on the joints beside the engine's own forces and the motors (n,) [Nm], under what their links need (n,) [Nm]."""
+        j, i, dry, k = self.joint, min(self.other, self.n - 1), self.dry[self.joint], self.strength * self.dry[self.joint]
         turn = SIGNS.get(self.sign, np.tanh)(v / self.width)
         result = -self.dry * turn if self.sign in SIGNS else np.zeros(self.n)
+        if self.effect == "presliding_hysteresis":
+            result[j] = -dry * bristle
+        pull = self.spring * (LISTED - q[j])
+        result[j] += max(pull, 0.0)
         result[j] += {
             "stribeck": lambda: -k * np.exp(-((v[j] / 0.15) ** 2)) * turn[j],
             "parallel_spring": lambda: 3 * k * max(0.4 - q[j], 0.0),
@@ -119,13 +183,26 @@ class Plant:
             "cable_harness": lambda: -1.5 * k * (q[j] - 0.3) * mounted,
             "friction_drift": lambda: -0.6 * self.strength * (dry * turn[j] + self.viscous[j] * v[j]) * np.exp(-t / 5),
             "unexplained": lambda: -0.8 * k * np.cos(3 * q[j]) * v[j],
+            "load_dependent_friction": lambda: -0.1 * self.strength * abs(load[j]) * turn[j],
+            "position_dependent_friction": lambda: -0.4 * k * turn[j] * np.cos(3 * q[j] + 1),
+            "spring_stiffness": lambda: 0.15 * self.strength * max(pull, 0.0),
+            "spring_preload": lambda: max(pull + 0.1 * self.strength * self.spring, 0.0) - max(pull, 0.0),
+            "spring_hysteresis": lambda: -0.15 * self.strength * max(pull, 0.0) * turn[j],
         }.get(self.effect, lambda: 0.0)()
+        if self.effect == "coupled_friction":
+            between = 0.6 * k * np.tanh((v[j] - v[i]) / self.width)
+            result[[j, i]] += -between, between
+        if self.effect == "biarticular_spring":
+            stretched = 3 * k * max(0.6 - q[j] - 0.7 * q[i], 0.0)
+            result[[j, i]] += stretched, 0.7 * stretched
         return result
 
 
 def plant(number: int, rng: np.random.Generator) -> Plant:
     """The plant of a set: three of five have nothing missing."""
-    n = int(rng.integers(1, 8))
+    effect = "nothing" if number % 5 < 3 else EFFECTS[(number // 5 * 2 + number % 5 - 3) % len(EFFECTS)]
+    n = max(int(rng.integers(1, 8)), 2 if effect in ("coupled_friction", "biarticular_spring") else 1)
+    felt = int(n > 1 and effect == "link_inertial")  # below, a link that turns about an upright axis only
     size, lengths = 0.75 ** np.arange(n), rng.uniform(0.15, 0.35, n)
     text = '<robot name="arm"><link name="link0"/>'
     for i, (length, mass) in enumerate(zip(lengths, rng.uniform(2, 6) * size, strict=True)):
@@ -142,8 +219,8 @@ def plant(number: int, rng: np.random.Generator) -> Plant:
     return Plant(
         urdf=text + "</robot>",
         tip=float(lengths[-1]),
-        effect="nothing" if number % 5 < 3 else EFFECTS[(number // 5 * 2 + number % 5 - 3) % len(EFFECTS)],
-        joint=int(rng.integers(n)),
+        effect=effect,
+        joint=max(int(rng.integers(n)), felt),
         strength=float(rng.uniform(0.7, 1.3)),
         sign=("constraint", *SIGNS)[rng.integers(len(SIGNS) + 1)],
         width=float(np.exp(rng.uniform(np.log(0.01), np.log(0.08)))),
@@ -176,20 +253,32 @@ def reference(kind: str, n: int, seconds: float, rng: np.random.Generator) -> Ca
 
 def recorded(one: Plant, mounted: bool, kind: str, seconds: float, rate: int, rng: np.random.Generator) -> np.ndarray:
     """Rows of t, q, dq and motor torque."""
-    model = one.model(0.4 * one.strength if mounted and one.effect == "payload_mass" else 0.0)
-    data, follow, rows = mujoco.MjData(model), reference(kind, one.n, seconds, rng), []
-    data.qpos[:], data.qvel[:] = follow(0.0)
+    unlisted = 0.4 * one.strength * mounted * (one.effect == "payload_mass")
+    model = one.model(unlisted + HELD * (one.effect == "payload_com"))
+    data, follow, rows, motors = mujoco.MjData(model), reference(kind, one.n, seconds, rng), [], []
+    at = [model.joint(f"joint{i + 1}").dofadr[0] for i in range(one.n)]
+    lead = round(LEAD / STEP) if model.nv > one.n else 0
+    data.qpos[at], data.qvel[at] = follow(0.0)
+    data.qvel[:] *= not lead
     mujoco.mj_forward(model, data)
-    inertia = np.zeros((one.n, one.n))
+    inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
-    stiffness, damping = 324 * np.diag(inertia), 25 * np.diag(inertia)
-    for k in range(round(seconds / STEP)):
-        q, v = follow(k * STEP)
+    stiffness, damping = 324 * np.diag(inertia)[at], 25 * np.diag(inertia)[at]
+    moved, bristle, turns = np.zeros(model.nv), 0.0, 1 / PRESLIDING
+    for k in range(-lead, round(seconds / STEP)):
+        q, v = follow(max(k, 0) * STEP)
+        v = v * (k >= 0)
         mujoco.mj_forward(model, data)
-        motor = stiffness * (q - data.qpos) + damping * (v - data.qvel) + 0.9 * data.qfrc_bias
-        data.qfrc_applied[:] = motor + one.torque(data.qpos, data.qvel, k * STEP, mounted)
-        if k % round(1 / STEP / rate) == 0:
-            rows.append(np.concatenate([[k * STEP], data.qpos, data.qvel, motor]))
+        place, speed = data.qpos[at], data.qvel[at]
+        motor = stiffness * (q - place) + damping * (v - speed) + 0.9 * data.qfrc_bias[at]
+        mujoco.mj_mulM(model, data, moved, data.qacc)
+        load = (moved + data.qfrc_bias)[at] - one.armature * data.qacc[at]
+        data.qfrc_applied[at] = motor + one.torque(place, speed, k * STEP, mounted, load, bristle)
+        bristle += STEP * turns * (speed[one.joint] - abs(speed[one.joint]) * bristle)  # Dahl's
+        motors.append(motor)
+        if k >= 0 and k % round(1 / STEP / rate) == 0:
+            late = max(len(motors) - 1 - round(0.012 * one.strength / STEP), 0) if one.effect == "time_delay" else -1
+            rows.append(np.concatenate([[k * STEP], place, speed, motors[late]]))
         mujoco.mj_step(model, data)
     return np.array(rows)
 
@@ -211,12 +300,16 @@ def make(number: int, folder: Path) -> Plant:
         dq = dq + 0.003 * rng.standard_normal(dq.shape)
         tau = tau + share * tau.std(0) * rng.standard_normal(tau.shape)
         tau[:, one.joint] *= 1 + 0.08 * one.strength * (one.effect == "torque_gain")
+        tau[:, one.joint] += 0.4 * one.strength * one.dry[one.joint] * (one.effect == "torque_offset")
+        q[:, one.joint] += 0.03 * one.strength * (one.effect == "encoder_offset")
         columns = ["t", *(f"q_{j}" for j in names), *(f"dq_{j}" for j in names if speeds)]
         columns += [f"{'current' if current else 'tau'}_{j}" for j in names]
         table = np.hstack([rows[:, :1], q, *([dq] if speeds else []), tau / constant if current else tau])
         lines = [",".join(columns), *(",".join(f"{x:.9g}" for x in row) for row in table)]
         write_text(folder / f"{i}.csv", "\n".join(lines) + "\n")
-        files.append({"file": f"{i}.csv"})
+        files.append({"file": f"{i}.csv"} | ({"payload": HELD} if one.effect == "payload_com" else {}))
+        if one.spring:
+            files[-1]["springs"] = {"pea": {names[one.joint]: {"stiffness_Nm_per_rad": one.spring, "equilibrium_rad": LISTED}}}
     write_text(folder / "arm.urdf", one.urdf)
     header: dict[str, Any] = {"format": "rrr_oc-recordings/1", "robot": "arm.urdf", "joints": names, "recordings": files}
     header |= {"torque": "current" if current else "motor", "inertial": "identify" if unknown else "nominal"}
@@ -239,7 +332,14 @@ def judged(number: int, out: Path) -> dict[str, Any]:
             for e in found["effects"]
         ]
         claims += [{"names": ["unexplained"], "joint": e["joint"]} for e in found["unexplained"]]
-        hidden = {"set": number, "effect": one.effect, "joint": f"joint{one.joint + 1}", "joints": one.n, "sign": one.sign}
+        hidden = {
+            "set": number,
+            "effect": one.effect,
+            "joint": f"joint{one.joint + 1}",
+            "strength": one.strength,
+            "joints": one.n,
+            "sign": one.sign,
+        }
         write_json(file, hidden | {"claims": claims, "nrmse": found["nrmse"]["held_out"]})
     return json.loads(file.read_text())
 
@@ -261,7 +361,9 @@ def main(
     console.print(shown)
     clean = [bool(r["claims"]) for r in results if r["effect"] == "nothing"]
     others = [r for r in results if r["effect"] != "nothing"]
-    named = [any(r["effect"] in c["names"] and c["joint"] in (None, r["joint"]) for c in r["claims"]) for r in others]
+    named = [
+        any(r["effect"] in c["names"] and (c["joint"] is None or r["joint"] in c["joint"]) for c in r["claims"]) for r in others
+    ]
     more = [len(r["claims"]) > 1 for r in others]
     for what, hits in (("false alarms", clean), ("effects named", named), ("with a further claim", more)):
         if hits:

@@ -130,7 +130,6 @@ class Effect(ABC):
         many: Whether a joint may have more than one of it (class attribute).
         abrupt: Whether predictions are no smooth function of its parameters (class attribute).
         simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
-        window: Over which the load is smoothed that `motion` is given [s]; 0 for as it is (class attribute).
         driven: Whether its internal states follow from the recorded load by `course`, not from the motion by `rate` (class attribute).
         lawless: Whether it is no law of the catalogue but stands for what none explains (class attribute).
         mounted: Whether it is put on and taken off between recordings, hence likelier where only some have it (class attribute).
@@ -154,7 +153,6 @@ class Effect(ABC):
     many: ClassVar[bool] = False
     abrupt: ClassVar[bool] = False
     simulated: ClassVar[bool] = False
-    window: ClassVar[float] = 0.0
     driven: ClassVar[bool] = False
     lawless: ClassVar[bool] = False
     mounted: ClassVar[bool] = False
@@ -204,6 +202,15 @@ class Effect(ABC):
             stiffness, inertia: By how much that torque grows with the joint's position and acceleration, (K,).
         """
         raise NotImplementedError
+
+    @property
+    def window(self) -> float:
+        """Over which the load is smoothed that `motion` is given [s]; 0 for as it is."""
+        return 0.0
+
+    def sharper(self) -> "Effect | None":
+        """The effect with the next sharper form of its law, among which the residual of a last fit decides; None beyond the last."""
+        return None
 
     def free(self, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
         """What adds to `motion` when a stretch begins 1 rad or 1 rad/s off, (2, 3, K), to first order; () where that is known."""

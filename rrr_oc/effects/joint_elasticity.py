@@ -1,7 +1,7 @@
 """A transmission that twists under load."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,8 @@ RINGING = (1e5, 60.0, 36.0, 22.0, 13.0, 8.0)  # of links that are looked for [ra
 DAMPED = 0.3  # of critical damping, from which a fit starts: with less it finds the right resonance only from near by
 LIGHT = 0.01  # of the largest inertia, that a link has at the least: one near 0 is an estimate gone astray
 FURTHEST = 1.0  # [rad]; in a model whose gears twist further, other things are wrong
+SHARPEST = 0.06  # [s], of the windows that the load passes, each shorter than the one before by `SHARPER`
+SHARPER = 0.7
 STABLE = 0.05  # of the stiffness, that gravity and springs leave at the least
 
 
@@ -23,6 +25,9 @@ class JointElasticity(Effect):
 
     The link moves by itself behind its spring: with x = q_link − theta, and M, K by how much the torque that the rigid motion needs
     grows with acceleration and position, M x'' + stiffness damping_time x' + (stiffness + K) x = −tau_rigid.
+
+    Attributes:
+        smoothed: Window of the load [s]: a link rings on the noise of accelerations, too, and less where that is attenuated.
     """
 
     name = "joint_elasticity"
@@ -34,7 +39,16 @@ class JointElasticity(Effect):
     amplitudes = ("stiffness",)
     side = "motion"
     simulated = True
-    window = 0.2  # [s]: a link rings on the noise of accelerations, too
+
+    smoothed: float = field(default=0.2)
+
+    @property
+    def window(self):
+        return self.smoothed
+
+    def sharper(self):
+        shorter = SHARPER * self.smoothed
+        return replace(self, smoothed=shorter) if shorter > SHARPEST else None
 
     def torque(self, signals, theta, width):
         return (0 * signals.q[self.joints[0]],)

@@ -17,6 +17,10 @@ class SpringPreload(Effect):
     local = True
     of_spring = True
 
+    @property
+    def linear(self):
+        return False  # the spring goes slack elsewhere
+
     def torque(self, signals, theta, width):
         spring, values, own = signals.springs[self.joints]
         moved = spring.moved(values, theta["offset"])
