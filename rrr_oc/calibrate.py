@@ -245,7 +245,7 @@ def finished(
 ) -> CalibratedModel:
     """The model with its noise, its NRMSE on the recordings calibrated on, and a report."""
     errors = [
-        error(r.t, recordings.output_torque(r), model.output_torque(r), r.segments)["nrmse"] for r in recordings.recordings
+        error(r.t, recordings.output_torque(r), model.predicted_torque(r), r.segments)["nrmse"] for r in recordings.recordings
     ]
     with np.errstate(all="ignore"):
         nrmse = np.array([np.mean(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in np.array(errors).T])

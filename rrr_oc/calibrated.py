@@ -161,10 +161,31 @@ class CalibratedModel:
         physics = physics or self.physics(recording)
         return physics.recorded(recording, self.true_torque(recording, physics))
 
+    def predicted_torque(self, recording: Recording) -> np.ndarray:
+        """As `output_torque`, with the start of links that move by themselves behind their gears estimated from the recorded torque.
+
+        Two numbers for each such joint and each stretch without a gap, of which the motion of the drives says nothing; least squares.
+        """
+        physics = self.physics(recording)
+        result, starts = self.output_torque(recording, physics), physics.starts(recording, self.torque == "load")
+        if len(starts):
+            left = recording.tau * self._unit - result
+            for s in recording.segments:
+                sizes = np.maximum(np.std(np.diff(left[:, s]), axis=1), 1e-9)[:, None]  # of noise, more or less
+                columns = (starts[:, :, s] / sizes).reshape(len(starts), -1).T
+                result[:, s] += np.tensordot(
+                    np.linalg.lstsq(columns, (left[:, s] / sizes).ravel(), rcond=1e-9)[0], starts[:, :, s], 1
+                )
+        return result
+
     def predict(self, recording: Recording) -> np.ndarray:
-        """The recorded signal, in its own unit, from the recorded motion, (n, K), at every sample."""
-        output = self.output_torque(recording)
-        return output / np.array(self.torque_constant, float)[:, None] if self.torque == "current" else output
+        """The recorded signal, in its own unit, as `predicted_torque` has it, (n, K), at every sample."""
+        return self.predicted_torque(recording) / self._unit
+
+    @property
+    def _unit(self) -> np.ndarray:
+        """Torque [Nm] that a recorded 1 stands for, (n, 1)."""
+        return np.array(self.torque_constant, float)[:, None] if self.torque == "current" else np.ones((self.robot.n, 1))
 
     def placed(self, recordings: RecordingSet) -> "CalibratedModel":
         """The model under the gravity and with the torque constants of recordings and, where they list a payload, with it at their tool.

@@ -25,8 +25,10 @@ from rrr_oc.diagnose import (
 from rrr_oc.effects import Effect
 from rrr_oc.effects.cable_harness import CableHarness
 from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.effects.torque_ripple import TorqueRipple
 from rrr_oc.evidence import Bench, Candidate, Evidence, scope_cost
 from rrr_oc.fitting import Fitted, refit
+from rrr_oc.signatures import view
 
 CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of two models does better
 MANY = 3  # parameters, beyond which two effects may be the simpler explanation
@@ -78,7 +80,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
         own = fitted.model.terms[i]
         rivals, best = [] if spring is None or own.groups else [("parallel_spring", own.effect.joints)], None
-        for candidate in _rivals(evidence, less.model, own):
+        for candidate in (*_rivals(evidence, less.model, own), *_slow_ripples(bench, less, own)):
             tried = fit_of(bench, evidence, less, candidate)
             if tried.better_than(fitted) > -CALL * SAME:
                 tried = refit(bench, tried.model)
@@ -178,6 +180,14 @@ def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
         tried.append(refit(bench, replace(fitted.model, terms=terms)))
     best = min(tried, key=lambda f: f.misfit)
     return best if best.better_than(fitted) > -SAME else None
+
+
+def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
+    """The best ripple of few cycles in the place of a series over a joint's own position."""
+    (j, *others) = own.effect.joints or (-1,)
+    if others or not own.effect.lawless or own.effect.depends_on != (("q", j),):
+        return []
+    return Evidence.gather(bench, less.model, list(TorqueRipple.slow(view(bench.whole, less.model), j))).candidates()[:1]
 
 
 def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:

@@ -13,12 +13,14 @@ import numpy as np
 
 from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import CATALOGUE, Effect
+from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.empirical import Empirical
 from rrr_oc.evidence import Bench, Candidate, Evidence, chance, pseudo_inverse, robust_p, significant
-from rrr_oc.fitting import Fitted, refit, steadily_better
+from rrr_oc.fitting import Fitted, as_abrupt, refit, steadily_better, with_turn
 from rrr_oc.inference import normal_equations
 from rrr_oc.regression import Rows, noise
 from rrr_oc.signatures import trials, view
+from rrr_oc.smooth import TURNS
 from rrr_oc.widths import best_width, widened, with_widths
 
 MOST = 12  # effects
@@ -230,7 +232,7 @@ def _next(
         return None, []
     if named is not None and other is not None and other[0] > MARGIN * named[0] + SAME:
         other = _exactly(bench, fitted, other)
-        laws = _as_good(bench, plain, fitted, named, other[0])
+        laws = _as_good(bench, plain, fitted, named, other)
         if laws is None and not _beside(bench, joints[0], plain, named, other):
             chosen = other
         planned = laws or []
@@ -240,21 +242,31 @@ def _next(
     return refit(bench, chosen[1].model), planned
 
 
-def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, goal: float) -> list[Key] | None:
-    """The further effects that together with one explain as much as an empirical term of this score; None without such."""
-    best, found, cost = named, [], 0.0
+def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, other: Best) -> list[Key] | None:
+    """The further effects that together with one explain as much as an empirical term; None without such."""
+    best, found, cost, goal, series = named, [], 0.0, other[0], other[2].trial.effect
     while best is not None and len(found) < TOGETHER:
         found.append(key(best[2]))
         cost += best[2].penalty
         there = rewidened(bench, refit(bench, best[1].model))
         reached = there.better_than(fitted) - cost
-        if reached >= goal:
+        if reached >= goal or (series.of_speed and _turned(bench, there, series.joints[0]).better_than(fitted) - cost >= goal):
             return found[1:]
         if len(found) > 1 and reached < HOPELESS * goal:
             return None
         evidence = gathered(bench, there.model)
         best = _best(bench, evidence, contenders(evidence, there.model), plain, there)
     return None
+
+
+def _turned(bench: Bench, fitted: Fitted, j: int) -> Fitted:
+    """The fit with a joint's dry friction changing sign in the way that leaves least; a series over its speed may say no more."""
+    terms, tanh = fitted.model.terms, DryFriction((j,))
+    number = next((i for i, t in enumerate(terms) if t.effect == tanh), None)
+    if number is None:
+        return fitted
+    tried = [as_abrupt(bench, replace(fitted.model, terms=with_turn(terms, number, turn))) for turn in TURNS if turn != "tanh"]
+    return min([fitted, *tried], key=lambda f: f.misfit)
 
 
 def _beside(bench: Bench, j: int, plain: Fitted, named: Best, other: Best) -> bool:
@@ -378,7 +390,9 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         if same or present(candidate, model):
             continue
         beyond_chance = not _by_amplitude(candidate.trial.effect) or robust_p(evidence, candidate) * evidence.tests < DOUBT
-        if beyond_chance and (not others or evidence.confirmed(candidate) > CONFIRMED):
+        # what is not linear may be another for a shape little off that of its trial: the foremost is fitted in any case
+        bent = candidate is every[0] and not _by_amplitude(candidate.trial.effect)
+        if beyond_chance and (not others or bent or evidence.confirmed(candidate) > CONFIRMED):
             result.append(candidate)
     return result
 

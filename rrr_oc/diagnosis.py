@@ -11,6 +11,7 @@ from rrr_oc.calibrate import fit_terms, identify, plain_model
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnose import Lawless, above_noise, as_seen, search, worth
+from rrr_oc.effects.torque_ripple import TorqueRipple
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
 from rrr_oc.inertial import precision, prior
@@ -152,7 +153,8 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     model, shares = plain, Shares((), (), (), (), ())
     empirical = any(f.term.effect.lawless for f in findings)
     every = [fold for _, fold in folds]
-    held = [(bench, begin, every, k, bool(findings), "beside" if empirical else "never") for k, (bench, _) in enumerate(folds)]
+    lawless = "beside" if empirical or _few_cycles(bench, plain, findings) else "never"
+    held = [(bench, begin, every, k, bool(findings), lawless) for k, (bench, _) in enumerate(folds)]
     report("fitting without the recordings that are held out")
     outcomes = parallel.ordered(_held_out, held, 1 if not findings else jobs)
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
@@ -193,6 +195,12 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         tuple(outcomes),
         tuple(left.tolist()),
     )
+
+
+def _few_cycles(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> bool:
+    """Whether a ripple is among them that only takes the place of a series, as the recordings see less than two cycles of it."""
+    seen, ripples = view(bench.prepared, plain), [f.term for f in findings if isinstance(f.term.effect, TorqueRipple)]
+    return any(t.named["order"] * np.ptp([seen.low[j], seen.high[j]]) < 4 * np.pi for t in ripples for j in t.effect.joints)
 
 
 def _refuted(findings: Sequence[Finding], held_out: tuple[np.ndarray, np.ndarray]) -> bool:
@@ -275,7 +283,7 @@ def _errors(bench: Bench, model: CalibratedModel) -> np.ndarray:
     found = []
     for p in bench.prepared:
         r = p.recording
-        found.append(error(r.t, p.measured, model.output_torque(r), r.segments)["nrmse"])
+        found.append(error(r.t, p.measured, model.predicted_torque(r), r.segments)["nrmse"])
     return np.array(found)
 
 

@@ -315,8 +315,8 @@ def _prediction(diagnosis: Diagnosis) -> Any:
     )
     curves = [
         ("recorded", recorded, "0.8", 4.5),
-        ("plain model", fold.plain.output_torque(r), COLOURS["before"], 1.2),
-        ("extended model", fold.model.output_torque(r), COLOURS["after"], 1.2),
+        ("plain model", fold.plain.predicted_torque(r), COLOURS["before"], 1.2),
+        ("extended model", fold.model.predicted_torque(r), COLOURS["after"], 1.2),
     ]
     for j, axis in enumerate(axes[:, 0]):
         for name, values, colour, width in curves:
@@ -404,7 +404,7 @@ def _maps(diagnosis: Diagnosis, j: int) -> Any:
 def _points(model: CalibratedModel, recordings: RecordingSet, j: int) -> dict[str, np.ndarray]:
     parts: dict[str, list[np.ndarray]] = {}
     for r in recordings.recordings:
-        residual = recordings.output_torque(r) - model.output_torque(r)
+        residual = recordings.output_torque(r) - model.predicted_torque(r)
         values = {
             "q": r.q[j],
             "dq": r.dq[j],

@@ -2,15 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from rrr_oc.calibrate import reach, with_parameter_values
-from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.effects import Effect
+from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.evidence import Bench, independent
 from rrr_oc.inference import box_step, normal_equations
 from rrr_oc.regression import Rows, rows, with_residuals
+from rrr_oc.widths import with_widths
 
 STEADY = 3.0  # standard errors by which a fit must be better
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
@@ -39,14 +42,18 @@ class Fitted:
         """Sum of the logarithms of the joints' squared residuals; less is better."""
         return float(np.sum(np.log(self.squares)))
 
-    @property
+    @cached_property
     def counts(self) -> np.ndarray:
         """Independent rows of each joint (n,)."""
         return independent(self.rows)
 
     def better_than(self, other: "Fitted") -> float:
-        """Growth of twice the log-likelihood over another fit of the same rows."""
-        return float(self.counts @ np.log(other.squares / self.squares))
+        """Growth of twice the log-likelihood over another fit of the same rows.
+
+        Of each joint as many rows count as the fit that leaves less makes independent: what the other leaves may be correlated.
+        """
+        ratio = np.log(other.squares / self.squares)
+        return float(np.where(ratio > 0, self.counts, other.counts) @ ratio)
 
 
 def refit(bench: Bench, model: CalibratedModel, steps: int = STEPS, without_last: Rows | None = None) -> Fitted:
@@ -124,6 +131,17 @@ def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[st
         inside = np.repeat([float(g in scope) for g in bench.groups], np.diff(bench.edges))
         blocks = blocks[bench.by_block(inside) > 0]
     return bool(blocks.sum() > STEADY * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
+
+
+def as_abrupt(bench: Bench, model: CalibratedModel) -> Fitted:
+    """The fit with the widths that are best, beyond doubt or not, since ways to change sign are compared each at its best."""
+    return refit(bench, with_widths(bench.prepared, model, doubt=0.0))
+
+
+def with_turn(terms: Sequence[Term], number: int, turn: str) -> tuple[Term, ...]:
+    """The terms with the dry friction of that number changing sign in another way (`smooth.TURNS`)."""
+    term = terms[number]
+    return (*terms[:number], replace(term, effect=DryFriction(term.effect.joints, turn)), *terms[number + 1 :])
 
 
 def _moved(model: CalibratedModel, values: np.ndarray, inertial: np.ndarray) -> CalibratedModel:

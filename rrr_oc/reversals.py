@@ -14,11 +14,10 @@ from rrr_oc.diagnose import Found
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.evidence import Bench
-from rrr_oc.fitting import Fitted, refit
+from rrr_oc.fitting import Fitted, as_abrupt, refit, with_turn
 from rrr_oc.regression import SPEED_WINDOW, variance, without_reversals
 from rrr_oc.savitzky_golay import smooth
 from rrr_oc.smooth import TURNS
-from rrr_oc.widths import with_widths
 
 LEAST = 7  # samples of a smooth motion, from which positions are told
 NORMAL = 0.6745  # standard deviations that half of a normal sample is within
@@ -69,26 +68,21 @@ def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
             fitted, result[number] = most[1], most[1].model.terms[number]
     turns = Counter(term.effect.turn for term in result.values())
     for number in [i for i in tanh if turns and i not in result]:
-        terms = _with_turn(fitted.model.terms, number, turns.most_common(1)[0][0])
-        tried = _as_abrupt(bench, replace(fitted.model, terms=terms))
+        terms = with_turn(fitted.model.terms, number, turns.most_common(1)[0][0])
+        tried = as_abrupt(bench, replace(fitted.model, terms=terms))
         if tried.better_than(fitted) > 0:
             fitted, result[number] = tried, tried.model.terms[number]
     return {term.effect.joints[0]: term for term in result.values()}
 
 
-def _with_turn(terms: Sequence[Term], number: int, turn: str) -> tuple[Term, ...]:
-    term = terms[number]
-    return (*terms[:number], replace(term, effect=DryFriction(term.effect.joints, turn)), *terms[number + 1 :])
-
-
 def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: str, laws: Sequence[Term]) -> tuple[int, Fitted]:
     """How many laws leave where a joint's dry friction has this turn and the fit does as well, and the fit."""
-    terms, fewer, left, dropped = _with_turn(fitted.model.terms, number, turn), fitted, list(laws), 0
+    terms, fewer, left, dropped = with_turn(fitted.model.terms, number, turn), fitted, list(laws), 0
     while left:
         tried = []
         for law in left:
             model = replace(fitted.model, terms=tuple(t for t in terms if t is not law))
-            tried.append(_as_abrupt(bench, model))
+            tried.append(as_abrupt(bench, model))
         k = min(range(len(left)), key=lambda i: tried[i].misfit)
         dropped += len(left[k].estimates)
         if tried[k].better_than(fitted) < -2 * dropped:
@@ -96,11 +90,6 @@ def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: str, laws: Sequ
         fewer, terms = tried[k], tuple(t for t in terms if t is not left[k])
         del left[k]
     return len(laws) - len(left), fewer
-
-
-def _as_abrupt(bench: Bench, model: CalibratedModel) -> Fitted:
-    """The fit with the widths that are best, beyond doubt or not, since a turn is compared at its best."""
-    return refit(bench, with_widths(bench.prepared, model, doubt=0.0))
 
 
 def with_turns(model: CalibratedModel, turned: Mapping[int, Term]) -> CalibratedModel:

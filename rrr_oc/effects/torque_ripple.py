@@ -1,10 +1,11 @@
 """Torque that is periodic in the joint's angle: cogging, gear mesh, a harmonic drive's wave."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from rrr_oc.effects.effect import Effect, Trial
+from rrr_oc.effects.effect import Effect, Trial, View
 from rrr_oc.parameters import Parameter
 from rrr_oc.smooth import sin
 
@@ -32,8 +33,18 @@ class TorqueRipple(Effect):
         """Whole orders of which the recordings see two cycles and more: less is any smooth torque."""
         for j in range(view.n):
             least = int(np.ceil(4 * np.pi / (view.high[j] - view.low[j])))
-            for order in range(max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0):
-                yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
+            yield from cls._whole(j, max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
+
+    @classmethod
+    def slow(cls, view: View, j: int) -> Iterator[Trial]:
+        """Whole orders of which the recordings see one cycle and less than two, for what is no other law of the catalogue."""
+        least, most = (int(np.ceil(turns * np.pi / (view.high[j] - view.low[j]))) for turns in (2, 4))
+        yield from cls._whole(j, max(least, 1), most if least <= MOST_CYCLES else 0)
+
+    @classmethod
+    def _whole(cls, j, least, most):
+        for order in range(least, most):
+            yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
 
     def combined(self, points, coefficients):
         """c_0 sin x + c_1 cos x as one sine."""
