@@ -314,18 +314,32 @@ def test_nonlinear_terms_are_fitted_together(tmp_path):
     np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2, 6.0, 0.2], rtol=0.02)
 
 
-def test_an_elastic_gear_is_fitted_whatever_the_links_start_was(tmp_path):
-    plant, rng, stiffness, time, made = one(folder=tmp_path), np.random.default_rng(31), 8.0, 0.004, []
+def elastic(folder, stiffness: float, time: float, fastest: float, noise: float, start: list[float]):
+    """Three recordings of a joint with an elastic gear, and their fit from stiffness and damping time `start`."""
+    plant, rng, made = one(folder=folder), np.random.default_rng(31), []
     for i in range(3):
-        motion = multisine(1, np.arange(1500) / 100, rng)
+        motion = multisine(1, np.arange(1500) / 100, rng, fastest)
         recorded = record(plant, f"{i}.csv", rng, 15.0, motion=motion)
         recorded = behind_gear(plant, recorded, motion, lambda twist, rate: stiffness * (twist + time * rate))
-        made.append(replace(recorded, tau=recorded.tau + 0.005 * rng.standard_normal(recorded.tau.shape)))
+        made.append(replace(recorded, tau=recorded.tau + noise * rng.standard_normal(recorded.tau.shape)))
     recordings = as_set(plant, made)
-    start = plain_model(recordings)
-    gear = nominal_term(JointElasticity((0,))).with_values(np.array([16.0, 0.03]))
-    model = fit_terms(recordings, prepare(recordings), replace(start, terms=(*start.terms, gear))).model
-    np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2, stiffness, time], rtol=0.02)
+    plain, gear = plain_model(recordings), nominal_term(JointElasticity((0,))).with_values(np.array(start))
+    return recordings, fit_terms(recordings, prepare(recordings), replace(plain, terms=(*plain.terms, gear))).model
+
+
+def test_an_elastic_gear_is_fitted_whatever_the_links_start_was(tmp_path):
+    recordings, model = elastic(tmp_path, 8.0, 0.004, 0.8, 0.005, [16.0, 0.03])
+    np.testing.assert_allclose(values(model), [2.0, 1.5, 0.2, 8.0, 0.004], rtol=0.02)
+    assert model.terms[-1].effect.smoothed == 0.2
+    for r in recordings.recordings:  # which begin while the link swings
+        blind, seen = (np.sqrt(np.mean((tau - r.tau) ** 2)) for tau in (model.output_torque(r), model.predicted_torque(r)))
+        assert seen < 0.3 * blind
+
+
+def test_the_load_that_drives_an_elastic_link_is_smoothed_as_little_as_the_recordings_bear(tmp_path):
+    _, model = elastic(tmp_path, 40.0, 0.002, 2.0, 0.005, [40.0, 0.002])
+    assert model.terms[-1].effect.smoothed < 0.2
+    np.testing.assert_allclose(values(model)[-2], 40.0, rtol=0.005)
 
 
 def test_intervals_cover_under_autocorrelated_noise():

@@ -22,15 +22,18 @@ from rrr_oc.diagnosis_report import write_diagnosis
 from rrr_oc.effects import Trial
 from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
 from rrr_oc.effects.empirical import Empirical
+from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.effects.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.torque_offset import TorqueOffset
+from rrr_oc.effects.torque_ripple import TorqueRipple
 from rrr_oc.evaluate import evaluate_inverse
 from rrr_oc.evidence import Bench, Evidence, pseudo_inverse
 from rrr_oc.inertial import precision, prior
 from rrr_oc.recordings import Recording, load_recordings
-from rrr_oc.regression import prepare, rows
+from rrr_oc.regression import Rows, prepare, rows
 from rrr_oc.replay import pieces
+from rrr_oc.reversals import blurred_joints
 from rrr_oc.signatures import columns, context, trials, view
 from rrr_oc.suggest import suggest
 from rrr_oc.widths import widened
@@ -195,6 +198,70 @@ def test_dry_friction_may_change_sign_in_other_ways(planar, tmp_path, turn):
     (drag,) = diagnose(as_set(plant, fast), jobs=1).findings
     assert drag.term.effect == QuadraticDrag((0,))
     assert drag.term.values == pytest.approx([0.3], rel=0.1)
+
+
+def test_a_law_is_named_rather_than_a_series_that_also_says_how_friction_changes_sign(planar):
+    plant, rng, made = planar(2), np.random.default_rng(5), []
+    for i in range(4):
+        motion = multisine(2, np.arange(1000) / 100, rng, 0.4)
+        r = record(plant, f"{i}.csv", rng, 10.0, 0.003, motion)
+        made.append(
+            replace(r, tau=r.tau + np.clip(motion[1] / 0.05, -1, 1) - np.tanh(motion[1] / plant.width) + [[0.0], [0.4]])
+        )
+    (found,) = diagnose(as_set(plant, made), jobs=1).findings
+    assert found.term.effect == TorqueOffset((1,))
+    assert found.term.values == pytest.approx([0.4], rel=0.05)
+
+
+def test_a_ripple_of_few_cycles_takes_the_place_of_a_series(planar):
+    plant, rng, made = planar(1), np.random.default_rng(6), []
+    for i in range(4):
+        t = np.arange(1000) / 100
+        w, phase = rng.uniform(0.8, 2.5, (2, 1)), rng.uniform(0, 6, (2, 1))
+        motion = [
+            0.25 * np.sum(x, axis=0, keepdims=True)
+            for x in (np.sin(w * t + phase), w * np.cos(w * t + phase), -(w**2) * np.sin(w * t + phase))
+        ]
+        r = record(plant, f"{i}.csv", rng, 10.0, 0.01, tuple(motion))
+        made.append(replace(r, tau=r.tau + 1.5 * np.sin(8 * motion[0] + 1)))
+    assert 1 < np.ptp([r.q for r in made]) * 8 / 2 / np.pi < 2
+    found = diagnose(as_set(plant, made), jobs=1)
+    (ripple,) = found.findings
+    assert ripple.term.effect == TorqueRipple((0,))
+    assert ripple.term.values[:2] == pytest.approx([1.5, 8.0], rel=0.03)
+    assert found.held_out[1][0] < 0.2 * found.held_out[0][0]
+
+
+def test_a_spring_that_is_preloaded_by_much_equals_an_encoder_that_is_off():
+    """About an upright axis nothing but the spring says where the joint is."""
+    plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(2)
+    made = [record(plant, f"{i}.csv", rng, 8.0, pea={0: (12.0, 0.42)}) for i in range(4)]
+    listed = ((ParallelSpring((0,)), {"stiffness": 12.0, "equilibrium": 0.3}),)
+    (found,) = diagnose(as_set(plant, [replace(r, springs=listed) for r in made]), jobs=1).findings
+    same = {("spring_preload", (0,)), ("encoder_offset", (0,))}
+    assert {(found.term.effect.name, found.term.effect.joints), *found.rivals} >= same
+    assert found.term.values == pytest.approx([0.12], rel=0.05)
+
+
+@pytest.mark.parametrize(("reach", "blurred"), [(1e-6, True), (2e-3, False)])
+def test_bristles_that_bend_by_less_than_positions_tell_are_none(planar, reach, blurred):
+    plant, rng = planar(1), np.random.default_rng(4)
+    prepared = prepare(recordings := as_set(plant, [record(plant, f"{i}.csv", rng, 10.0) for i in range(3)]))
+    plain = forward.refit(bench := Bench(prepared, False), plain_model(recordings))
+    bristle = Term(PreslidingHysteresis((0,)), (Estimate(0.1 / reach), Estimate(0.1)), 0.05)
+    fitted = forward.Fitted(replace(plain.model, terms=(*plain.model.terms, bristle)), plain.rows)
+    assert blurred_joints(bench, forward.Found(plain, fitted, None)).tolist() == [blurred]
+
+
+def test_of_two_fits_the_better_says_how_many_rows_are_independent():
+    """What the worse leaves may be so slow that hardly any are."""
+    slow, noise = np.sin(np.arange(500) / 60)[None], 0.1 * np.random.default_rng(1).standard_normal((1, 500))
+    worse, better = (
+        forward.Fitted(None, Rows(r, np.zeros((1, 500, 0)), np.ones((1, 500), bool), (slice(0, 500),), (20.0,)))
+        for r in (slow + noise, noise)
+    )
+    assert worse.counts < 0.2 * better.counts
+    assert better.better_than(worse) == -worse.better_than(better) > 500
 
 
 def by_engine(plant: Plant, name: str, rng: np.random.Generator, loss: float) -> Recording:
