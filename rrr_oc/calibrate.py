@@ -141,9 +141,7 @@ def _in_sharper_forms(prepared: Sequence[Prepared], model: CalibratedModel, foun
     for i, term in enumerate(model.terms):
         best, effect = (model, found), term.effect.sharper()
         while effect is not None:
-            sharp = replace(
-                model, terms=(*best[0].terms[:i], replace(best[0].terms[i], effect=effect), *best[0].terms[i + 1 :])
-            )
+            sharp = replace(model, terms=(*model.terms[:i], replace(best[0].terms[i], effect=effect), *model.terms[i + 1 :]))
             if (better := _better(prepared, best[1], sharp)) is None:
                 break
             best, effect = better, effect.sharper()

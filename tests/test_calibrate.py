@@ -337,7 +337,7 @@ def test_an_elastic_gear_is_fitted_whatever_the_links_start_was(tmp_path):
 
 
 def test_the_load_that_drives_an_elastic_link_is_smoothed_as_little_as_the_recordings_bear(tmp_path):
-    _, model = elastic(tmp_path, 40.0, 0.002, 2.0, 0.005, [40.0, 0.002])
+    _, model = elastic(tmp_path, 40.0, 0.006, 2.0, 0.005, [40.0, 0.006])
     assert model.terms[-1].effect.smoothed < 0.2
     np.testing.assert_allclose(values(model)[-2], 40.0, rtol=0.005)
 
