@@ -390,11 +390,24 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         if same or present(candidate, model):
             continue
         beyond_chance = not _by_amplitude(candidate.trial.effect) or robust_p(evidence, candidate) * evidence.tests < DOUBT
+        foremost, bent = candidate is every[0], not _by_amplitude(candidate.trial.effect)
         # what is not linear may be another for a shape little off that of its trial: the foremost is fitted in any case
-        bent = candidate is every[0] and not _by_amplitude(candidate.trial.effect)
-        if beyond_chance and (not others or bent or evidence.confirmed(candidate) > CONFIRMED):
+        held = not others or (foremost and bent) or evidence.confirmed(candidate) > CONFIRMED
+        if beyond_chance and (held or (foremost and _confirmed_as_abrupt(evidence, candidate, model))):
             result.append(candidate)
     return result
+
+
+def _confirmed_as_abrupt(evidence: Evidence, candidate: Candidate, model: CalibratedModel) -> bool:
+    """Whether a law of speed is confirmed where friction is as abrupt as it is beside that law, whose part a width had taken."""
+    if not candidate.trial.effect.of_speed:
+        return False
+    bench = evidence.bench
+    beside = rewidened(bench, refit(bench, extended(model, candidate))).model.terms[: len(model.terms)]
+    widths = {t.effect.joints: t.width for t in beside if isinstance(t.effect, DryFriction) and t.width}
+    there = refit(bench, replace(model, terms=tuple(widened(t, widths) for t in model.terms))).model
+    anew = Evidence.gather(bench, there, [candidate.trial])
+    return any(anew.confirmed(c) > CONFIRMED for c in anew.candidates() if c.scope == candidate.scope)
 
 
 def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float], without_last: Rows | None = None) -> Fitted:

@@ -36,7 +36,7 @@ from rrr_oc.replay import pieces
 from rrr_oc.reversals import blurred_joints
 from rrr_oc.signatures import columns, context, trials, view
 from rrr_oc.suggest import suggest
-from rrr_oc.widths import widened
+from rrr_oc.widths import widened, with_widths
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case
@@ -251,6 +251,25 @@ def test_bristles_that_bend_by_less_than_positions_tell_are_none(planar, reach, 
     bristle = Term(PreslidingHysteresis((0,)), (Estimate(0.1 / reach), Estimate(0.1)), 0.05)
     fitted = forward.Fitted(replace(plain.model, terms=(*plain.model.terms, bristle)), plain.rows)
     assert blurred_joints(bench, forward.Found(plain, fitted, None)).tolist() == [blurred]
+
+
+def test_a_law_of_speed_is_confirmed_at_the_width_that_friction_has_beside_it(planar):
+    """Without the law friction looks more or less abrupt than it is, and the law like another in each recording."""
+    plant, rng, made = planar(1), np.random.default_rng(3), []
+    for i in range(4):
+        motion = multisine(1, np.arange(1000) / 100, rng, 0.2 + 0.15 * i)
+        r = record(plant, f"{i}.csv", rng, 10.0, 0.01, motion)
+        made.append(replace(r, tau=r.tau + 0.3 * np.exp(-((motion[1] / 0.1) ** 2)) * np.tanh(motion[1] / plant.width)))
+    prepared = prepare(recordings := as_set(plant, made))
+    wide = with_widths(prepared, plain_model(recordings))
+    assert wide.terms[0].width != pytest.approx(plant.width, rel=0.05)
+    bench = Bench(prepared, False)
+    evidence = forward.gathered(bench, forward.refit(bench, wide).model)
+    (law,) = [c for c in evidence.candidates() if c.trial.effect.name == "stribeck"]
+    assert forward._confirmed_as_abrupt(evidence, law, evidence.model)
+    assert not forward._confirmed_as_abrupt(
+        evidence, replace(law, trial=Trial(TorqueOffset((0,)), ({"offset": 1.0},))), evidence.model
+    )
 
 
 def test_of_two_fits_the_better_says_how_many_rows_are_independent():
