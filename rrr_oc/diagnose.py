@@ -250,7 +250,9 @@ def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, other: Be
         cost += best[2].penalty
         there = rewidened(bench, refit(bench, best[1].model))
         reached = there.better_than(fitted) - cost
-        if reached >= goal or (series.of_speed and _turned(bench, there, series.joints[0]).better_than(fitted) - cost >= goal):
+        if reached < goal and len(found) == 1 and series.of_speed:  # it may also say how friction changes sign
+            reached = max(reached, _turned(bench, there, series.joints[0]).better_than(fitted) - cost)
+        if reached >= goal:
             return found[1:]
         if len(found) > 1 and reached < HOPELESS * goal:
             return None
@@ -336,6 +338,11 @@ def _by_amplitude(effect: Effect) -> bool:
     return effect.linear or effect.lawless
 
 
+def _bent(effect: Effect) -> bool:
+    """Whether it has a shape that its signature holds as it is."""
+    return not effect.lawless and len(effect.parameters) > len(effect.amplitudes)
+
+
 def _most_of_some(candidate: Candidate, share: float) -> bool:
     """Whether a candidate of some recordings explains most of what is missing, whatever else is."""
     return candidate.scope is not None and share > HALF
@@ -390,7 +397,7 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         if same or present(candidate, model):
             continue
         beyond_chance = not _by_amplitude(candidate.trial.effect) or robust_p(evidence, candidate) * evidence.tests < DOUBT
-        foremost, bent = candidate is every[0], not _by_amplitude(candidate.trial.effect)
+        foremost, bent = candidate is every[0], _bent(candidate.trial.effect)
         # what is not linear may be another for a shape little off that of its trial: the foremost is fitted in any case
         held = not others or (foremost and bent) or evidence.confirmed(candidate) > CONFIRMED
         if beyond_chance and (held or (foremost and _confirmed_as_abrupt(evidence, candidate, model))):

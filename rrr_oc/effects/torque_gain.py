@@ -12,10 +12,14 @@ class TorqueGain(Effect):
 
     name = "torque_gain"
     equation = "recorded torque = (1 + gain) true"
-    parameters = (Parameter("gain", "1", 0.0, lower=-0.95),)
+    parameters = (Parameter("gain", "1", 0.0, lower=-0.6, upper=1.5),)  # beyond, all that the joint has scales with it
     amplitudes = ("gain",)
     side = "sensor"
     local = True
+
+    def possible(self, theta, payload):
+        (gain,) = self.parameters
+        return gain.lower < theta["gain"] < gain.upper
 
     def torque(self, signals, theta, width):
         return (theta["gain"] * signals.load[self.joints[0]],)
