@@ -25,6 +25,7 @@ from rrr_oc.effects.empirical import Empirical
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.effects.quadratic_drag import QuadraticDrag
+from rrr_oc.effects.torque_gain import TorqueGain
 from rrr_oc.effects.torque_offset import TorqueOffset
 from rrr_oc.effects.torque_ripple import TorqueRipple
 from rrr_oc.evaluate import evaluate_inverse
@@ -270,6 +271,13 @@ def test_a_law_of_speed_is_confirmed_at_the_width_that_friction_has_beside_it(pl
     assert not forward._confirmed_as_abrupt(
         evidence, replace(law, trial=Trial(TorqueOffset((0,)), ({"offset": 1.0},))), evidence.model
     )
+
+
+@pytest.mark.parametrize("gain", [-0.6, 1.5])
+def test_a_gain_at_its_bound_is_none(gain):
+    """There all that the joint has scales with it."""
+    assert not TorqueGain((0,)).possible({"gain": gain}, 0.0)
+    assert TorqueGain((0,)).possible({"gain": 0.9 * gain}, 0.0)
 
 
 def test_of_two_fits_the_better_says_how_many_rows_are_independent():
