@@ -168,14 +168,13 @@ class CalibratedModel:
         """
         physics = self.physics(recording)
         result, starts = self.output_torque(recording, physics), physics.starts(recording, self.torque == "load")
-        if len(starts):
-            left = recording.tau * self._unit - result
-            for s in recording.segments:
+        left = recording.tau * self._unit - result
+        for s in recording.segments if len(starts) else ():
+            if s.stop - s.start > len(starts):
                 sizes = np.maximum(np.std(np.diff(left[:, s]), axis=1), 1e-9)[:, None]  # of noise, more or less
                 columns = (starts[:, :, s] / sizes).reshape(len(starts), -1).T
-                result[:, s] += np.tensordot(
-                    np.linalg.lstsq(columns, (left[:, s] / sizes).ravel(), rcond=1e-9)[0], starts[:, :, s], 1
-                )
+                size = np.linalg.lstsq(columns, (left[:, s] / sizes).ravel(), rcond=1e-9)[0]
+                result[:, s] += np.tensordot(size, starts[:, :, s], 1)
         return result
 
     def predict(self, recording: Recording) -> np.ndarray:
