@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from rrr_oc.calibrated import CalibratedModel, Term
-from rrr_oc.diagnose import Found
+from rrr_oc.diagnose import Found, noisy
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.evidence import Bench
@@ -28,7 +28,8 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
     """The joints of which no law of the catalogue explains what happens when they reverse, (n,).
 
     Abrupt dry friction may hold a joint for a moment then, and may be anything below its level; a term that no law stands behind
-    may take up even that, so that it is asked without such, too. Bristles that bend by less than recorded positions tell are none.
+    may take up even that, so that it is asked without such, too. Where hardly more than noise was to be explained, bristles that bend
+    by less than recorded positions tell are none.
     """
     clear, model = without_reversals(bench.prepared), found.fitted.model
     lawful = replace(model, terms=tuple(t for t in model.terms if not t.effect.lawless))
@@ -36,8 +37,9 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
     for one in (model,) if len(lawful.terms) == len(model.terms) else (model, refit(bench, lawful).model):
         result |= variance(bench.prepared, one) > BLURRED * variance(clear, one)
     bristles = [(t.effect.joints[0], t.named) for t in lawful.terms if isinstance(t.effect, PreslidingHysteresis)]
+    much = noisy(bench, found.plain)
     for j, theta in bristles:
-        result[j] |= theta["level"] < theta["stiffness"] * _resolution(bench, j)
+        result[j] |= j not in much and theta["level"] < theta["stiffness"] * _resolution(bench, j)
     return result
 
 
