@@ -184,8 +184,7 @@ def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
 
 def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
     """The best ripple of few cycles in the place of a series over a joint's own position."""
-    (j, *others) = own.effect.joints or (-1,)
-    if others or not own.effect.lawless or own.effect.depends_on != (("q", j),):
+    if not own.effect.lawless or own.effect.depends_on != (("q", j := own.effect.joints[0]),):
         return []
     return Evidence.gather(bench, less.model, list(TorqueRipple.slow(view(bench.whole, less.model), j))).candidates()[:1]
 

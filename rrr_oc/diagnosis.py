@@ -199,8 +199,8 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
 
 def _few_cycles(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> bool:
     """Whether a ripple is among them that only takes the place of a series, as the recordings see less than two cycles of it."""
-    seen, ripples = view(bench.prepared, plain), [f.term for f in findings if isinstance(f.term.effect, TorqueRipple)]
-    return any(t.named["order"] * np.ptp([seen.low[j], seen.high[j]]) < 4 * np.pi for t in ripples for j in t.effect.joints)
+    seen, terms = view(bench.prepared, plain), [f.term for f in findings]
+    return any(isinstance(t.effect, TorqueRipple) and t.effect.is_slow(seen, t.named) for t in terms)
 
 
 def _refuted(findings: Sequence[Finding], held_out: tuple[np.ndarray, np.ndarray]) -> bool:

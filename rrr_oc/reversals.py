@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.diagnose import Found, noisy
@@ -20,7 +21,6 @@ from rrr_oc.savitzky_golay import smooth
 from rrr_oc.smooth import TURNS
 
 LEAST = 7  # samples of a smooth motion, from which positions are told
-NORMAL = 0.6745  # standard deviations that half of a normal sample is within
 BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
 
 
@@ -49,7 +49,7 @@ def _resolution(bench: Bench, j: int) -> float:
     for r in (p.recording for p in bench.prepared):
         window = max(SPEED_WINDOW, LEAST * float(np.median(np.diff(r.t))))
         off.append(r.q[j] - smooth(r.t, r.q[j : j + 1], r.segments, window)[0])
-    return float(np.median(np.abs(np.concatenate(off))) / NORMAL)
+    return float(median_abs_deviation(np.concatenate(off), scale="normal"))  # pyright: ignore[reportArgumentType] (stubs)
 
 
 def other_turns(bench: Bench, found: Found) -> dict[int, Term]:

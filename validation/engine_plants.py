@@ -114,7 +114,7 @@ class Plant:
     @property
     def other(self) -> int:
         """The joint that shares an effect with the joint that has it."""
-        return self.joint - 1 if self.joint else 1
+        return self.joint - 1 if self.joint else min(1, self.n - 1)
 
     @property
     def spring(self) -> float:
@@ -167,7 +167,7 @@ class Plant:
 
     def torque(self, q: np.ndarray, v: np.ndarray, t: float, mounted: bool, load: np.ndarray, bristle: float) -> np.ndarray:
         """What acts on the joints beside the engine's own forces and the motors (n,) [Nm], under what their links need (n,) [Nm]."""
-        j, i, dry, k = self.joint, min(self.other, self.n - 1), self.dry[self.joint], self.strength * self.dry[self.joint]
+        j, i, dry, k = self.joint, self.other, self.dry[self.joint], self.strength * self.dry[self.joint]
         turn = SIGNS.get(self.sign, np.tanh)(v / self.width)
         result = -self.dry * turn if self.sign in SIGNS else np.zeros(self.n)
         if self.effect == "presliding_hysteresis":
@@ -264,7 +264,7 @@ def recorded(one: Plant, mounted: bool, kind: str, seconds: float, rate: int, rn
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     stiffness, damping = 324 * np.diag(inertia)[at], 25 * np.diag(inertia)[at]
-    moved, bristle, turns = np.zeros(model.nv), 0.0, 1 / PRESLIDING
+    moved, bristle = np.zeros(model.nv), 0.0
     for k in range(-lead, round(seconds / STEP)):
         q, v = follow(max(k, 0) * STEP)
         v = v * (k >= 0)
@@ -274,7 +274,7 @@ def recorded(one: Plant, mounted: bool, kind: str, seconds: float, rate: int, rn
         mujoco.mj_mulM(model, data, moved, data.qacc)
         load = (moved + data.qfrc_bias)[at] - one.armature * data.qacc[at]
         data.qfrc_applied[at] = motor + one.torque(place, speed, k * STEP, mounted, load, bristle)
-        bristle += STEP * turns * (speed[one.joint] - abs(speed[one.joint]) * bristle)  # Dahl's
+        bristle += STEP / PRESLIDING * (speed[one.joint] - abs(speed[one.joint]) * bristle)  # Dahl's
         motors.append(motor)
         if k >= 0 and k % round(1 / STEP / rate) == 0:
             late = max(len(motors) - 1 - round(0.012 * one.strength / STEP), 0) if one.effect == "time_delay" else -1
@@ -332,14 +332,7 @@ def judged(number: int, out: Path) -> dict[str, Any]:
             for e in found["effects"]
         ]
         claims += [{"names": ["unexplained"], "joint": e["joint"]} for e in found["unexplained"]]
-        hidden = {
-            "set": number,
-            "effect": one.effect,
-            "joint": f"joint{one.joint + 1}",
-            "strength": one.strength,
-            "joints": one.n,
-            "sign": one.sign,
-        }
+        hidden = {"set": number, "effect": one.effect, "joint": f"joint{one.joint + 1}", "joints": one.n, "sign": one.sign}
         write_json(file, hidden | {"claims": claims, "nrmse": found["nrmse"]["held_out"]})
     return json.loads(file.read_text())
 

@@ -1,6 +1,6 @@
 """Torque that is periodic in the joint's angle: cogging, gear mesh, a harmonic drive's wave."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,14 +32,18 @@ class TorqueRipple(Effect):
     def trials(cls, view):
         """Whole orders of which the recordings see two cycles and more: less is any smooth torque."""
         for j in range(view.n):
-            least = int(np.ceil(4 * np.pi / (view.high[j] - view.low[j])))
+            least = _order(view, j, FEW)
             yield from cls._whole(j, max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
 
     @classmethod
     def slow(cls, view: View, j: int) -> Iterator[Trial]:
         """Whole orders of which the recordings see one cycle and less than two, for what is no other law of the catalogue."""
-        least, most = (int(np.ceil(turns * np.pi / (view.high[j] - view.low[j]))) for turns in (2, 4))
-        yield from cls._whole(j, max(least, 1), most if least <= MOST_CYCLES else 0)
+        least = _order(view, j, 1)
+        yield from cls._whole(j, max(least, 1), _order(view, j, FEW) if least <= MOST_CYCLES else 0)
+
+    def is_slow(self, view: View, theta: Mapping[str, float]) -> bool:
+        """Whether the recordings see less than two cycles of it."""
+        return theta["order"] < _order(view, self.joints[0], FEW)
 
     @classmethod
     def _whole(cls, j, least, most):
@@ -52,4 +56,10 @@ class TorqueRipple(Effect):
         return {"amplitude": float(np.hypot(c, s)), "order": points[0]["order"], "phase": float(np.arctan2(c, s))}
 
 
+def _order(view: View, j: int, cycles: float) -> int:
+    """The least whole order of which the recordings see so many cycles."""
+    return int(np.ceil(2 * np.pi * cycles / (view.high[j] - view.low[j])))
+
+
+FEW = 2  # cycles seen, below which a ripple may be any smooth torque
 MOST_CYCLES = 64  # a joint turn, of those looked for
