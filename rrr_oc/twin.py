@@ -29,6 +29,9 @@ K_P = 572.96  # Nm/rad, the prototype's P-controllers: 10 Nm a degree
 LIGHTEST = 0.01  # of the link's inertia, that a drive's armature has where its gear gives: a drive has inertia
 INERTIA_FLOOR = 1e-12  # kg m²; MuJoCo refuses a body without rotational inertia, so a point mass gets this much
 
+if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT where the user stands, from every thread
+    mujoco.set_mju_user_warning(lambda text: None)  # what diverges is counted in mjData, and seen in its states
+
 
 @dataclass(frozen=True)
 class Settings:
