@@ -25,6 +25,7 @@ from rrr_oc.diagnose import (
 from rrr_oc.effects import Effect
 from rrr_oc.effects.cable_harness import CableHarness
 from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.effects.torque_offset import TorqueOffset
 from rrr_oc.effects.torque_ripple import TorqueRipple
 from rrr_oc.evidence import Bench, Candidate, Evidence, scope_cost
 from rrr_oc.fitting import Fitted, refit
@@ -34,6 +35,7 @@ CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of 
 MANY = 3  # parameters, beyond which two effects may be the simpler explanation
 NEAR = 0.6  # of the likelihood of what is in place, for others to be fitted there
 PAIRS = 6  # of them that are tried
+RIPPLES = 4  # at one joint, that may explain what a series over its position does
 STILL = 0.5  # of the squared error while a joint stands, that a model must leave to be preferred to its equal
 
 
@@ -100,12 +102,15 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
                 best = (lead, tried, candidate)
             if better > -SAME:
                 rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
-        two = None if best is not None else _in_two(bench, less, fitted, own, evidence)
-        if two is not None:
-            names = " and ".join(t.effect.name for t in two.model.terms[-2:])
+        several = (
+            None if best is not None else _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, evidence)
+        )
+        if several is not None:
+            count = len(several.model.terms) - len(less.model.terms)
+            names = " and ".join(t.effect.name for t in several.model.terms[-count:])
             report(f"{names} take the place of {own.effect.name}")
-            fitted = _in_place(bench, i, two.model, 2)
-            continue  # with the two in its place
+            fitted = _in_place(bench, i, several.model, count)
+            continue  # with these in its place
         if best is not None:
             ousted = (own.effect.name, own.effect.joints)
             taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
@@ -187,6 +192,25 @@ def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
     if not own.effect.lawless or own.effect.depends_on != (("q", j := own.effect.joints[0]),):
         return []
     return Evidence.gather(bench, less.model, list(TorqueRipple.slow(view(bench.whole, less.model), j))).candidates()[:1]
+
+
+def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
+    """The model with a few ripples about some mean in the place of a series over a joint's own position, if they do as well."""
+    j, there = own.effect.joints[0], less
+    if not own.effect.lawless or own.effect.depends_on != (("q", j),):
+        return None
+    seen = view(bench.whole, less.model)
+    every = [trial for kind in (TorqueRipple, TorqueOffset) for trial in kind.trials(seen) if trial.effect.joints == (j,)]
+    for _ in range(RIPPLES + 1):
+        evidence = Evidence.gather(bench, there.model, every)
+        best = next(iter(evidence.candidates()), None)
+        if best is None:
+            return None
+        there = refit(bench, fit_of(bench, evidence, there, best).model)
+        simpler = len(fitted.model.values) - len(there.model.values)
+        if simpler > 0 and there.better_than(fitted) > -SAME - simpler:  # each coefficient fits noise, too
+            return there
+    return None
 
 
 def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:

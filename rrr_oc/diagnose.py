@@ -4,6 +4,7 @@ Forward: the trial with the most evidence joins the model, is fitted with everyt
 superfluous leaves again, until nothing is left beyond chance.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -83,7 +84,7 @@ def search(
             break
         chosen = _each_its_own(bench, chosen, report)
         fitted = rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
-        terms = frozenset((_whatever_range(t.effect), t.groups) for t in fitted.model.terms[base:])
+        terms = frozenset(Counter((_whatever_range(t.effect), t.groups) for t in fitted.model.terms[base:]).items())
         if terms in seen:
             break  # two ways to say the same would oust each other for ever
         seen.add(terms)

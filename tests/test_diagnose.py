@@ -233,6 +233,16 @@ def test_a_ripple_of_few_cycles_takes_the_place_of_a_series(planar):
     assert found.held_out[1][0] < 0.2 * found.held_out[0][0]
 
 
+def test_ripples_of_many_orders_are_found_and_what_is_weaker_than_they(planar):
+    plant, rng, orders = planar(1), np.random.default_rng(8), {12: 0.4, 24: 0.3, 31: 0.2, 40: 0.15}
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
+    gear = [replace(r, tau=r.tau + 0.1 + sum(a * np.sin(k * r.q + k) for k, a in orders.items())) for r in made]
+    found = [f.term for f in diagnose(as_set(plant, gear), jobs=1).findings]
+    ripples = {round(t.named["order"]): t.named["amplitude"] for t in found if t.effect == TorqueRipple((0,))}
+    assert ripples == pytest.approx(orders, rel=0.05)
+    assert [t.effect.name for t in found if t.effect != TorqueRipple((0,))] == ["torque_offset"]
+
+
 def test_a_spring_that_is_preloaded_by_much_equals_an_encoder_that_is_off():
     """About an upright axis nothing but the spring says where the joint is."""
     plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(2)
