@@ -10,7 +10,7 @@ from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, identify, plain_model
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnose import Lawless, above_noise, as_seen, search, worth
+from rrr_oc.diagnose import Found, Lawless, above_noise, as_seen, search, worth
 from rrr_oc.effects.torque_ripple import TorqueRipple
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
@@ -114,6 +114,29 @@ class Diagnosis:
         return "cannot_tell" if named and undecided else "missing_physics"
 
 
+@dataclass(frozen=True)
+class _Searched:
+    """Where the search on all recordings ended.
+
+    Attributes:
+        recordings: The set.
+        whole: Every row, without the moments at which joints reverse that were left out.
+        bench: What effects are looked for on.
+        plain: The plain model, calibrated.
+        start: The plain model with the widths that it has on the bench.
+        begin: The same with the links' inertial parameters, if these were identified; where every search begins.
+        found: What it found.
+    """
+
+    recordings: RecordingSet
+    whole: Sequence[Prepared]
+    bench: Bench
+    plain: CalibratedModel
+    start: CalibratedModel
+    begin: CalibratedModel
+    found: Found
+
+
 def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _: None, jobs: int = -1) -> Diagnosis:
     """Diagnose a recording set.
 
@@ -124,63 +147,26 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     Raises:
         UserError: The recordings are too short for the filter.
     """
-    report("calibrating the plain model")
-    whole = prepared = prepare(recordings)
-    start = with_widths(prepared, plain_model(recordings))
-    plain = _final(recordings, prepared, start)
-    prepared = thinned(without_spikes(prepared, plain))
-    unknown = recordings.inertial == "identify"
-    belief = (plain.robot.inertial, precision(prior(start.robot), plain.robot.inertial)) if unknown else None
-    bench = Bench(tuple(prepared), unknown, belief)
-    report("looking for effects")
-    start = with_widths(bench.prepared, start, free=True)
-    begin = replace(start, robot=plain.robot) if unknown else start
-    found = search(bench, begin, report)
-    if np.any(blurred := blurred_joints(bench, found)):
-        names = ", ".join(np.array(recordings.joints)[blurred])
-        report(f"looking for effects without the moments at which these joints reverse: {names}")
-        whole, prepared = without_reversals(whole, blurred), without_reversals(prepared, blurred)
-        bench = replace(bench, prepared=prepared)
-        found = search(bench, begin, report)
-    while turned := other_turns(bench, found):
-        names = ", ".join(recordings.joints[j] for j in turned)
-        report(f"looking for effects where dry friction changes sign in another way: {names}")
-        plain, start, begin = (with_turns(m, turned) for m in (plain, start, begin))
-        plain = _final(recordings, whole, plain)
-        found = search(bench, begin, report)
-    fitted, findings = contested(bench, found, report)
+    at = _searched(recordings, report)
+    bench, plain = at.bench, at.plain
+    fitted, findings = contested(bench, at.found, report)
     way, folds = _folds(bench)
-    model, shares = plain, Shares((), (), (), (), ())
-    empirical = any(f.term.effect.lawless for f in findings)
-    every = [fold for _, fold in folds]
-    lawless = "beside" if empirical or _few_cycles(bench, plain, findings) else "never"
-    held = [(bench, begin, every, k, bool(findings), lawless) for k, (bench, _) in enumerate(folds)]
-    report("fitting without the recordings that are held out")
-    outcomes = parallel.ordered(_held_out, held, 1 if not findings else jobs)
+    outcomes = _without_each(folds, at, findings, report, jobs)
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
     if _refuted(findings, held_out):
         report("what was found there predicts them worse")
         findings = []
+    model, shares = plain, Shares((), (), (), (), ())
     if findings:
         report("what each effect is worth on recordings held out")
-        findings, shares = _weighed(folds, begin, fitted, findings)
-        if empirical and not findings:
-            report("looking for effects of the catalogue first")
-            fitted, findings = contested(bench, search(bench, begin, report, "after"), report)
-            findings, shares = _weighed(folds, begin, fitted, findings)
-        model = _calibrated(recordings, whole, start, fitted, findings)
-        sure = [f for f, t in zip(findings, model.terms[len(start.terms) :], strict=True) if _sure(t)]
-        if len(sure) < len(findings):
-            findings, shares = _weighed(folds, begin, fitted, sure)
-            model = _calibrated(recordings, whole, start, fitted, findings)
-        findings = [replace(f, term=t) for f, t in zip(findings, model.terms[len(start.terms) :], strict=True)]
+        fitted, model, findings, shares = _claimed(at, folds, fitted, findings, report)
     if not findings:
-        model, fitted, held_out = plain, found.plain, (held_out[0], held_out[0])
+        fitted, held_out = at.found.plain, (held_out[0], held_out[0])
         outcomes = [replace(o, model=o.plain, after=o.before) for o in outcomes]
     left = above_noise(bench, fitted)
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
     where = mismatch(bench, refit(bench, plain), fitted, findings, left, calibration[0], held_out[0])
-    suggestions = suggest(recordings, plain, findings, bool(np.any(left > FAR)), view(prepared, plain))
+    suggestions = suggest(recordings, plain, findings, bool(np.any(left > FAR)), view(bench.prepared, plain))
     return Diagnosis(
         recordings,
         plain,
@@ -195,6 +181,73 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
         tuple(outcomes),
         tuple(left.tolist()),
     )
+
+
+def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searched:
+    """The search on all recordings; again where what happens as joints reverse hides or feigns effects."""
+    report("calibrating the plain model")
+    whole = prepare(recordings)
+    start = with_widths(whole, plain_model(recordings))
+    plain = _final(recordings, whole, start)
+    unknown = recordings.inertial == "identify"
+    belief = (plain.robot.inertial, precision(prior(start.robot), plain.robot.inertial)) if unknown else None
+    bench = Bench(tuple(thinned(without_spikes(whole, plain))), unknown, belief)
+    report("looking for effects")
+    start = with_widths(bench.prepared, start, free=True)
+    begin = replace(start, robot=plain.robot) if unknown else start
+    found = search(bench, begin, report)
+    if np.any(blurred := blurred_joints(bench, found)):
+        names = ", ".join(np.array(recordings.joints)[blurred])
+        report(f"looking for effects without the moments at which these joints reverse: {names}")
+        whole = without_reversals(whole, blurred)
+        bench = replace(bench, prepared=without_reversals(bench.prepared, blurred))
+        found = search(bench, begin, report)
+    while turned := other_turns(bench, found):
+        names = ", ".join(recordings.joints[j] for j in turned)
+        report(f"looking for effects where dry friction changes sign in another way: {names}")
+        plain, start, begin = (with_turns(m, turned) for m in (plain, start, begin))
+        plain = _final(recordings, whole, plain)
+        found = search(bench, begin, report)
+    return _Searched(recordings, whole, bench, plain, start, begin, found)
+
+
+def _without_each(
+    folds: Sequence[tuple[Bench, list[int]]],
+    at: _Searched,
+    findings: Sequence[Finding],
+    report: Callable[[str], None],
+    jobs: int,
+) -> list[Fold]:
+    """What comes out without each fold of the recordings."""
+    empirical = any(f.term.effect.lawless for f in findings)
+    lawless = "beside" if empirical or _few_cycles(at.bench, at.plain, findings) else "never"
+    every = [fold for _, fold in folds]
+    held = [(bench, at.begin, every, k, bool(findings), lawless) for k, (bench, _) in enumerate(folds)]
+    report("fitting without the recordings that are held out")
+    return parallel.ordered(_held_out, held, 1 if not findings else jobs)
+
+
+def _claimed(
+    at: _Searched,
+    folds: Sequence[tuple[Bench, list[int]]],
+    fitted: Fitted,
+    findings: Sequence[Finding],
+    report: Callable[[str], None],
+) -> tuple[Fitted, CalibratedModel, list[Finding], Shares]:
+    """What of the findings is worth something on recordings held out and is sure, and the model with that, calibrated on all."""
+    kept, shares = _weighed(folds, at.begin, fitted, findings)
+    if not kept and any(f.term.effect.lawless for f in findings):
+        report("looking for effects of the catalogue first")
+        fitted, findings = contested(at.bench, search(at.bench, at.begin, report, "after"), report)
+        kept, shares = _weighed(folds, at.begin, fitted, findings)
+    base = len(at.start.terms)
+    model = _calibrated(at, fitted, kept)
+    sure = [f for f, t in zip(kept, model.terms[base:], strict=True) if _sure(t)]
+    if len(sure) < len(kept):
+        kept, shares = _weighed(folds, at.begin, fitted, sure)
+        model = _calibrated(at, fitted, kept)
+    kept = [replace(f, term=t) for f, t in zip(kept, model.terms[base:], strict=True)]
+    return fitted, model if kept else at.plain, kept, shares
 
 
 def _few_cycles(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> bool:
@@ -307,11 +360,9 @@ def _at(start: CalibratedModel, fitted: Fitted) -> CalibratedModel:
     return replace(start, terms=fitted.model.terms[: len(start.terms)])
 
 
-def _calibrated(
-    recordings: RecordingSet, whole: Sequence[Prepared], start: CalibratedModel, fitted: Fitted, findings: Sequence[Finding]
-) -> CalibratedModel:
+def _calibrated(at: _Searched, fitted: Fitted, findings: Sequence[Finding]) -> CalibratedModel:
     """The extended model on all recordings."""
-    return _final(recordings, whole, _with(_at(start, fitted), [f.term for f in findings]))
+    return _final(at.recordings, at.whole, _with(_at(at.start, fitted), [f.term for f in findings]))
 
 
 def _sure(term: Term) -> bool:
