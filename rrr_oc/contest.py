@@ -196,10 +196,9 @@ def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
 
 def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
     """The model with a few ripples about some mean in the place of a series over a joint's own position, if they do as well."""
-    j, there = own.effect.joints[0], less
-    if not own.effect.lawless or own.effect.depends_on != (("q", j),):
+    if not own.effect.lawless or own.effect.depends_on != (("q", j := own.effect.joints[0]),):
         return None
-    seen = view(bench.whole, less.model)
+    seen, there = view(bench.whole, less.model), less
     every = [trial for kind in (TorqueRipple, TorqueOffset) for trial in kind.trials(seen) if trial.effect.joints == (j,)]
     for _ in range(RIPPLES + 1):
         evidence = Evidence.gather(bench, there.model, every)
