@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel, Term, nominal_term
 from rrr_oc.diagnose import (
+    FEWER_LEFT,
     SAME,
     TRIED,
     Found,
@@ -20,6 +21,7 @@ from rrr_oc.diagnose import (
     present,
     rarity,
     rewidened,
+    unnamed,
     without,
 )
 from rrr_oc.effects import Effect
@@ -133,6 +135,9 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             )
         )
         i += 1
+    series = _as_series(bench, fitted, base, report)
+    if series is not fitted:
+        return contested(bench, replace(found, fitted=series), report)
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
 
@@ -189,21 +194,46 @@ def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
 
 def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
     """The best ripple of few cycles in the place of a series over a joint's own position."""
-    if not own.effect.lawless or own.effect.depends_on != (("q", j := own.effect.joints[0]),):
+    j = next(iter(own.effect.joints), -1)
+    if not _over_position(own.effect, j):
         return []
     return Evidence.gather(bench, less.model, list(TorqueRipple.slow(view(bench.whole, less.model), j))).candidates()[:1]
 
 
+def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
+    """The model with one series over a joint's position where there are more than a few ripples: any shape is a sum of these."""
+    for j in range(bench.n):
+        shapes = [t for t in fitted.model.terms[base:] if t.effect == TorqueRipple((j,)) or _over_position(t.effect, j)]
+        if len(shapes) <= RIPPLES:
+            continue
+        less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
+        evidence = unnamed(bench, less.model, j)
+        every = [c for c in evidence.candidates() if _over_position(c.trial.effect, j)][:TRIED]
+        best = min((refit(bench, fit_of(bench, evidence, less, c).model) for c in every), key=lambda f: f.misfit, default=less)
+        if best.misfit < fitted.misfit + np.log(FEWER_LEFT):
+            report("a series over position takes the place of ripples")
+            fitted = best
+    return fitted
+
+
+def _over_position(effect: Effect, j: int) -> bool:
+    """Whether it is a torque of a joint's own position that no law stands behind."""
+    return effect.lawless and effect.joints == (j,) and effect.depends_on == (("q", j),)
+
+
 def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
     """The model with a few ripples about some mean in the place of a series over a joint's own position, if they do as well."""
-    if not own.effect.lawless or own.effect.depends_on != (("q", j := own.effect.joints[0]),):
+    j = next(iter(own.effect.joints), -1)
+    if not _over_position(own.effect, j):
         return None
     seen, there = view(bench.whole, less.model), less
     every = [trial for kind in (TorqueRipple, TorqueOffset) for trial in kind.trials(seen) if trial.effect.joints == (j,)]
+    ripples = sum(t.effect == TorqueRipple((j,)) for t in less.model.terms)
     for _ in range(RIPPLES + 1):
         evidence = Evidence.gather(bench, there.model, every)
         best = next(iter(evidence.candidates()), None)
-        if best is None:
+        ripples += best is not None and isinstance(best.trial.effect, TorqueRipple)
+        if best is None or ripples > RIPPLES:
             return None
         there = refit(bench, fit_of(bench, evidence, there, best).model)
         simpler = len(fitted.model.values) - len(there.model.values)

@@ -40,6 +40,7 @@ MARGIN = 1.1  # by which an empirical term must do better than a law of the cata
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 TOGETHER = 4  # effects that may explain what an empirical term does
 HOPELESS = 0.25  # of what it explains, that two of them must
+EDGES_APART, EDGE = 0.05, 0.002  # of a range: first step to where a torque begins, and how well that is found
 ROUGH = 0.05  # of a width that several laws share, until that of dry friction alone is looked for again
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
 DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
@@ -154,7 +155,23 @@ def _widened_together(bench: Bench, fitted: Fitted) -> Fitted:
 
 def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best | None:
     evidence = unnamed(bench, fitted.model, j)
-    return _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
+    every = [e for e in (evidence, _at_its_edge(evidence)) if e is not None]
+    found = [_best(bench, e, contenders(e, fitted.model), plain, fitted) for e in every]
+    return max((b for b in found if b is not None), key=lambda b: b[0], default=None)
+
+
+def _at_its_edge(evidence: Evidence) -> Evidence | None:
+    """The evidence for the best torque that begins at an edge, from where it explains most and not only from one of a few places."""
+    every, bench, step = evidence.candidates(), evidence.bench, EDGES_APART
+    best = next((c for c in every if isinstance(c.trial.effect, Empirical) and c.trial.effect.edges), None)
+    if best is None or best.score < CLOSE * every[0].score:
+        return None
+    seen, there = view(bench.whole, evidence.model), None
+    while step > EDGE and best is not None and isinstance(effect := best.trial.effect, Empirical):
+        there = Evidence.gather(bench, evidence.model, [e.trial(seen) for e in (effect, *effect.near(step))])
+        best = max(there.candidates(), key=lambda c: c.score, default=None)
+        step /= 2 if best is not None and best.trial.effect == effect else 1
+    return there
 
 
 def _exactly(bench: Bench, fitted: Fitted, best: Best) -> Best:

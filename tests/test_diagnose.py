@@ -243,6 +243,33 @@ def test_ripples_of_many_orders_are_found_and_what_is_weaker_than_they(planar):
     assert [t.effect.name for t in found if t.effect != TorqueRipple((0,))] == ["torque_offset"]
 
 
+def test_a_bump_is_no_sum_of_ripples(planar):
+    plant, rng = planar(1), np.random.default_rng(9)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
+    middle = float(np.mean(np.concatenate([r.q[0] for r in made])))
+    bump = [replace(r, tau=r.tau + 0.4 * np.exp(-(((r.q - middle) / 0.08) ** 2) / 2)) for r in made]
+    found = diagnose(as_set(plant, bump), jobs=1)
+    assert (("q", 0),) in [f.term.effect.depends_on for f in found.findings]
+    assert TorqueRipple((0,)) not in [f.term.effect for f in found.findings]
+    assert found.held_out[1][0] < 0.3 * found.held_out[0][0]
+
+
+def test_where_a_torque_begins_is_found(planar):
+    """A cushion at the end of a range: between the places that are tried first."""
+    plant, rng = planar(1), np.random.default_rng(3)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
+    every = np.concatenate([r.q[0] for r in made])
+    start = float(every.min() + 0.73 * np.ptp(every))
+    cushion = [replace(r, tau=r.tau + 20 * np.maximum(r.q - start, 0) ** 3) for r in made]
+    (found,) = diagnose(as_set(plant, cushion), jobs=1).findings
+    effect = found.term.effect
+    assert isinstance(effect, Empirical)
+    assert effect.depends_on == (("q", 0),)
+    ((side, edge, power),) = effect.edges
+    assert (side, power) == (1, 3)
+    assert effect.low[0] + edge * (effect.high[0] - effect.low[0]) == pytest.approx(start, abs=0.01 * np.ptp(every))
+
+
 def test_a_spring_that_is_preloaded_by_much_equals_an_encoder_that_is_off():
     """About an upright axis nothing but the spring says where the joint is."""
     plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(2)

@@ -2,12 +2,12 @@
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from rrr_oc.effects.effect import Effect, Trial
+from rrr_oc.effects.effect import Effect
 from rrr_oc.parameters import Parameter
 from rrr_oc.smooth import cos, fmax, fmin, sign
 
@@ -118,6 +118,13 @@ class Empirical(Effect):
         )
         return f"something that begins {where}"
 
+    def near(self, step):
+        """The same with one of its edges moved by a share `step` of the range, either way."""
+        for k, (side, edge, power) in enumerate(self.edges):
+            for there in (edge - step, edge + step):
+                if 0 < there < 1:
+                    yield replace(self, edges=(*self.edges[:k], (side, there, power), *self.edges[k + 1 :]))
+
     @classmethod
     def trials(cls, view):
         """None: the catalogue goes first, and what is left over asks for these by `unnamed`."""
@@ -129,8 +136,7 @@ class Empirical(Effect):
         on_link, largest = torque == "load", max(map(abs, ranges["motor", j]))
         for effect in cls._shapes(view.n, j, ranges, largest, on_link):
             if not on_link or all(kind in ("q", "dq") for kind, _ in effect.variables):
-                zero = dict.fromkeys(effect.amplitudes, 0.0)
-                yield Trial(effect, tuple(zero | {a: 1.0} for a in effect.amplitudes), width=effect.sign_width(view))
+                yield effect.trial(view)
 
     @classmethod
     def _shapes(cls, n, j, ranges, largest, on_link):
