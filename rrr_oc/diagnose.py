@@ -40,6 +40,7 @@ MARGIN = 1.1  # by which an empirical term must do better than a law of the cata
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 TOGETHER = 4  # effects that may explain what an empirical term does
 HOPELESS = 0.25  # of what it explains, that two of them must
+NEARLY = 0.8  # of the best score, for a torque that begins at an edge to be looked at more closely
 EDGES_APART, EDGE = 0.05, 0.002  # of a range: first step to where a torque begins, and how well that is found
 ROUGH = 0.05  # of a width that several laws share, until that of dry friction alone is looked for again
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
@@ -164,7 +165,7 @@ def _at_its_edge(evidence: Evidence) -> Evidence | None:
     """The evidence for the best torque that begins at an edge, from where it explains most and not only from one of a few places."""
     every, bench, step = evidence.candidates(), evidence.bench, EDGES_APART
     best = next((c for c in every if isinstance(c.trial.effect, Empirical) and c.trial.effect.edges), None)
-    if best is None or best.score < CLOSE * every[0].score:
+    if best is None or best.score < NEARLY * every[0].score:
         return None
     seen, there = view(bench.whole, evidence.model), None
     while step > EDGE and best is not None and isinstance(effect := best.trial.effect, Empirical):

@@ -362,7 +362,8 @@ def _at(start: CalibratedModel, fitted: Fitted) -> CalibratedModel:
 
 def _calibrated(at: _Searched, fitted: Fitted, findings: Sequence[Finding]) -> CalibratedModel:
     """The extended model on all recordings."""
-    return _final(at.recordings, at.whole, _with(_at(at.start, fitted), [f.term for f in findings]))
+    terms = [f.term.with_values(np.array(list(f.term.effect.canonical(f.term.named).values()))) for f in findings]
+    return _final(at.recordings, at.whole, _with(_at(at.start, fitted), terms))
 
 
 def _sure(term: Term) -> bool:

@@ -230,6 +230,7 @@ def test_a_ripple_of_few_cycles_takes_the_place_of_a_series(planar):
     (ripple,) = found.findings
     assert ripple.term.effect == TorqueRipple((0,))
     assert ripple.term.values[:2] == pytest.approx([1.5, 8.0], rel=0.03)
+    assert abs(ripple.term.values[2]) <= np.pi
     assert found.held_out[1][0] < 0.2 * found.held_out[0][0]
 
 

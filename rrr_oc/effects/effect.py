@@ -237,6 +237,10 @@ class Effect(ABC):
         """Whether parameters lie within their bounds; `payload` [kg] is the least listed of where the effect is at work."""
         return all(p.lower <= theta[p.name] <= p.upper for p in self.parameters)
 
+    def canonical(self, theta: Mapping[str, float]) -> dict[str, float]:
+        """The same law in the parameters that people expect, where several stand for it."""
+        return dict(theta)
+
     @property
     def depends_on(self) -> tuple[tuple[str, int], ...]:
         """What a torque that is `lawless` depends on: ("q", joint), ("load", joint), ("sign", joint), ("time", −1), …"""

@@ -50,6 +50,11 @@ class TorqueRipple(Effect):
         for order in range(least, most):
             yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
 
+    def canonical(self, theta):
+        """Amplitude above 0, phase within ±π."""
+        phase = theta["phase"] + (np.pi if theta["amplitude"] < 0 else 0.0)
+        return {**theta, "amplitude": abs(theta["amplitude"]), "phase": float(np.angle(np.exp(1j * phase)))}
+
     def combined(self, points, coefficients):
         """c_0 sin x + c_1 cos x as one sine."""
         s, c = map(float, coefficients)
