@@ -68,7 +68,7 @@ class Finding:
 def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda _: None) -> tuple[Fitted, list[Finding]]:
     """The model in which each effect holds against all others in its place, and what speaks for each, most important first.
 
-    Two simpler effects may take the place of one, too.
+    Simpler effects may take the place of one, too, and a series that of many ripples.
     """
     plain, fitted = found.plain, found.fitted
     base = len(plain.model.terms)
@@ -104,9 +104,9 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
                 best = (lead, tried, candidate)
             if better > -SAME:
                 rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
-        several = (
-            None if best is not None else _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, evidence)
-        )
+        several = None
+        if best is None:
+            several = _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, evidence)
         if several is not None:
             count = len(several.model.terms) - len(less.model.terms)
             names = " and ".join(t.effect.name for t in several.model.terms[-count:])
@@ -194,21 +194,22 @@ def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
 
 def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
     """The best ripple of few cycles in the place of a series over a joint's own position."""
-    j = next(iter(own.effect.joints), -1)
-    if not _over_position(own.effect, j):
+    if not _over_position(own.effect):
         return []
-    return Evidence.gather(bench, less.model, list(TorqueRipple.slow(view(bench.whole, less.model), j))).candidates()[:1]
+    slow = TorqueRipple.slow(view(bench.whole, less.model), own.effect.joints[0])
+    return Evidence.gather(bench, less.model, list(slow)).candidates()[:1]
 
 
 def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
     """The model with one series over a joint's position where there are more than a few ripples: any shape is a sum of these."""
     for j in range(bench.n):
-        shapes = [t for t in fitted.model.terms[base:] if t.effect == TorqueRipple((j,)) or _over_position(t.effect, j)]
+        own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,)]
+        shapes = [t for t in own if isinstance(t.effect, TorqueRipple) or _over_position(t.effect)]
         if len(shapes) <= RIPPLES:
             continue
         less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
         evidence = unnamed(bench, less.model, j)
-        every = [c for c in evidence.candidates() if _over_position(c.trial.effect, j)][:TRIED]
+        every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:TRIED]
         best = min((refit(bench, fit_of(bench, evidence, less, c).model) for c in every), key=lambda f: f.misfit, default=less)
         if best.misfit < fitted.misfit + np.log(FEWER_LEFT):
             report("a series over position takes the place of ripples")
@@ -216,17 +217,16 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
     return fitted
 
 
-def _over_position(effect: Effect, j: int) -> bool:
+def _over_position(effect: Effect) -> bool:
     """Whether it is a torque of a joint's own position that no law stands behind."""
-    return effect.lawless and effect.joints == (j,) and effect.depends_on == (("q", j),)
+    return effect.lawless and effect.depends_on == (("q", effect.joints[0]),)
 
 
 def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
     """The model with a few ripples about some mean in the place of a series over a joint's own position, if they do as well."""
-    j = next(iter(own.effect.joints), -1)
-    if not _over_position(own.effect, j):
+    if not _over_position(own.effect):
         return None
-    seen, there = view(bench.whole, less.model), less
+    j, seen, there = own.effect.joints[0], view(bench.whole, less.model), less
     every = [trial for kind in (TorqueRipple, TorqueOffset) for trial in kind.trials(seen) if trial.effect.joints == (j,)]
     ripples = sum(t.effect == TorqueRipple((j,)) for t in less.model.terms)
     for _ in range(RIPPLES + 1):

@@ -41,7 +41,7 @@ RARE = 0.25  # of the evidence for what is mounted in all recordings and listed 
 TOGETHER = 4  # effects that may explain what an empirical term does
 HOPELESS = 0.25  # of what it explains, that two of them must
 NEARLY = 0.8  # of the best score, for a torque that begins at an edge to be looked at more closely
-EDGES_APART, EDGE = 0.05, 0.002  # of a range: first step to where a torque begins, and how well that is found
+EDGES_APART, LEAST_STEP = 0.05, 0.002  # of a range: first step towards where a torque begins, and below which there is none
 ROUGH = 0.05  # of a width that several laws share, until that of dry friction alone is looked for again
 SAME = 9.0  # twice the log-likelihood within which two models do equally well
 DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
@@ -163,15 +163,16 @@ def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best |
 
 def _at_its_edge(evidence: Evidence) -> Evidence | None:
     """The evidence for the best torque that begins at an edge, from where it explains most and not only from one of a few places."""
-    every, bench, step = evidence.candidates(), evidence.bench, EDGES_APART
+    every, step, there = evidence.candidates(), EDGES_APART, None
     best = next((c for c in every if isinstance(c.trial.effect, Empirical) and c.trial.effect.edges), None)
     if best is None or best.score < NEARLY * every[0].score:
         return None
-    seen, there = view(bench.whole, evidence.model), None
-    while step > EDGE and best is not None and isinstance(effect := best.trial.effect, Empirical):
-        there = Evidence.gather(bench, evidence.model, [e.trial(seen) for e in (effect, *effect.near(step))])
-        best = max(there.candidates(), key=lambda c: c.score, default=None)
-        step /= 2 if best is not None and best.trial.effect == effect else 1
+    effect, seen = best.trial.effect, view(evidence.bench.whole, evidence.model)
+    while step > LEAST_STEP and isinstance(effect, Empirical):
+        there = Evidence.gather(evidence.bench, evidence.model, [e.trial(seen) for e in (effect, *effect.near(step))])
+        scores = {c.trial.effect: c.score for c in there.candidates()}
+        nearest = max(scores, key=lambda e: (scores[e], e == effect), default=effect)  # of equals, where it is
+        effect, step = nearest, step / 2 if nearest == effect else step
     return there
 
 
