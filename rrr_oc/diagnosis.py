@@ -44,9 +44,9 @@ class Shares:
 
     Attributes:
         share: Fall of the squared residual with the effect, over what it was before any effect, one an effect.
-        worth: The same fall, as `diagnose.worth` has it.
+        worth: The fall, as `diagnose.worth` has it; of what is another in each of several recordings, where the others are there.
         before, after: NRMSE of the effect's joints without and with it, one an effect.
-        least: As `share`, in the fold where it is least.
+        least: The share of the fall that `worth` is of, in the fold where it is least.
     """
 
     share: tuple[float, ...]
@@ -395,7 +395,8 @@ def _worth_keeping(
 ) -> tuple[list[int], Shares]:
     """Numbers of the terms that are worth something on recordings held out, and their shares; the others leave one by one.
 
-    A term that no law stands behind must do harm on none of the folds, too: it may fit motions that are alike, and no others. Of
+    A term of all recordings that no law stands behind must do harm on none of the folds, too: it may fit motions that are alike, and
+    no others. Of
     terms of which one must leave, the one leaves without which the others predict best: together they may do worse than alone.
     """
     kept = list(range(len(terms)))
@@ -403,7 +404,7 @@ def _worth_keeping(
         shares = _shares(folds, start, [terms[k] for k in kept])
         poor, lawless = [], False
         for k, value, least in zip(kept, shares.worth, shares.least, strict=True):
-            unnamed = terms[k].effect.lawless
+            unnamed = terms[k].effect.lawless and not terms[k].groups
             if value <= LEAST_WORTH or (unnamed and least < -HARM):
                 poor.append(k)
                 lawless |= unnamed
@@ -426,25 +427,36 @@ def _left(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, term
 
 
 def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]) -> Shares:
-    """Effects are added one after the other, in their order; everything is fitted to the rest of the recordings each time."""
+    """Effects are added one after the other, in their order; everything is fitted to the rest of the recordings each time.
+
+    Where one is another in each of several recordings, its worth is what it adds where the others are there already.
+    """
     base, count = len(start.terms), len(terms)
-    squares, errors = np.zeros((len(folds), count + 1, start.robot.n)), []
-    for f, (bench, fold) in enumerate(folds):
+    some = [tuple(range(k)) for k in range(count + 1)]
+    after = [tuple(sorted({*some[k + 1], *_siblings(terms, k)})) for k in range(count)]
+    pairs = [(tuple(i for i in there if i != k), there) for k, there in enumerate(after)]
+    squares: dict[tuple[int, ...], list[np.ndarray]] = {chosen: [] for chosen in (*some, *(c for pair in pairs for c in pair))}
+    errors: dict[tuple[int, ...], list[np.ndarray]] = {chosen: [] for chosen in squares}
+    for bench, fold in folds:
         train, test = bench.part([i for i in range(len(bench.prepared)) if i not in fold]), bench.part(fold)
-        model, found = _with(start, as_seen(train, start, terms)), []
-        for k in range(count + 1):
-            there = refit(train, replace(model, terms=model.terms[: base + k])).model
-            squares[f, k] = np.sum(rows(test.prepared, there).residual ** 2, axis=1)
-            found.append(_errors(test, there))
-        errors.append(found)
-    nrmse = np.array([_mean([e[k] for e in errors]) for k in range(count + 1)])
-    by_fold = np.sum(squares / np.maximum(squares.sum(axis=0)[-1], 1e-300), axis=2)  # joints weigh by the noise that is left
-    total, least = by_fold.sum(axis=0), np.min(-np.diff(by_fold, axis=1) / by_fold[:, :1], axis=0)
+        model = _with(start, as_seen(train, start, terms))
+        for chosen in squares:
+            there = refit(train, replace(model, terms=(*model.terms[:base], *(model.terms[base + k] for k in chosen)))).model
+            squares[chosen].append(np.sum(rows(test.prepared, there).residual ** 2, axis=1))
+            errors[chosen].append(_errors(test, there))
+    noise = np.maximum(np.sum(squares[some[-1]], axis=0), 1e-300)  # joints weigh by the noise that is left
+    by_fold = {chosen: np.sum(np.array(each) / noise, axis=1) for chosen, each in squares.items()}
+    total, nrmse = {c: x.sum() for c, x in by_fold.items()}, {c: _mean(e) for c, e in errors.items()}
     joints = [list(t.effect.joints) or list(range(start.robot.n)) for t in terms]
     return Shares(
-        tuple(float((total[k] - total[k + 1]) / total[0]) for k in range(count)),
-        tuple(float(worth(total[0], total[k], total[k + 1])) for k in range(count)),
-        tuple(float(np.nanmean(nrmse[k][j])) for k, j in enumerate(joints)),
-        tuple(float(np.nanmean(nrmse[k + 1][j])) for k, j in enumerate(joints)),
-        tuple(map(float, least)),
+        tuple(float((total[some[k]] - total[some[k + 1]]) / total[()]) for k in range(count)),
+        tuple(float(worth(total[()], total[b], total[a])) for b, a in pairs),
+        tuple(float(np.nanmean(nrmse[some[k]][j])) for k, j in enumerate(joints)),
+        tuple(float(np.nanmean(nrmse[some[k + 1]][j])) for k, j in enumerate(joints)),
+        tuple(float(np.min((by_fold[b] - by_fold[a]) / by_fold[()])) for b, a in pairs),
     )
+
+
+def _siblings(terms: Sequence[Term], k: int) -> list[int]:
+    """The terms that are the same effect in other recordings."""
+    return [i for i, t in enumerate(terms) if t.effect == terms[k].effect and t.groups and terms[k].groups]

@@ -744,6 +744,21 @@ def test_an_effect_may_be_another_in_each_recording(planar):
     )
 
 
+@pytest.mark.parametrize("truth", [{1: (0.4, 0.2)}, {0: (0.6, 0.3), 1: (0.3, 0.1), 2: (0.15, 0.1)}])
+def test_friction_may_be_another_in_some_recordings(planar, truth):
+    """As of a gear that was cold: no law of the catalogue, and friction that grows with load least of all."""
+    plant, rng = planar(2), np.random.default_rng(3)
+
+    def change(i: int, r: Recording) -> np.ndarray:
+        dry, viscous = truth.get(i, (0.0, 0.0))
+        return np.outer([0, 1], dry * np.tanh(r.dq[1] / plant.width) + viscous * r.dq[1])
+
+    found = diagnose(as_set(plant, with_changes(plant, rng, change, 6)), jobs=1)
+    assert {(f.term.effect.name, f.term.effect.joints) for f in found.findings} == {("friction_change", (1,))}
+    values = {g: f.term.values for f in found.findings for g in f.term.groups}
+    assert values == {f"{i}.csv": pytest.approx(v, abs=0.02) for i, v in truth.items()}
+
+
 @pytest.mark.parametrize(("missing", "own"), [(0.0, 2), (0.5, 1)])
 def test_what_differs_by_little_is_another_in_each_only_near_the_noise(planar, missing, own):
     """Far from it, other values take up what else is missing."""

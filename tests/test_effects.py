@@ -20,6 +20,7 @@ from rrr_oc.effects.biarticular_spring import HARDWARE_LIMITS, BiarticularSpring
 from rrr_oc.effects.coupled_friction import CoupledFriction
 from rrr_oc.effects.echo import Echo
 from rrr_oc.effects.empirical import Empirical
+from rrr_oc.effects.friction_change import FrictionChange
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.model import Model
@@ -655,7 +656,8 @@ def arm():
     surface = Empirical((1,), (("q", 1), ("load", 1)), (span[0], -30.0), (span[1], 30.0), (2, 1), True)
     zero = dict.fromkeys(surface.amplitudes, 0.0)
     by_name["empirical"] = [Trial(surface, tuple(zero | {a: 1.0} for a in surface.amplitudes), width=0.05)]
-    by_name["echo"] = list(Echo.unnamed(view(prepared, model), 1, {}, "motor"))
+    for kind in (Echo, FrictionChange):
+        by_name[kind.name] = list(kind.unnamed(view(prepared, model), 1, {}, "motor"))
     return model, prepared, by_name
 
 
@@ -682,7 +684,7 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
         np.testing.assert_allclose(found, plain, atol=1e-7)  # a compliance of 1e-12 times derivatives over samples of 10 ms
 
 
-@pytest.mark.parametrize("name", [*CONTRACT, "echo", "empirical"])
+@pytest.mark.parametrize("name", [*CONTRACT, "echo", "empirical", "friction_change"])
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
     model, prepared, by_name = arm
