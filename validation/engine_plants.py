@@ -3,17 +3,17 @@
     python validation/engine_plants.py --sets 40 --out results/engine_plants
 
 Serial arms of 1 to 7 joints with random links, axes, friction and armature follow multisines or go from point to point, with and
-without stops, under a stiff controller. Dry friction is MuJoCo's constraint, which holds a joint, or a torque that changes sign in one
-of five ways over a random width. Sampling, resolution and noise are random, too; speeds, current and inertial parameters are given or
-not. Three sets of five have nothing missing, the others have one effect: an unlisted payload and a harness in every other recording,
-the rest in all. A link behind a gear that gives is a second joint of the engine. A set that is done is not done again. The plant shares
-no physics with the package.
+without stops, under a stiff controller. Dry friction is MuJoCo's constraint, which holds a joint, or a torque that changes sign in
+one of five ways over a random width. Sampling, resolution and noise are random, too; speeds, current and inertial parameters are
+given or not. Three sets of five have nothing missing, the others have one effect: an unlisted payload and a harness in every other
+recording, more friction in one, as of a gear that was cold, the rest in all. A link behind a gear that gives is a second joint of
+the engine. A set that is done is not done again. The plant shares no physics with the package.
 """
 
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -65,7 +65,9 @@ EFFECTS = (
     "spring_stiffness",
     "spring_preload",
     "spring_hysteresis",
+    "another_friction",
 )
+UNNAMED = ("unexplained", "another_friction")  # of them, that no law of the catalogue is
 LEAD = 1.0  # [s] before a recording begins, in which a link behind its gear comes to rest
 LISTED = 0.5  # [rad], the equilibrium of a spring that recordings list
 PRESLIDING = 0.015  # [rad], in which a bristle is at its level
@@ -294,7 +296,8 @@ def make(number: int, folder: Path) -> Plant:
     names = [f"joint{i + 1}" for i in range(n)]
     files = []
     for i in range(count):
-        rows = recorded(one, i % 2 == 0, kind, seconds, rate, rng)
+        cold = 1 + 0.4 * one.strength * (np.arange(n) == one.joint) * (one.effect == "another_friction" and i == 1)
+        rows = recorded(replace(one, dry=cold * one.dry, viscous=cold * one.viscous), i % 2 == 0, kind, seconds, rate, rng)
         q, dq, tau = rows[:, 1 : n + 1], rows[:, n + 1 : 2 * n + 1], rows[:, 2 * n + 1 :]
         q = np.round(q * 2**bits / 2 / np.pi) / 2**bits * 2 * np.pi
         dq = dq + 0.003 * rng.standard_normal(dq.shape)
@@ -337,6 +340,10 @@ def judged(number: int, out: Path) -> dict[str, Any]:
     return json.loads(file.read_text())
 
 
+def _wanted(effect: str) -> str:
+    return "unexplained" if effect in UNNAMED else effect
+
+
 def main(
     sets: Annotated[int, typer.Option(min=1)] = 40,
     first: Annotated[int, typer.Option(min=0, help="number of the first set")] = 0,
@@ -355,7 +362,8 @@ def main(
     clean = [bool(r["claims"]) for r in results if r["effect"] == "nothing"]
     others = [r for r in results if r["effect"] != "nothing"]
     named = [
-        any(r["effect"] in c["names"] and (c["joint"] is None or r["joint"] in c["joint"]) for c in r["claims"]) for r in others
+        any(_wanted(r["effect"]) in c["names"] and (c["joint"] is None or r["joint"] in c["joint"]) for c in r["claims"])
+        for r in others
     ]
     more = [len(r["claims"]) > 1 for r in others]
     for what, hits in (("false alarms", clean), ("effects named", named), ("with a further claim", more)):
