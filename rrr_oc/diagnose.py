@@ -16,6 +16,8 @@ from rrr_oc.calibrated import CalibratedModel, Estimate, Term
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.dry_friction import DryFriction
 from rrr_oc.effects.empirical import Empirical
+from rrr_oc.effects.load_dependent_friction import LoadDependentFriction
+from rrr_oc.effects.position_dependent_friction import PositionDependentFriction
 from rrr_oc.evidence import Bench, Candidate, Evidence, chance, pseudo_inverse, robust_p, significant
 from rrr_oc.fitting import Fitted, as_abrupt, refit, steadily_better, with_turn
 from rrr_oc.inference import normal_equations
@@ -38,6 +40,9 @@ EXACT = 3e-4  # of a joint's torque (deviation): no law, and no simulation, is m
 FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
+BY_LOAD = (
+    0.7  # of the evidence for friction over position, of which load is a function in slow motion: that friction goes first
+)
 TOGETHER = 4  # effects that may explain what an empirical term does
 HOPELESS = 0.25  # of what it explains, that two of them must
 NEARLY = 0.8  # of the best score, for a torque that begins at an edge to be looked at more closely
@@ -339,6 +344,9 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
         there = [rewidened(bench, refit(bench, tried.model)) for _, tried, _ in equal]
         equal = [(b[0] + f.better_than(b[1]), f, b[2]) for b, f in zip(equal, there, strict=True)]
         best = max(equal, key=lambda b: b[0])
+    if best is not None and isinstance(best[2].trial.effect, PositionDependentFriction) and noisy(bench, best[1]):
+        by_load = [b for b in found if b[2].trial.effect == LoadDependentFriction(best[2].trial.effect.joints)]
+        best = max((b for b in by_load if b[0] > BY_LOAD * best[0]), key=lambda b: b[0], default=best)
     if best is not None:  # what leaves another effect's torque, to be found next, leaves few rows that are independent
         fewer = [b for b in found if _size(b[2]) <= _size(best[2]) and b[1].misfit < best[1].misfit - np.log(FEWER_LEFT)]
         best = min(fewer, key=lambda b: b[1].misfit, default=best)

@@ -217,6 +217,8 @@ class Evidence:
             options = [(None, left[np.ix_(c, c)], left[c, -1], np.diag(total)[c])]
             if trial.effect.local and len(self.bench.labels) > 1:
                 options += self._scopes(c, total, inverse, _solve(*options[0][1:])[0])
+            if trial.effect.partial:
+                del options[0]
             for scope, *quadratic in options:
                 gain, coefficients, dimensions = self._possibly(k, scope, *quadratic)
                 cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))

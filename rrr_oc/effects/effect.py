@@ -123,6 +123,7 @@ class Effect(ABC):
         side: Where on the way from links to motor it acts (class attribute), see `SIDES`.
         plain: Whether every calibrated model has it (class attribute).
         local: Whether it may be present in some recordings only, as what depends on how the arm was set up (class attribute).
+        partial: Whether it is never present in all of them, where it would be what every model has (class attribute).
         of_arm: Whether it belongs to no single joint (class attribute).
         of_spring: Whether it is one of a spring that a recording lists, and absent where none is (class attribute).
         of_friction: Whether it depends on `Signals.friction` (class attribute).
@@ -146,6 +147,7 @@ class Effect(ABC):
     side: ClassVar[str] = "link"
     plain: ClassVar[bool] = False
     local: ClassVar[bool] = False
+    partial: ClassVar[bool] = False
     of_arm: ClassVar[bool] = False
     of_spring: ClassVar[bool] = False
     of_friction: ClassVar[bool] = False

@@ -21,6 +21,7 @@ class FrictionChange(Effect):
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
     local = True
+    partial = True
     lawless = True
 
     @property
