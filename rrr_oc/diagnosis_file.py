@@ -65,15 +65,16 @@ def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
     effect = finding.term.effect
     named = [_variable(kind, j, joints) for kind, j in effect.depends_on]
     validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in effect.validity]
-    joint = joints[effect.joints[0]]
+    joint, files = joints[effect.joints[0]], files_of(finding.term, diagnosis.recordings)
+    some = "" if files == "all" else f" in {', '.join(files)}"
     return {
         "joint": joint,
         "depends_on": named,
-        "recordings": files_of(finding.term, diagnosis.recordings),
+        "recordings": files,
         "share_of_error": diagnosis.shares.share[i],
         "p_value": finding.p_value,
         "validity": validity,
-        "description": f"a torque on {joint} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
+        "description": f"a torque on {joint}{some} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
         f"the model carries it as {effect.words(finding.term.named)}{', valid in the ranges given' if validity else ''}",
     }
 

@@ -113,8 +113,7 @@ def sentence(found: Mapping[str, Any]) -> str:
             f"Something is missing on {names}, where the error is far beyond the noise, and these recordings do not decide what: "
             "nothing that would explain it holds on recordings left out of the search."
         )
-    names = [_short(e) for e in found["effects"]]
-    names += [f"a torque on {u['joint']} that depends on {' and '.join(u['depends_on'])}" for u in found["unexplained"]]
+    names = _lacking(found)
     lacking = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     ratios = {j: b["ratio"]["value"] for j, b in found["bootstrap"].items() if b["ratio"]["value"] is not None}
     gain = ""
@@ -137,12 +136,27 @@ def _unforeseen(found: Mapping[str, Any]) -> str:
     return ", ".join(f"{j}: NRMSE {outside[j]:.2g} against {inside[j]:.2g}" for j in poor)
 
 
-def _short(e: Mapping[str, Any]) -> str:
-    """An effect, where it is and how large, in a few words."""
+def _lacking(found: Mapping[str, Any]) -> list[str]:
+    """What was found and where, in a few words; what is another in each of several recordings, once."""
+    files: dict[str, set[str]] = {}
+    for e in found["effects"]:
+        files.setdefault(_placed(e), set()).update(_some(e))
+    for u in found["unexplained"]:
+        name = f"a torque on {u['joint']} that depends on {' and '.join(u['depends_on'])}"
+        files.setdefault(name, set()).update(_some(u))
+    return [name + (f" in {len(some)} of the recordings" if some else "") for name, some in files.items()]
+
+
+def _placed(e: Mapping[str, Any]) -> str:
+    """An effect and where it is."""
     joint = e["joint"]
     where = "" if joint is None else f" of {joint if isinstance(joint, str) else ' and '.join(joint)}"
-    some = "" if e["recordings"] == "all" else f" in {len(e['recordings'])} of the recordings"
-    return f"{e['effect'].replace('_', ' ')}{where}{some}"
+    return f"{e['effect'].replace('_', ' ')}{where}"
+
+
+def _some(entry: Mapping[str, Any]) -> list[str]:
+    """The recordings that have it, none if all do."""
+    return [] if entry["recordings"] == "all" else entry["recordings"]
 
 
 def _before_after(found: Mapping[str, Any], figures: Mapping[str, Path]) -> list[str]:
@@ -204,10 +218,17 @@ def _added(found: Mapping[str, Any]) -> list[str]:
         )]  # fmt: skip
     if found["unexplained"]:
         rows = [
-            [u["joint"], ", ".join(u["depends_on"]), f"{u['share_of_error']:.3f}", u["description"]]
+            [
+                u["joint"],
+                ", ".join(_some(u)) or "all",
+                ", ".join(u["depends_on"]),
+                f"{u['share_of_error']:.3f}",
+                u["description"],
+            ]
             for u in found["unexplained"]
         ]
-        parts += ["<h2>Unexplained</h2>", _table(["joint", "depends on", "share of error", "what the model carries"], rows)]
+        header = ["joint", "recordings", "depends on", "share of error", "what the model carries"]
+        parts += ["<h2>Unexplained</h2>", _table(header, rows)]
     return parts
 
 
@@ -223,7 +244,7 @@ def _where(found: Mapping[str, Any], figures: Mapping[str, Path]) -> list[str]:
 
 def _undecided(found: Mapping[str, Any]) -> list[str]:
     open_between = [
-        f"{_short(e)} or {', '.join(e['indistinguishable_from'])}" for e in found["effects"] if e["indistinguishable_from"]
+        f"{_placed(e)} or {', '.join(e['indistinguishable_from'])}" for e in found["effects"] if e["indistinguishable_from"]
     ]
     if not open_between and not found["suggested_recordings"]:
         return []
@@ -340,7 +361,7 @@ def _effect_row(e: dict[str, Any]) -> list[str]:
     return [
         e["effect"],
         joint if isinstance(joint, str) else ", ".join(joint),
-        e["recordings"] if isinstance(e["recordings"], str) else ", ".join(e["recordings"]),
+        ", ".join(_some(e)) or "all",
         e["equation"],
         values,
         f"{e['share_of_error']:.3f}",

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,6 +44,7 @@ from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case
 
 TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
+SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
 
 
 @pytest.fixture(scope="module")
@@ -733,6 +735,34 @@ def with_changes(plant: Plant, rng: np.random.Generator, change, count: int = 5)
     """Recordings of 10 s, each with what `change` adds to the torque of one of this number."""
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(count)]
     return [replace(r, tau=r.tau + change(i, r)) for i, r in enumerate(made)]
+
+
+def test_friction_that_grows_with_load_goes_before_friction_over_position(planar):
+    """In slow motion load is all but a function of position: one law of three parameters explains most of both."""
+    plant, rng, made = planar(1), np.random.default_rng(2), []
+    for i in range(4):
+        motion = tuple(1.5 * x for x in multisine(1, np.arange(1200) / 100, rng, 0.3))
+        r, turn = record(plant, f"{i}.csv", rng, 12.0, 0.01, motion), np.tanh(motion[1] / plant.width)
+        law = 0.25 * np.abs(plant.load(*motion)) + 0.03 * np.cos(2 * motion[0] + 3)
+        made.append(replace(r, tau=r.tau + turn * law))
+    bench = Bench(prepare(recordings := as_set(plant, made)), False)
+    start, said = plain_model(recordings), []
+    found = forward.search(bench, start, said.append).fitted.model.terms[len(start.terms) :]
+    assert said[0].startswith("load_dependent_friction")
+    assert [t.effect.name for t in found] == ["load_dependent_friction", "position_dependent_friction"]
+    assert found[0].values[0] == pytest.approx(0.25, rel=0.15)
+
+
+def test_friction_of_a_real_servo_grows_with_load():
+    """Not with position, of which a pendulum's load is a function where it moves slowly, and in all recordings alike."""
+    folder = SHARED / "recordings" / "xl330_pendulum"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
+    whole = load_recordings(folder)
+    smooth = tuple(r for r in whole.recordings if "sin_sin" in r.file or "up_and_down" in r.file)
+    first = diagnose(replace(whole, recordings=smooth), jobs=1).findings[0].term
+    assert (first.effect.name, first.groups) == ("load_dependent_friction", ())
+    assert 0.3 < first.values[0] < 0.6
 
 
 def test_an_effect_may_be_another_in_each_recording(planar):
