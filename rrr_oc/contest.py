@@ -163,7 +163,7 @@ def _put_on(effect: Effect) -> bool:
 def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]) -> Fitted:
     """The model with an effect of some groups in all of them, where the effects that were found later leave no reason for less."""
     own = fitted.model.terms[i]
-    if not own.groups or own.effect.mounted:
+    if not own.groups or own.effect.mounted or own.effect.partial:
         return fitted
     everywhere = replace(own, recordings="all", groups=())
     terms = (*fitted.model.terms[:i], everywhere, *fitted.model.terms[i + 1 :])

@@ -41,7 +41,7 @@ FLOOR = 1.1  # of the deviation that the noise accounts for
 MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
 RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
 BY_LOAD = (
-    0.7  # of the evidence for friction over position, of which load is a function in slow motion: that friction goes first
+    0.7  # of the evidence for friction over position: beyond it that over load, in slow motion all but the same, goes first
 )
 TOGETHER = 4  # effects that may explain what an empirical term does
 HOPELESS = 0.25  # of what it explains, that two of them must

@@ -396,8 +396,8 @@ def _worth_keeping(
     """Numbers of the terms that are worth something on recordings held out, and their shares; the others leave one by one.
 
     A term of all recordings that no law stands behind must do harm on none of the folds, too: it may fit motions that are alike, and
-    no others. Of
-    terms of which one must leave, the one leaves without which the others predict best: together they may do worse than alone.
+    no others. Of terms of which one must leave, the one leaves without which the others predict best: together they may do worse
+    than alone.
     """
     kept = list(range(len(terms)))
     while True:

@@ -138,13 +138,12 @@ def _unforeseen(found: Mapping[str, Any]) -> str:
 
 def _lacking(found: Mapping[str, Any]) -> list[str]:
     """What was found and where, in a few words; what is another in each of several recordings, once."""
-    files: dict[str, set[str]] = {}
-    for e in found["effects"]:
-        files.setdefault(_placed(e), set()).update(_some(e))
-    for u in found["unexplained"]:
-        name = f"a torque on {u['joint']} that depends on {' and '.join(u['depends_on'])}"
-        files.setdefault(name, set()).update(_some(u))
-    return [name + (f" in {len(some)} of the recordings" if some else "") for name, some in files.items()]
+    named = [(_placed(e), e) for e in found["effects"]]
+    named += [(f"a torque on {u['joint']} that depends on {' and '.join(u['depends_on'])}", u) for u in found["unexplained"]]
+    files: dict[tuple[str, bool], set[str]] = {}
+    for name, entry in named:
+        files.setdefault((name, bool(_some(entry))), set()).update(_some(entry))
+    return [name + f" in {len(there)} of the recordings" * some for (name, some), there in files.items()]
 
 
 def _placed(e: Mapping[str, Any]) -> str:

@@ -19,7 +19,8 @@ from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term, save_mod
 from rrr_oc.cli import app
 from rrr_oc.contest import Finding, contested
 from rrr_oc.diagnosis import _refuted, _sure, diagnose
-from rrr_oc.diagnosis_report import write_diagnosis
+from rrr_oc.diagnosis_file import to_json
+from rrr_oc.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.effects import Trial
 from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
 from rrr_oc.effects.empirical import Empirical
@@ -787,6 +788,8 @@ def test_friction_may_be_another_in_some_recordings(planar, truth):
     assert {(f.term.effect.name, f.term.effect.joints) for f in found.findings} == {("friction_change", (1,))}
     values = {g: f.term.values for f in found.findings for g in f.term.groups}
     assert values == {f"{i}.csv": pytest.approx(v, abs=0.02) for i, v in truth.items()}
+    said = sentence(to_json(found) | {"bootstrap": {}})
+    assert f"lacks a torque on j2 that depends on dq_j2 and sign(dq_j2) in {len(truth)} of the recordings." in said
 
 
 @pytest.mark.parametrize(("missing", "own"), [(0.0, 2), (0.5, 1)])
