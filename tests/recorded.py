@@ -4,12 +4,14 @@
 It shares with the package only the classes that hold recordings and the derivatives of their reader.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
@@ -110,6 +112,14 @@ def behind_gear(plant: Plant, recorded: Recording, motion: tuple[np.ndarray, ...
 
     link = solve_ivp(slope, (t[0], t[-1]), [curve(t[0]), curve(t[0], 1)], "LSODA", t, rtol=1e-8, atol=1e-10).y
     return replace(recorded, tau=plant.torque(*motion) - plant.load(*motion) + passed(t, link))
+
+
+def real(name: str) -> Path:
+    """The folder of a set of real recordings; skips where it is not at hand."""
+    folder = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared")) / "recordings" / name
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
+    return folder
 
 
 def as_set(

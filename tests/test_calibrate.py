@@ -1,7 +1,6 @@
 """Calibration: a concealed truth is found again, with honest intervals; what cannot be known is said to be unknown."""
 
 import json
-import os
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +10,7 @@ import pinocchio as pin
 import pytest
 from chains import arm as chain
 from chains import random_chain
-from recorded import Plant, as_set, behind_gear, multisine, record
+from recorded import Plant, as_set, behind_gear, multisine, real, record
 from scipy.optimize import lsq_linear
 
 from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model, with_parameter_values
@@ -29,7 +28,6 @@ from rrr_oc.rigid_body import rigid_body
 from rrr_oc.robot import load_robot
 from rrr_oc.widths import widened, with_widths
 
-SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])  # dry, viscous, armature of three joints
 PEA = {1: (13.705, 1.92), 2: (1.318, 2.44)}
 
@@ -421,10 +419,8 @@ def test_base_parameters_hold_all_that_torques_tell(tmp_path):
 
 
 def shared_set(name: str, tmp_path: Path) -> Path:
-    """The folder of a set of real recordings; skips where it is not at hand."""
-    folder = SHARED / "recordings" / name
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
+    """The folder of a set of real recordings, of which the prototype's are imported; skips where it is not at hand."""
+    folder = real(name)
     if name != "rrr_prototype":
         return folder
     import_prototype(folder, tmp_path / name)

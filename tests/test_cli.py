@@ -1,19 +1,17 @@
 """The command line: what it prints and writes, and that a mistake is one sentence, exit status 2 and no file."""
 
 import json
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import Plant, as_set, record
+from recorded import Plant, as_set, real, record
 
 from rrr_oc import cli
 from rrr_oc.recordings import save_recordings
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
-SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
 
 
 @pytest.fixture(scope="module")
@@ -183,9 +181,7 @@ def test_unknown_options_and_commands_end_with_status_2(monkeypatch, capsys):
 
 
 def test_a_real_set_passes_through_calibrate_and_evaluate(monkeypatch, tmp_path, capsys):
-    dataset = SHARED / "recordings" / "xl330_pendulum"
-    if not dataset.is_dir():
-        pytest.skip(f"{dataset} is not there; set RRR_OC_SHARED")
+    dataset = real("xl330_pendulum")
     assert run(monkeypatch, "calibrate", dataset, "--out", tmp_path) == 0
     capsys.readouterr()
     assert run(monkeypatch, "evaluate", tmp_path / "model.json", dataset) == 0

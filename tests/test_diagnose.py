@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import chains
 import mujoco
 import numpy as np
 import pytest
-from recorded import Plant, as_set, multisine, record
+from recorded import Plant, as_set, multisine, real, record
 from typer.testing import CliRunner
 
 from rrr_oc import diagnose as forward
@@ -45,7 +44,6 @@ from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case
 
 TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
-SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
 
 
 @pytest.fixture(scope="module")
@@ -756,9 +754,7 @@ def test_friction_that_grows_with_load_goes_before_friction_over_position(planar
 
 def test_friction_of_a_real_servo_grows_with_load():
     """Not with position, of which a pendulum's load is a function where it moves slowly, and in all recordings alike."""
-    folder = SHARED / "recordings" / "xl330_pendulum"
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
+    folder = real("xl330_pendulum")
     whole = load_recordings(folder)
     smooth = tuple(r for r in whole.recordings if "sin_sin" in r.file or "up_and_down" in r.file)
     first = diagnose(replace(whole, recordings=smooth), jobs=1).findings[0].term

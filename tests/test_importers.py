@@ -1,12 +1,11 @@
 """Importers: the prototype's layout, made up and real where it is at hand, and MCAP files that a ROS 2 writer made."""
 
-import os
 import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import real
 
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
@@ -14,7 +13,6 @@ from rrr_oc.importers import import_mcap, import_prototype
 from rrr_oc.model import Model
 from rrr_oc.recordings import load_recordings
 
-SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
 JOINTS = ("joint1", "joint2", "joint3")
 
 
@@ -87,9 +85,7 @@ def test_prototype_refuses(tmp_path):
 
 
 def test_prototype_recordings_obey_gravity_and_the_listed_springs(tmp_path):
-    folder = SHARED / "recordings" / "rrr_prototype"
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
+    folder = real("rrr_prototype")
     found = import_prototype(folder, tmp_path / "out")
     assert len(found.recordings) == 8
     for r in found.recordings:

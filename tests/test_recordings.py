@@ -1,14 +1,13 @@
 """The reader and writer of recording sets: the contract's keys and defaults, every way to be wrong, and exact round trips."""
 
 import json
-import os
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from recorded import real
 from scipy.signal import savgol_filter
 
 from rrr_oc import plausibility
@@ -20,7 +19,6 @@ from rrr_oc.recordings import load_recordings, save_recordings
 from rrr_oc.savitzky_golay import differentiate, local_polynomial, smooth, split
 
 JOINTS = ("joint1", "joint2", "joint3")
-SHARED = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared"))
 EXAMPLE = {  # as printed in the contract
     "format": "rrr_oc-recordings/1",
     "robot": "rrr",
@@ -514,9 +512,7 @@ def test_units_in_doubt_are_no_error(write):
 
 @pytest.mark.parametrize("name", ["xl330_pendulum", "staubli_tx40"])
 def test_real_recordings_load(name):
-    folder = SHARED / "recordings" / name
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
+    folder = real(name)
     for recording in load_recordings(folder).recordings:
         assert np.all(np.isfinite(recording.ddq))
         assert recording.short < 0.01 * len(recording.t)

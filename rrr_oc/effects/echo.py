@@ -63,11 +63,6 @@ class Echo(Effect):
         return Oscillator(t, one, omega**2 * one, 2 * theta["damping"] * omega).driven(omega**2 * load, rested=True)[:2]
 
     @classmethod
-    def trials(cls, view):
-        """None: the catalogue goes first, and what is left over asks for these by `unnamed`."""
-        return iter(())
-
-    @classmethod
     def unnamed(cls, view, j, ranges, torque):
         for frequency in FREQUENCIES if torque != "load" else ():  # there it would be driven by itself
             for damping in DAMPINGS:

@@ -265,9 +265,10 @@ class Effect(ABC):
     def trials(cls, view: View) -> Iterator[Trial]:
         """The ways in which recordings might hold the effect; none for what a diagnosis does not look for.
 
-        By default one for each joint, linear in the only parameter.
+        By default one for each joint, linear in the only parameter; none of what is `lawless`: the catalogue goes first, and what is
+        left over asks for those by `unnamed`.
         """
-        if cls.amplitudes:
+        if cls.amplitudes and not cls.lawless:
             for j in range(view.n):
                 yield cls((j,)).trial(view)
 

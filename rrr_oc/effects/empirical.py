@@ -126,11 +126,6 @@ class Empirical(Effect):
                     yield replace(self, edges=(*self.edges[:k], (side, there, power), *self.edges[k + 1 :]))
 
     @classmethod
-    def trials(cls, view):
-        """None: the catalogue goes first, and what is left over asks for these by `unnamed`."""
-        return iter(())
-
-    @classmethod
     def unnamed(cls, view, j, ranges, torque):
         """Of one variable, coarse and fine, or beginning at an edge; and of two."""
         on_link, largest = torque == "load", max(map(abs, ranges["motor", j]))

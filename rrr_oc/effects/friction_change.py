@@ -36,11 +36,6 @@ class FrictionChange(Effect):
         return (-theta["dry"] * sign(speed, width) - theta["viscous"] * speed,)
 
     @classmethod
-    def trials(cls, view):
-        """None: the catalogue goes first, and what is left over asks for it by `unnamed`."""
-        return iter(())
-
-    @classmethod
     def unnamed(cls, view, j, ranges, torque):
         if torque != "load":  # links have no drive's friction
             yield cls((j,)).trial(view)
