@@ -99,7 +99,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
             if abs(better) < SAME:
                 lead += 2 * SAME * _nearer_at_rest(bench, tried.model, fitted.model)
-            worse = SAME * (max(simpler, 1) if own.effect.lawless else 1)  # many coefficients also fit noise
+            worse = SAME * max(simpler, 1) if own.effect.lawless else _by_noise(simpler)
             if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
@@ -153,6 +153,11 @@ def _nearer_at_rest(bench: Bench, one: CalibratedModel, other: CalibratedModel) 
             left += np.sum(np.where(p.moving, 0.0, p.measured - model.output_torque(p.recording)) ** 2, axis=1)
     fall = float(np.sum(np.log(squares[0] / squares[1])))
     return int(fall < np.log(STILL)) - int(-fall < np.log(STILL))
+
+
+def _by_noise(parameters: int) -> float:
+    """What so many parameters more, as one if none, gain where there is but noise, as seldom as one gains `SAME`."""
+    return float(chi2.isf(chi2.sf(SAME, 1), max(parameters, 1)))
 
 
 def _put_on(effect: Effect) -> bool:
@@ -258,8 +263,8 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
     found = min(tried, key=lambda f: f.misfit, default=None)
     if found is None:
         return None
-    more = max(sum(len(t.estimates) for t in found.model.terms[-2:]) - number, 0)
-    return found if found.better_than(fitted) > SAME * (1 + more if unnamed_ else -1) else None
+    more = sum(len(t.estimates) for t in found.model.terms[-2:]) - number
+    return found if found.better_than(fitted) > (SAME * (1 + max(more, 0)) if unnamed_ else -_by_noise(-more)) else None
 
 
 def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitted:

@@ -142,6 +142,12 @@ def how_named(truth: Mapping[str, Any], found: Mapping[str, Any]) -> str | None:
     return "equal" if key(found) in same else None
 
 
+def contained(truth: Mapping[str, Any], found: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether an effect that was found, if for another one, can be all that this one is: an offset is in a harness's rest."""
+    same = [key(e) for e in (truth.get("equal_effects") or {}).get("equal", [])]
+    return any(key(f) in same for f in found)
+
+
 def outside_named(truth: Mapping[str, Any], unexplained: Sequence[Mapping[str, Any]]) -> bool:
     """Whether something is called unexplained on the right joint, by a variable that the truth depends on."""
     joints, variables = place(truth["joint"]), set(truth["depends_on"])
@@ -217,7 +223,7 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
             "effect": e["effect"],
             "ratio": e.get("ratio", {}).get("requested"),
             "named": match is not None,
-            "how": None if match is None else match[1],
+            "how": match[1] if match is not None else "contained" if contained(e, effects) and not few else None,
             "recordings": hit is not None and files(hit["recordings"], seen) == files(e["recordings"], seen),
             "covered": covered(e, hit) if hit is not None and match is not None and match[1] == "itself" else [],
         }
@@ -322,6 +328,7 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         for kind, ratio in strengths
     }
     every = {k: share([all(e["named"] for e in inside(s)) for s in of[k] if inside(s)]) for k in SEVERAL if k in of}
+    told = [all(e["named"] or e["how"] == "contained" for e in inside(s)) for k in SEVERAL for s in of.get(k, []) if inside(s)]
     outside = [(s, e) for s in scores for e in s["true"] if e.get("outside")]
     clean = [s for s in scores if not s["true"]]
     before_after = [s["unseen"] for s in scores if s["unseen"] and s["true"]]
@@ -331,6 +338,7 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "failed": [s["case"] for s in scores if s["first"] == FAILED],
         "named": named,
         "every_effect_named": every,
+        "every_effect_that_can_be_told": share(told),
         "how": dict(Counter(e["how"] for s in scores for e in inside(s) if e["named"])),
         "recordings_right": share(
             [e["named"] and e["recordings"] for k in ("some", "alone") for s in of.get(k, []) for e in inside(s)]
@@ -428,6 +436,7 @@ def report(summary: Mapping[str, Any]) -> str:
     rows = [
         *summary["named"].items(),
         *((f"{kind}: every effect", s) for kind, s in summary["every_effect_named"].items()),
+        ("several: every effect, or it is contained in one that was named", summary["every_effect_that_can_be_told"]),
         ("effects in some recordings: named, and the recordings right", summary["recordings_right"]),
         ("outside the catalogue: unexplained, joint and variable right", summary["outside_unexplained"]),
         ("… or named by an effect that is equal on these data", summary["outside_or_equal"]),

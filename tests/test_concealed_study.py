@@ -115,7 +115,9 @@ def test_each_found_effect_names_one_true_one():
     """Of a pair; assigned so that most are named."""
     pair = [true("stribeck", "a"), true("quadratic_drag", "a", equal=[("stribeck", "a")])]
     one = scored("pair", pair, [effect("stribeck", "a")])
-    assert [e["named"] for e in one["true"]] == [True, False]
+    assert [(e["named"], e["how"]) for e in one["true"]] == [(True, "itself"), (False, "contained")]
+    assert study.summarise([one])["every_effect_named"]["pair"]["count"] == 0
+    assert study.summarise([one])["every_effect_that_can_be_told"]["count"] == 1
     other = scored("pair", pair, [effect("torque_gain", "b"), effect("quadratic_drag", "a"), effect("stribeck", "a")])
     assert [e["how"] for e in other["true"]] == ["itself", "itself"]
     assert other["extra"] == 1

@@ -22,7 +22,8 @@ from rrr_oc.diagnosis_file import to_json
 from rrr_oc.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.effects import Trial
 from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
-from rrr_oc.effects.empirical import Empirical
+from rrr_oc.effects.empirical import STRAIGHT, Empirical
+from rrr_oc.effects.link_inertial import LinkInertial
 from rrr_oc.effects.parallel_spring import ParallelSpring
 from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.effects.quadratic_drag import QuadraticDrag
@@ -637,6 +638,41 @@ def test_what_only_one_recording_has_is_found_there(planar, change):
     names = {"payload": "payload_mass", "gain": "torque_gain", "offset": "torque_offset"}
     assert found.term.effect.name == names[change]
     assert found.term.groups == ("1.csv",)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_torque_in_one_direction_of_motion_is_unexplained(planar, way):
+    """A harness and friction that depends on position are equal to it, with more parameters."""
+    plant, rng = planar(2), np.random.default_rng(3)
+    made = [record(plant, f"{i}.csv", rng, 12.0) for i in range(4)]
+    pull = [np.array([[0.0], [0.5]]) * (r.q - 0.3) * (1 + way * np.tanh(r.dq / plant.width)) / 2 for r in made]
+    (found,) = diagnose(as_set(plant, [replace(r, tau=r.tau + p) for r, p in zip(made, pull, strict=True)]), jobs=1).findings
+    effect = found.term.effect
+    assert isinstance(effect, Empirical)
+    assert effect.direction == ("upwards" if way > 0 else "downwards")
+    assert set(effect.depends_on) == {("q", 1), ("sign", 1)}
+    assert effect.edges == STRAIGHT
+    (low,), (high,), (above, below) = (
+        effect.low,
+        effect.high,
+        found.term.values,
+    )  # at the range's ends, of a torque on the motor
+    assert (above - below) / (high - low) == pytest.approx(-0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(14))
+def test_a_payloads_centre_goes_before_a_links_inertial_parameters_that_fit_more_noise(seed):
+    """The last link's ten hold all that a payload's three do where all recordings carry it."""
+    plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(seed)
+    off = np.add(TOOL, (0.02, 0.01, 0.0))
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, payload=2.0, tool=off) for i in range(4)]
+    recordings = as_set(plant, made)
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    bench = Bench(prepare(recordings), False)
+    plain = forward.refit(bench, plain_model(recordings))
+    wide = forward.refit(bench, replace(plain.model, terms=(*plain.model.terms, nominal_term(LinkInertial((2,))))))
+    findings = contested(bench, forward.Found(plain, wide, forward.gathered(bench, plain.model)))[1]
+    assert [f.term.effect.name for f in findings] == ["payload_com"]
 
 
 def test_a_drift_within_an_only_recording_goes_on_from_block_to_block(planar):

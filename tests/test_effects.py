@@ -342,7 +342,7 @@ def placed(name: str) -> Effect:
     """An effect of the catalogue on joints of an arm with three."""
     kind = CATALOGUE[name]
     if kind is Empirical:
-        return Empirical((1,), (("q", 1), ("load", 1)), (-1.0, -20.0), (1.0, 20.0), (2, 1), True)
+        return Empirical((1,), (("q", 1), ("load", 1)), (-1.0, -20.0), (1.0, 20.0), (2, 1), "turned")
     return kind(() if kind.of_arm else (1, 2) if name in ("biarticular_spring", "coupled_friction") else (1,))
 
 
@@ -653,7 +653,7 @@ def arm():
     for trial in trials(view(prepared, model), "motor"):
         by_name.setdefault(trial.effect.name, []).append(trial)
     span = tuple(prepared[0].recording.q[1].min() + x * np.ptp(prepared[0].recording.q[1]) for x in (0.1, 0.9))
-    surface = Empirical((1,), (("q", 1), ("load", 1)), (span[0], -30.0), (span[1], 30.0), (2, 1), True)
+    surface = Empirical((1,), (("q", 1), ("load", 1)), (span[0], -30.0), (span[1], 30.0), (2, 1), "turned")
     zero = dict.fromkeys(surface.amplitudes, 0.0)
     by_name["empirical"] = [Trial(surface, tuple(zero | {a: 1.0} for a in surface.amplitudes), width=0.05)]
     for kind in (Echo, FrictionChange):

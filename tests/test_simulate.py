@@ -458,7 +458,7 @@ def test_a_point_mass_is_simulated():
 
 # --- effects that a diagnosis may find ---
 
-UNNAMED = Empirical((2,), (("load", 2), ("q", 1)), (-20.0, -1.0), (20.0, 1.0), (2, 1), True)
+UNNAMED = Empirical((2,), (("load", 2), ("q", 1)), (-20.0, -1.0), (20.0, 1.0), (2, 1), "turned")
 COMPANY = (Parallel((1,)), CATALOGUE["viscous_friction"]((1,)), CATALOGUE["armature"]((1,)), CATALOGUE["armature"]((2,)))
 COMPANY_THETA = [6.0, 0.8, 1.5, 0.2, 0.1]  # a listed spring, and what every calibrated drive has
 

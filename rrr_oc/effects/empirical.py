@@ -4,6 +4,7 @@ import itertools
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -12,22 +13,27 @@ from rrr_oc.parameters import Parameter
 from rrr_oc.smooth import cos, fmax, fmin, sign
 
 EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # in a variable's range, from below
+STRAIGHT = ((1, 0.0, 1), (-1, 1.0, 1))  # the edges of a straight line over a whole range
+Direction = Literal["either", "turned", "upwards", "downwards"]
+EITHER: tuple[Direction, ...] = ("either", "turned")
+ONE_WAY: tuple[Direction, ...] = ("upwards", "downwards")
 
 
 @dataclass(frozen=True)
 class Empirical(Effect):
-    """tau = sgn(dq)^s Σ c_kl cos(k π x) cos(l π y) of one or two variables x, y, scaled from their range to [0, 1].
+    """tau = d Σ c_kl cos(k π x) cos(l π y) of one or two variables x, y, scaled from their range to [0, 1].
 
-    Or, of one variable, what begins at an edge: tau = Σ c (±(x − edge))₊^p. Beyond its range of validity a variable stays at the
-    range's end. Cosines on an interval are smooth everywhere and converge fast for smooth functions; edges stand for what stops
-    or saturates. Each coefficient is linear.
+    Or, of one variable, what begins at an edge: tau = d Σ c (±(x − edge))₊^p. The factor d of the joint's own direction of motion is
+    1, or sgn(dq) for what turns with it, or (1 ± sgn(dq))/2 for what acts in one direction only. Beyond its range of validity a
+    variable stays at the range's end. Cosines on an interval are smooth everywhere and converge fast for smooth functions; edges
+    stand for what stops or saturates, two of them at the ends of the range for a straight line. Each coefficient is linear.
 
     Attributes:
         variables: What it depends on: ("q", joint), ("dq", joint), ("ddq", joint), ("load", joint), ("motor", joint), load with
             plain friction, or ("time", −1).
         low, high: Range of validity of each [rad, rad/s, rad/s², Nm or s].
         orders: Highest k (and l).
-        signed: Whether it turns with the direction of its own joint.
+        direction: Of its own joint's motion, in which it acts, or with which it is turned.
         edges: (±1, edge in [0, 1], power) of what begins at an edge, upwards or downwards.
         largest: Bound of a series' coefficients [Nm]: terms that cancel each other where recordings are mean nothing beyond them.
         on_link: Whether it acts on the link, not in the drive: where the load torque was recorded, and it may depend on positions and
@@ -44,7 +50,7 @@ class Empirical(Effect):
     low: tuple[float, ...] = field(default=())
     high: tuple[float, ...] = field(default=())
     orders: tuple[int, ...] = field(default=())
-    signed: bool = field(default=False)
+    direction: Direction = field(default="either")
     edges: tuple[tuple[int, float, int], ...] = field(default=())
     largest: float = field(default=1e6)
     on_link: bool = field(default=False)
@@ -55,8 +61,9 @@ class Empirical(Effect):
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:
-        """(k,) or (k, l) of each coefficient; the constant is no effect of a variable unless it turns with the direction."""
-        return [p for p in itertools.product(*(range(o + 1) for o in self.orders)) if any(p)]
+        """(k,) or (k, l) of each coefficient; the constant is an effect only of what acts in one direction."""
+        every = itertools.product(*(range(o + 1) for o in self.orders))
+        return [p for p in every if any(p) or self.direction in ONE_WAY]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -84,7 +91,11 @@ class Empirical(Effect):
             if kind == "motor":
                 x = x - signals.friction[j]
             scaled.append(fmin(fmax((x - low) / (high - low), 0.0), 1.0))
-        turned = sign(signals.dq[self.joints[0]], width) if self.signed else 1.0
+        turned = 1.0
+        if self.direction != "either":
+            turned = sign(signals.dq[self.joints[0]], width)
+        if self.direction in ONE_WAY:
+            turned = (1 + turned) / 2 if self.direction == "upwards" else (1 - turned) / 2
         if self.edges:
             return [turned * fmax(side * (scaled[0] - edge), 0.0) ** power for side, edge, power in self.edges]
         cosines = [_cosines(x, order) for x, order in zip(scaled, self.orders, strict=True)]
@@ -102,15 +113,18 @@ class Empirical(Effect):
 
     @property
     def depends_on(self):
-        return (*self.variables, *([("sign", self.joints[0])] if self.signed else []))
+        return (*self.variables, *([("sign", self.joints[0])] if self.direction != "either" else []))
 
     @property
     def validity(self):
         return tuple(zip(self.variables, self.low, self.high, strict=True))
 
     def words(self, theta):
+        way = f" while the joint moves {self.direction}" if self.direction in ONE_WAY else ""
         if not self.edges:
-            return f"a sum of {len(self.amplitudes)} cosines"
+            return f"a sum of {len(self.amplitudes)} cosines{way}"
+        if self.edges == STRAIGHT:
+            return f"a straight line{way}"
         low, high = self.low[0], self.high[0]
         where = " and ".join(
             f"{'above' if side > 0 else 'below'} {low + edge * (high - low):.4g}, power {power}"
@@ -120,7 +134,7 @@ class Empirical(Effect):
 
     def near(self, step):
         """The same with one of its edges moved by a share `step` of the range, either way."""
-        for k, (side, edge, power) in enumerate(self.edges):
+        for k, (side, edge, power) in enumerate(self.edges if self.edges != STRAIGHT else ()):
             for there in (edge - step, edge + step):
                 if 0 < there < 1:
                     yield replace(self, edges=(*self.edges[:k], (side, there, power), *self.edges[k + 1 :]))
@@ -136,17 +150,20 @@ class Empirical(Effect):
     @classmethod
     def _shapes(cls, n, j, ranges, largest, on_link):
 
-        def one(variables, orders=(), signed=False, edges=()):
+        def one(variables, orders=(), direction: Direction = "either", edges=()):
             low, high = zip(*(ranges[v] for v in variables), strict=True)
-            return cls((j,), tuple(variables), low, high, tuple(orders), signed, tuple(edges), largest, on_link)
+            return cls((j,), tuple(variables), low, high, tuple(orders), direction, tuple(edges), largest, on_link)
 
         for v in ranges:
             if v[0] == "motor" and v[1] == j:
                 continue  # its own gain is in the catalogue; what is not linear, edges find
             for order in (3, 8, 20, 45) if v == ("q", j) else (3, 8):
-                for signed in (False, True):
-                    if not (signed and v in (("dq", j), ("motor", v[1]))):
-                        yield one([v], [order], signed)
+                for direction in EITHER:
+                    if direction == "either" or v not in (("dq", j), ("motor", v[1])):
+                        yield one([v], [order], direction)
+        for direction in ONE_WAY:
+            yield one([("q", j)], edges=STRAIGHT, direction=direction)
+            yield one([("q", j)], [3], direction)
         for v in (("q", j), ("dq", j), ("motor", j)):
             for at in EDGES:
                 for power in (3,) if v[0] == "q" else (1, 3):  # straight beyond a position, it is a spring
@@ -154,10 +171,10 @@ class Empirical(Effect):
                     for edges in ([above], [below], [above, below]):
                         yield one([v], edges=edges)
         for i in range(n):
-            for signed in (False, True):
+            for direction in EITHER:
                 if i != j:
-                    yield one([("q", j), ("q", i)], [3, 3], signed)
-                    yield one([("dq", j), ("q", i)], [3, 3], signed)
+                    yield one([("q", j), ("q", i)], [3, 3], direction)
+                    yield one([("dq", j), ("q", i)], [3, 3], direction)
             yield one([("dq", j), ("q", j)], [3, 3])
             yield one([("motor", j), ("dq", i)], [1, 2])
             if i != j:
