@@ -658,6 +658,7 @@ def test_a_torque_in_one_direction_of_motion_is_unexplained(planar, way):
         found.term.values,
     )  # at the range's ends, of a torque on the motor
     assert (above - below) / (high - low) == pytest.approx(-0.5, rel=0.05)
+    assert f"Nm/rad from there while the joint moves {effect.direction}" in effect.words(found.term.named)
 
 
 @pytest.mark.parametrize("seed", [3, 4])  # of which the ten fit 5 and 15 of noise

@@ -123,9 +123,11 @@ class Empirical(Effect):
         way = f" while the joint moves {self.direction}" if self.direction in ONE_WAY else ""
         if not self.edges:
             return f"a sum of {len(self.amplitudes)} cosines{way}"
-        if self.edges == STRAIGHT:
-            return f"a straight line{way}"
         low, high = self.low[0], self.high[0]
+        if self.edges == STRAIGHT:
+            at_high, at_low = theta["c_above"], theta["c_below"]
+            slope = (at_high - at_low) / (high - low)
+            return f"a line, {at_low:.3g} Nm at {low:.3g} rad and {slope:+.3g} Nm/rad from there{way}"
         where = " and ".join(
             f"{'above' if side > 0 else 'below'} {low + edge * (high - low):.4g}, power {power}"
             for side, edge, power in self.edges
