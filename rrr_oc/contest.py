@@ -135,9 +135,10 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             )
         )
         i += 1
-    series = _as_series(bench, fitted, base, report)
-    if series is not fitted:
-        return contested(bench, replace(found, fitted=series), report)
+    for simpler in (_as_series, _as_pair):
+        other = simpler(bench, fitted, base, report)
+        if other is not fitted:
+            return contested(bench, replace(found, fitted=other), report)
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
 
@@ -219,6 +220,32 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
         if best.misfit < fitted.misfit + np.log(FEWER_LEFT):
             report("a series over position takes the place of ripples")
             fitted = best
+    return fitted
+
+
+def _as_pair(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
+    """The model with two laws in the place of several effects of a joint that have more parameters, where these explain as much.
+
+    One that was found first, as it looks most like the sum of two, leaves a rest that looks like others.
+    """
+    for j in range(bench.n):
+        own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,) and not t.groups]
+        number = sum(len(t.estimates) for t in own)
+        if len(own) < 2:
+            continue
+        less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in own)))
+        evidence, best = gathered(bench, less.model).under(fitted.rows), None
+        for pair in evidence.pairs(number, PAIRS, j):
+            if any(present(c, less.model) for c in pair):
+                continue
+            tried = rewidened(bench, refit(bench, extended(extended(less.model, pair[0]), pair[1])))
+            fewer = len(fitted.model.values) - len(tried.model.values)
+            better = tried.better_than(fitted)
+            if better > -_by_noise(fewer) and (best is None or better + fewer * SAME > best[0]):
+                best = better + fewer * SAME, tried
+        if best is not None:
+            report(f"{' and '.join(t.effect.name for t in best[1].model.terms[-2:])} take the place of {len(own)} effects")
+            return best[1]
     return fitted
 
 

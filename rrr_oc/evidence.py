@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.effects import Trial
+from rrr_oc.effects import Effect, Trial
 from rrr_oc.regression import CORRELATION, STRIDE, Prepared, Rows, kept_rows, rows
 from rrr_oc.signatures import Table, context, table
 
@@ -230,23 +230,31 @@ class Evidence:
         result = [self._judged(*one[1:]) for one in found[:FIRST]]
         return sorted(result, key=lambda r: -r.score)
 
-    def pairs(self, parameters: int, count: int) -> list[tuple[Candidate, Candidate]]:
-        """The pairs of trials for all recordings, of fewer parameters than given, that explain most together, best first."""
-        left, raw, lone, found = self._left, np.diag(self._total), {}, []
-        for k, trial in enumerate(self.table.trials):  # of each effect at its joints the best alone
-            c = self._columns(k)
-            gain = _solve(left[np.ix_(c, c)], left[c, -1], raw[c])[0]
-            at = trial.effect.name, trial.effect.joints
-            if gain > lone.get(at, (0.0,))[0]:
-                lone[at] = gain, k
-        for pair in itertools.combinations([k for _, k in lone.values()], 2):
-            if sum(len(self.table.trials[k].effect.parameters) for k in pair) < parameters:
-                c = np.concatenate([self._columns(k) for k in pair])
-                gain, coefficients, dimensions = _solve(left[np.ix_(c, c)], left[c, -1], raw[c])
-                parts = np.split(coefficients, [len(self._columns(pair[0]))])
-                if all(self._possible(k, None, x) for k, x in zip(pair, parts, strict=True)):
-                    found.append((gain - 2 * dimensions, *(self._bare(k, x) for k, x in zip(pair, parts, strict=True))))
-        return [(one, other) for _, one, other in sorted(found, key=lambda f: -f[0])[:count]]
+    def pairs(self, parameters: int, count: int, joint: int | None = None) -> list[tuple[Candidate, Candidate]]:
+        """The pairs of effects of all recordings, of fewer parameters than given, that explain most together, best first.
+
+        Of one joint in any of the shapes that are tried; of the whole arm in those that are best alone.
+        """
+        left, raw, effects = self._left, np.diag(self._total), [trial.effect for trial in self.table.trials]
+
+        def explained(*numbers: int) -> tuple[float, np.ndarray, int]:
+            c = np.concatenate([self._columns(k) for k in numbers])
+            return _solve(left[np.ix_(c, c)], left[c, -1], raw[c])
+
+        shapes = [k for k, effect in enumerate(effects) if joint is None or effect.joints == (joint,)]
+        if joint is None:
+            ascending = sorted(shapes, key=lambda k: explained(k)[0])
+            shapes = sorted({(effects[k].name, effects[k].joints): k for k in ascending}.values())  # the last stays
+        found: dict[tuple[Effect, Effect], tuple[float, Candidate, Candidate]] = {}
+        for pair in itertools.combinations(shapes, 2):
+            one, other = (effects[k] for k in pair)
+            if len(one.parameters) + len(other.parameters) < parameters and (one != other or one.many):
+                gain, coefficients, dimensions = explained(*pair)
+                a, b = np.split(coefficients, [len(self._columns(pair[0]))])
+                better = (one, other) not in found or gain - 2 * dimensions > found[one, other][0]
+                if better and self._possible(pair[0], None, a) and self._possible(pair[1], None, b):
+                    found[one, other] = gain - 2 * dimensions, self._bare(pair[0], a), self._bare(pair[1], b)
+        return [(one, other) for _, one, other in sorted(found.values(), key=lambda f: -f[0])[:count]]
 
     def _bare(self, k: int, coefficients: np.ndarray, scope: tuple[str, ...] | None = None) -> Candidate:
         return Candidate(self.table.trials[k], k, scope, coefficients, 0.0, 0.0, len(coefficients), 0.0, 0.0)
