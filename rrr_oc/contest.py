@@ -135,7 +135,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             )
         )
         i += 1
-    for simpler in (_as_series, _as_pair):
+    for simpler in (_as_series, _as_fewer):
         other = simpler(bench, fitted, base, report)
         if other is not fitted:
             return contested(bench, replace(found, fitted=other), report)
@@ -223,8 +223,8 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
     return fitted
 
 
-def _as_pair(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
-    """The model with two laws in the place of several effects of a joint that have more parameters, where these explain as much.
+def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
+    """The model with one or two laws in the place of several effects of a joint that have more parameters, if they do as well.
 
     One that was found first, as it looks most like the sum of two, leaves a rest that looks like others.
     """
@@ -235,16 +235,22 @@ def _as_pair(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], No
             continue
         less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in own)))
         evidence, best = gathered(bench, less.model).under(fitted.rows), None
-        for pair in evidence.pairs(number, PAIRS, j):
-            if any(present(c, less.model) for c in pair):
+        alone = [c for c in evidence.candidates() if c.trial.effect.joints == (j,) and c.scope is None]
+        alone = [c for c in alone if len(c.trial.effect.parameters) < number][:TRIED]
+        for laws in (*((c,) for c in alone), *evidence.pairs(number, PAIRS, j)):
+            if any(present(c, less.model) for c in laws):
                 continue
-            tried = rewidened(bench, refit(bench, extended(extended(less.model, pair[0]), pair[1])))
+            model = less.model
+            for law in laws:
+                model = extended(model, law)
+            tried = rewidened(bench, refit(bench, model))
             fewer = len(fitted.model.values) - len(tried.model.values)
             better = tried.better_than(fitted)
             if better > -_by_noise(fewer) and (best is None or better + fewer * SAME > best[0]):
-                best = better + fewer * SAME, tried
+                best = better + fewer * SAME, tried, laws
         if best is not None:
-            report(f"{' and '.join(t.effect.name for t in best[1].model.terms[-2:])} take the place of {len(own)} effects")
+            names = " and ".join(law.trial.effect.name for law in best[2])
+            report(f"{names} instead of {len(own)} effects")
             return best[1]
     return fitted
 

@@ -661,6 +661,17 @@ def test_a_torque_in_one_direction_of_motion_is_unexplained(planar, way):
     assert f"Nm/rad from there while the joint moves {effect.direction}" in effect.words(found.term.named)
 
 
+def test_a_spring_that_engages_in_part_of_the_range_and_an_offset_are_no_harness_and_ripples(planar):
+    """Though these, one by one, explain more."""
+    plant, rng = planar(1), np.random.default_rng(3)
+    made = [record(plant, f"{i}.csv", rng, 12.0, pea={0: (1.0, 0.0)}) for i in range(4)]
+    found = diagnose(as_set(plant, [replace(r, tau=r.tau - 0.5, springs=()) for r in made]), jobs=1).findings
+    values = {f.term.effect.name: f.term.named for f in found}
+    assert set(values) == {"parallel_spring", "torque_offset"}
+    assert values["parallel_spring"]["stiffness"] == pytest.approx(1.0, rel=0.05)
+    assert values["torque_offset"]["offset"] == pytest.approx(-0.5, rel=0.1)
+
+
 @pytest.mark.parametrize("seed", [3, 4])  # of which the ten fit 5 and 15 of noise
 def test_a_payloads_centre_goes_before_a_links_inertial_parameters_that_fit_more_noise(tmp_path, seed):
     """The last link's ten hold all that a payload's three do where all recordings carry it."""
