@@ -26,7 +26,6 @@ SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # of the motion that enters the 
 STRIDE = 0.04  # [s] between the rows kept; the filter has removed what is faster
 ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
 SHORTEST = 0.6  # [s], three times the common filter: the least length of a segment
-ABRUPT, COMMON = 8.0, (0.95, 1.96)  # deviations, from this quantile of normal noise, that say that samples are too few
 REST_SPEED, REST_TIME = 0.01, 0.25  # a joint rests where it stays below this speed [rad/s] for this long [s]
 SPIKE = 6.0  # standard deviations off the running median
 RARE = (0.99, 2.576)  # the deviation is at least that of normal noise with this quantile: spikes are one in a hundred at most
@@ -302,48 +301,24 @@ def variance(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray
 
 
 def _prepare(recordings: RecordingSet, recording: Recording, window: float) -> Prepared:
-    sharp, resolved = _with_sharp_motion(recording, recordings.joints)
-    counts = _moving(sharp) & resolved
-    return Prepared(sharp, recordings.output_torque(recording), counts, window, np.zeros(recordings.robot.n, int))
+    sharp = _with_sharp_motion(recording, recordings.joints)
+    return Prepared(sharp, recordings.output_torque(recording), _moving(sharp), window, np.zeros(recordings.robot.n, int))
 
 
-def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> tuple[Recording, np.ndarray]:
-    """The recording with speeds and accelerations from short windows, and where its samples resolve the motion, (K,).
-
-    They do not where a motion is so abrupt that accelerations from a still shorter window differ by much more than they do in
-    nearly all of the recording: noise makes them differ alike everywhere, what a window attenuates only there.
-    """
+def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording:
     r, dq, ddq = recording, recording.dq.copy(), recording.ddq.copy()
     given = np.array([f"dq_{joint}" not in r.computed for joint in joints])
     derived = np.array([f"ddq_{joint}" in r.computed for joint in joints])
     speed, acceleration = _speed_samples(r.t), window_samples(r.t, ACCELERATION_WINDOW, 9)
-    apart = np.zeros(ddq.shape)
     for s in r.segments:
         if s.stop - s.start < acceleration:
             continue  # what the reader computed stays
-        t = r.t[s]
-        for kind, x, k in ((derived & ~given, r.q, 2), (derived & given, r.dq, 1)):
-            ddq[kind, s] = local_polynomial(t, x[kind, s], k, k + 2, acceleration)
-            apart[kind, s] = np.abs(ddq[kind, s] - local_polynomial(t, x[kind, s], k, k + 2, acceleration - 4))
+        t, from_q, from_dq = r.t[s], derived & ~given, derived & given
+        ddq[from_q, s] = local_polynomial(t, r.q[from_q, s], 2, 4, acceleration)
+        ddq[from_dq, s] = local_polynomial(t, r.dq[from_dq, s], 1, 3, acceleration)
         dq[~given, s] = local_polynomial(t, r.q[~given, s], 1, 3, speed)
         dq[given, s] = local_polynomial(t, r.dq[given, s], 0, 3, speed)
-    sharp = replace(r, dq=dq, ddq=ddq)
-    return sharp, _resolved(sharp, apart, acceleration)
-
-
-def _resolved(recording: Recording, apart: np.ndarray, count: int) -> np.ndarray:
-    """Where no joint's accelerations (n, K) from two windows, the wider of `count` samples, are unusually far apart, (K,)."""
-    inside, moves = np.zeros(len(recording.t), bool), np.abs(recording.dq) > REST_SPEED
-    for s in recording.segments:
-        inside[s.start + count : max(s.stop - count, s.start)] = True  # at both ends windows are one-sided
-    abrupt = np.zeros(len(recording.t), bool)
-    for far, moving in zip(apart, inside & moves, strict=True):
-        if moving.any():
-            abrupt |= inside & (far > ABRUPT * np.quantile(far[moving], COMMON[0]) / COMMON[1])
-    resolved = np.ones(len(recording.t), bool)
-    for s in recording.segments:
-        resolved[s] = np.logical_not(maximum_filter1d(abrupt[s], count))
-    return resolved
+    return replace(r, dq=dq, ddq=ddq)
 
 
 def _speed_samples(t: np.ndarray) -> int:

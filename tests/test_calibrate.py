@@ -418,25 +418,6 @@ def test_base_parameters_hold_all_that_torques_tell(tmp_path):
         assert np.allclose(*torques, atol=1e-9) != moves
 
 
-@pytest.mark.parametrize("abrupt", [True, False])
-def test_moments_that_samples_do_not_resolve_count_for_nothing(tmp_path, abrupt):
-    """A jump within two samples, at one joint, is left out at both; smooth motion is not, nor what a joint does that mostly rests."""
-    (tmp_path / "arm.urdf").write_text(chain(2))
-    plant, rng, t = Plant(tmp_path / "arm.urdf", *np.ones((3, 2))), np.random.default_rng(2), np.arange(1500) / 100
-    q, dq, ddq = multisine(2, t, rng)
-    if abrupt:
-        u = np.tanh((t - 7.0) / 0.02)
-        q[1], dq[1], ddq[1] = q[1] + 0.1 * u, dq[1] + 5 * (1 - u**2), ddq[1] - 500 * u * (1 - u**2)
-    else:
-        bump = np.exp(-(((t - 7.0) / 0.15) ** 2))
-        q[1], dq[1], ddq[1] = 0.1 * bump, np.gradient(0.1 * bump, t), np.gradient(np.gradient(0.1 * bump, t), t)
-    prepared = prepare(as_set(plant, [record(plant, "0.csv", rng, 15.0, motion=(q, dq, ddq))]))[0]
-    near, (first, second) = np.abs(t - 7.0) < 0.04, prepared.moving
-    assert first[near].any() != abrupt
-    assert first[np.abs(t - 7.0) > 0.15].all()
-    assert second[near].any() != abrupt
-
-
 def shared_set(name: str, tmp_path: Path) -> Path:
     """The folder of a set of real recordings, of which the prototype's are imported; skips where it is not at hand."""
     folder = real(name)
