@@ -135,10 +135,10 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             )
         )
         i += 1
-    for simpler in (_as_series, _as_fewer):
-        other = simpler(bench, fitted, base, report)
-        if other is not fitted:
-            return contested(bench, replace(found, fitted=other), report)
+    for shortened in (_as_series, _as_fewer):
+        shorter = shortened(bench, fitted, base, report)
+        if shorter is not fitted:
+            return contested(bench, replace(found, fitted=shorter), report)
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
 
@@ -235,9 +235,9 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
             continue
         less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in own)))
         evidence, best = gathered(bench, less.model).under(fitted.rows), None
-        alone = [c for c in evidence.candidates() if c.trial.effect.joints == (j,) and c.scope is None]
-        alone = [c for c in alone if len(c.trial.effect.parameters) < number][:TRIED]
-        for laws in (*((c,) for c in alone), *evidence.pairs(number, PAIRS, j)):
+        alone = [(c,) for c in evidence.candidates() if c.trial.effect.joints == (j,) and c.scope is None]
+        simpler = [laws for laws in alone if len(laws[0].trial.effect.parameters) < number]
+        for laws in (*simpler[:TRIED], *evidence.pairs(number, PAIRS, j)):
             if any(present(c, less.model) for c in laws):
                 continue
             model = less.model

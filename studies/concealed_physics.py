@@ -421,9 +421,11 @@ def draw_confusion(scores: Sequence[Mapping[str, Any]]) -> Any:
     """The confusion matrix, shares of each row as colour, counts as numbers."""
     rows, columns, counts = confusion(scores)
     figure, axis = plt.subplots(figsize=(2.5 + 0.36 * len(columns), 2.0 + 0.3 * len(rows)))
-    axis.imshow(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    axis.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     for i, k in np.argwhere(counts):
-        axis.text(k, i, str(counts[i, k]), ha="center", va="center", fontsize=7)
+        colour = "white" if shares[i, k] > 0.5 else "black"
+        axis.text(k, i, str(counts[i, k]), ha="center", va="center", fontsize=7, color=colour)
     axis.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
     axis.set_yticks(range(len(rows)), rows, fontsize=8)
     axis.set(xlabel="answer", ylabel="truth", title="Cases with one effect or none")

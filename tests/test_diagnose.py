@@ -652,12 +652,8 @@ def test_a_torque_in_one_direction_of_motion_is_unexplained(planar, way):
     assert effect.direction == ("upwards" if way > 0 else "downwards")
     assert set(effect.depends_on) == {("q", 1), ("sign", 1)}
     assert effect.edges == STRAIGHT
-    (low,), (high,), (above, below) = (
-        effect.low,
-        effect.high,
-        found.term.values,
-    )  # at the range's ends, of a torque on the motor
-    assert (above - below) / (high - low) == pytest.approx(-0.5, rel=0.05)
+    at_high, at_low = found.term.values
+    assert (at_high - at_low) / (effect.high[0] - effect.low[0]) == pytest.approx(-0.5, rel=0.05)
     assert f"Nm/rad from there while the joint moves {effect.direction}" in effect.words(found.term.named)
 
 

@@ -91,9 +91,7 @@ class Empirical(Effect):
             if kind == "motor":
                 x = x - signals.friction[j]
             scaled.append(fmin(fmax((x - low) / (high - low), 0.0), 1.0))
-        turned = 1.0
-        if self.direction != "either":
-            turned = sign(signals.dq[self.joints[0]], width)
+        turned = 1.0 if self.direction == "either" else sign(signals.dq[self.joints[0]], width)
         if self.direction in ONE_WAY:
             turned = (1 + turned) / 2 if self.direction == "upwards" else (1 - turned) / 2
         if self.edges:
