@@ -26,6 +26,7 @@ import typer
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scipy.optimize import linear_sum_assignment, minimize
+from scipy.special import expit, logit, xlogy
 from scipy.stats import beta, chi2
 
 from rrr_oc import parallel
@@ -54,6 +55,7 @@ FEW = ("single", "faint", "short", "some", "alone", "current", "load", "identify
 SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
 ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
+SLOPES, LAPSES = (0.3, 30.0), (0.0, 0.1)  # of the curve of what is named over the strength's logarithm
 NORMAL = 1.96  # standard errors of a 95 % interval
 NOTHING, UNEXPLAINED, FAILED = "nothing", "unexplained", "failed"
 console = wide_console()
@@ -358,7 +360,6 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             name: {
                 "named": share([e["named"] for s in scores for e in s["true"] if e["effect"] == name]),
                 "coverage": share([c for s in scores for e in s["true"] if e["effect"] == name for c in e["covered"]]),
-                "missed_at": max((v for v, effect, found in lone(scores) if effect == name and not found), default=None),
             }
             for name in effects
         },
@@ -385,18 +386,37 @@ def lone(scores: Sequence[Mapping[str, Any]]) -> list[tuple[float, str, bool]]:
     ]
 
 
-def sensitivity(scores: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
-    """Strength at which half of the lone effects are named, over the one at which the oracle detects them: a logistic curve."""
+def sensitivity(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Strength at which half of the lone effects are named, over the one at which the oracle detects them; of each effect, too.
+
+    A logistic curve over the strength's logarithm that levels off below one by the share that is missed however strong it is
+    (Wichmann and Hill, Perception & Psychophysics 63, 2001, https://doi.org/10.3758/BF03194544). An effect's own curve shares the
+    slope and that lapse; its half is sought among the strengths at which the effect was looked for, and at their ends is a bound.
+    """
     cases = lone(scores)
     if len({named for *_, named in cases}) < 2:
         return None
-    x, named = np.log([v for v, *_ in cases]), np.array([n for *_, n in cases])
+    strength, named = np.log([v for v, *_ in cases]), np.array([n for *_, n in cases])
+    names = np.array([name for _, name, _ in cases])
 
-    def cost(p: np.ndarray) -> float:
-        return float(np.sum(np.logaddexp(0, np.where(named, -1, 1) * np.exp(p[1]) * (x - p[0]))))
+    def cost(half: float, slope: float, lapse: float, rows: Any = slice(None)) -> float:
+        p = (1 - lapse) * expit(slope * (strength[rows] - half) + logit(0.5 / (1 - lapse)))
+        return -float(np.sum(xlogy(named[rows], p) + xlogy(~named[rows], 1 - p)))
 
-    found = minimize(cost, [np.log(1.5), np.log(3.0)], method="Nelder-Mead")
-    return {"half_named": float(np.exp(found.x[0])), "slope": float(np.exp(found.x[1])), "cases": len(cases)}
+    ends = (strength.min(), strength.max())
+    found = minimize(lambda p: cost(*p), [0.0, 3.0, 0.02], method="Nelder-Mead", bounds=[ends, SLOPES, LAPSES])
+    half, slope, lapse = found.x
+    by_effect = {}
+    for name in sorted(set(names)):
+        rows = names == name
+        grid = np.linspace(strength[rows].min(), strength[rows].max(), 200)
+        best = int(np.argmin([cost(x, slope, lapse, rows) for x in grid]))
+        by_effect[name] = {
+            "half_named": float(np.exp(grid[best])),
+            "bound": {0: "at most", 199: "at least"}.get(best),
+            "of": int(rows.sum()),
+        }
+    return {"half_named": float(np.exp(half)), "slope": slope, "lapse": lapse, "cases": len(cases), "by_effect": by_effect}
 
 
 def confusion(scores: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
@@ -454,24 +474,22 @@ def report(summary: Mapping[str, Any]) -> str:
         lines += ["NRMSE on recordings of other motions, mean over joints, quantiles over the cases with an effect:", ""]
         lines += ["|  | " + " | ".join(f"{100 * x:g} %" for x in QUANTILES) + " |", "| --- | --- | --- | --- | --- |"]
         lines += [f"| {k} | " + " | ".join(f"{x:.3f}" for x in v) + " |" for k, v in summary["unseen_nrmse"].items()] + [""]
-    if summary["sensitivity"]:
+    curve = summary["sensitivity"]
+    if curve:
         lines += [
-            f"Half of the lone effects are named at {summary['sensitivity']['half_named']:.2f} times the strength at which one who "
-            f"knows what to look for detects them (p < {DETECTED:g}; logistic curve over {summary['sensitivity']['cases']} cases).",
+            f"Half of the lone effects are named at {curve['half_named']:.2f} times the strength at which one who knows what to look "
+            f"for detects them (p < {DETECTED:g}; {curve['cases']} cases, of which {percent(curve['lapse'])} are missed however strong).",
             "",
         ]
     lines += ["| time per case | median [s] | longest [s] |", "| --- | --- | --- |"]
     lines += [f"| {k} | {a:.1f} | {b:.1f} |" for k, (a, b) in summary["seconds"].items()]
-    lines += [
-        "",
-        "`missed at`: of the lone ones that were not named, the most visible, over what one who knows what to look for",
-    ]
-    lines += [f"needs to detect it (p < {DETECTED:g}).", ""]
-    lines += ["| effect | of | named | its own 95 % interval | missed at | intervals | hold |"]
+    lines += ["", "`half at`: the same of each effect; a bound where all or none of its cases were named.", ""]
+    lines += ["| effect | of | named | its own 95 % interval | half at | intervals | hold |"]
     lines += ["| --- | --- | --- | --- | --- | --- | --- |"]
     for name, s in summary["by_effect"].items():
-        c, missed = s["coverage"], "" if s["missed_at"] is None else f"{s['missed_at']:.2f}"
-        lines.append(f"{row(name, s['named'])} {missed} | {c['of']} | {percent(c['share'])} |")
+        c, half = s["coverage"], curve and curve["by_effect"].get(name)
+        at = f"{half['bound'] or ''} {half['half_named']:.2f}".strip() if half else ""
+        lines.append(f"{row(name, s['named'])} {at} | {c['of']} | {percent(c['share'])} |")
     missed = [s for s in summary["scores"] if (not s["true"] and s["alarm"]) or not all(e["named"] for e in s["true"])]
     lines += ["", "## Missed", "", "| case | key | found |", "| --- | --- | --- |"]
     lines += [f"| {s['case']} | {s['key']} | {'; '.join(s['found']) or s['first']} |" for s in missed]

@@ -171,6 +171,27 @@ def test_shares_have_exact_intervals():
     assert study.share([])["share"] is None
 
 
+def test_half_of_the_effects_are_named_at():
+    rng = np.random.default_rng(0)
+    drawn = np.exp(rng.uniform(np.log(0.2), np.log(20.0), 3000))
+    named = rng.random(drawn.size) < 0.95 / (1 + (1.3 / drawn) ** 4)  # 5 % are missed however strong
+    middle = 1.3 * (0.5 / 0.45) ** 0.25  # where that is a half
+
+    def score(strength: float, found: bool, name: str) -> dict:
+        return {"visible": strength, "true": [{"effect": name, "named": found}]}
+
+    late = [score(v, v > 6.0, "late") for v in (1.0, 2.0, 4.0, 8.0, 16.0)]
+    always = [score(v, True, "always") for v in (2.0, 5.0, 9.0)]
+    curve = study.sensitivity([*(score(*x, "drawn") for x in zip(drawn, named, strict=True)), *late, *always])
+    assert curve["half_named"] == pytest.approx(middle, rel=0.05)
+    assert curve["lapse"] == pytest.approx(0.05, abs=0.015)
+    assert curve["by_effect"]["drawn"]["half_named"] == pytest.approx(middle, rel=0.05)
+    assert 4.0 < curve["by_effect"]["late"]["half_named"] < 8.0
+    assert curve["by_effect"]["late"]["bound"] is None
+    assert curve["by_effect"]["always"] == {"half_named": pytest.approx(2.0), "bound": "at most", "of": 3}
+    assert study.sensitivity(always) is None  # nothing was missed
+
+
 def test_summary_and_confusion():
     scores = [
         scored("clean", [], []),

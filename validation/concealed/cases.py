@@ -11,7 +11,7 @@ from validation.concealed.catalogue import CATALOGUE, OUTSIDE, TWO_JOINTS
 
 RATIOS = (3.0, 1.0, 0.5)  # residual after plain calibration / noise
 OWN = tuple(f"set-up {b + 1}" for b in range(8))  # of recordings that share none
-FAINT = (0.3, 0.2, 0.1)
+FAINT = (0.3, 0.2, 0.1, 0.05)
 ROBOTS = ("rrr", "rrr_prototype", "arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "arm7")
 
 
