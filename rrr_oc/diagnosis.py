@@ -1,16 +1,18 @@
 """The diagnosis of a recording set: where a calibrated model fails, what it lacks, and how well it predicts once that is added."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from rrr_oc import parallel
-from rrr_oc.calibrate import fit_terms, identify, plain_model
+from rrr_oc.calibrate import Fit, fit_terms, identify, plain_model
 from rrr_oc.calibrated import CalibratedModel, Term
 from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnose import Found, Lawless, above_noise, as_seen, search, worth
+from rrr_oc.diagnose import SAME, Found, Lawless, above_noise, as_seen, search, worth
 from rrr_oc.effects.torque_ripple import TorqueRipple
 from rrr_oc.evidence import Bench
 from rrr_oc.fitting import Fitted, refit
@@ -30,9 +32,8 @@ SMALL = 4
 BLOCKS = 4  # of the only recording
 FEW = 5  # effects, of which each is tried to leave where a term that no law stands behind is worth nothing
 SHORT = 10  # samples of a segment that a block has no use for
-SURE = 3.0  # standard errors from absence, for a linear effect to stay
+UNSURE = 0.0027  # p-value of absence, of three standard errors, for a linear effect to stay
 LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
-WORSE = 1e-6  # of the errors on recordings held out, all joints together, beyond rounding
 HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
 HEAVY = 5e8  # bytes of signatures, above which another process finds them anew
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
@@ -153,7 +154,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     way, folds = _folds(bench)
     outcomes = _without_each(folds, at, findings, report, jobs)
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
-    if _refuted(findings, held_out):
+    if _refuted(findings, fitted, held_out):
         report("what was found there predicts them worse")
         findings = []
     model, shares = plain, Shares((), (), (), (), ())
@@ -188,7 +189,7 @@ def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searc
     report("calibrating the plain model")
     whole = prepare(recordings)
     start = with_widths(whole, plain_model(recordings))
-    plain = _final(recordings, whole, start)
+    plain = _final(recordings, whole, start).model
     unknown = recordings.inertial == "identify"
     belief = (plain.robot.inertial, precision(prior(start.robot), plain.robot.inertial)) if unknown else None
     bench = Bench(tuple(thinned(without_spikes(whole, plain))), unknown, belief)
@@ -206,7 +207,7 @@ def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searc
         names = ", ".join(recordings.joints[j] for j in turned)
         report(f"looking for effects where dry friction changes sign in another way: {names}")
         plain, start, begin = (with_turns(m, turned) for m in (plain, start, begin))
-        plain = _final(recordings, whole, plain)
+        plain = _final(recordings, whole, plain).model
         found = search(bench, begin, report)
     return _Searched(recordings, whole, bench, plain, start, begin, found)
 
@@ -241,11 +242,12 @@ def _claimed(
         fitted, findings = contested(at.bench, search(at.bench, at.begin, report, "after"), report)
         kept, shares = _weighed(folds, at.begin, fitted, findings)
     base = len(at.start.terms)
-    model = _calibrated(at, fitted, kept)
-    sure = [f for f, t in zip(kept, model.terms[base:], strict=True) if _sure(t)]
+    fit = _calibrated(at, fitted, kept)
+    sure = list(itertools.compress(kept, _sure(fit.model.terms[base:], fit.covariance.matrix)))
     if len(sure) < len(kept):
         kept, shares = _weighed(folds, at.begin, fitted, sure)
-        model = _calibrated(at, fitted, kept)
+        fit = _calibrated(at, fitted, kept)
+    model = fit.model
     kept = [replace(f, term=t) for f, t in zip(kept, model.terms[base:], strict=True)]
     return fitted, model if kept else at.plain, kept, shares
 
@@ -256,20 +258,21 @@ def _few_cycles(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding
     return any(isinstance(t.effect, TorqueRipple) and t.effect.is_slow(seen, t.named) for t in terms)
 
 
-def _refuted(findings: Sequence[Finding], held_out: tuple[np.ndarray, np.ndarray]) -> bool:
+def _refuted(findings: Sequence[Finding], fitted: Fitted, held_out: tuple[np.ndarray, np.ndarray]) -> bool:
     """Whether recordings held out speak against what was found: choosing and fitting without them makes errors larger.
 
-    An effect of some recordings only may be unknown to those that it was to be chosen from.
+    By more than chance: what is as faint as noise may be chosen otherwise from fewer recordings. An effect of some recordings only
+    may be unknown to those that it was to be chosen from.
     """
     everywhere = all(f.term.recordings == "all" for f in findings)
-    change = np.nansum(np.log(np.maximum(held_out[1], 1e-300) / np.maximum(held_out[0], 1e-300)))
-    return bool(findings and everywhere and change > WORSE)
+    change = 2 * np.log(np.maximum(held_out[1], 1e-300) / np.maximum(held_out[0], 1e-300))
+    return bool(findings and everywhere and np.nansum(fitted.counts * change) > SAME)
 
 
-def _final(recordings: RecordingSet, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
+def _final(recordings: RecordingSet, prepared: Sequence[Prepared], model: CalibratedModel) -> Fit:
     """The model with estimates, intervals and report."""
     way = identify if recordings.inertial == "identify" else fit_terms
-    return way(recordings, prepared, model).model
+    return way(recordings, prepared, model)
 
 
 def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
@@ -360,16 +363,26 @@ def _at(start: CalibratedModel, fitted: Fitted) -> CalibratedModel:
     return replace(start, terms=fitted.model.terms[: len(start.terms)])
 
 
-def _calibrated(at: _Searched, fitted: Fitted, findings: Sequence[Finding]) -> CalibratedModel:
-    """The extended model on all recordings."""
+def _calibrated(at: _Searched, fitted: Fitted, findings: Sequence[Finding]) -> Fit:
+    """The extended model, calibrated on all recordings."""
     terms = [f.term.with_values(np.array(list(f.term.effect.canonical(f.term.named).values()))) for f in findings]
     return _final(at.recordings, at.whole, _with(_at(at.start, fitted), terms))
 
 
-def _sure(term: Term) -> bool:
-    """Whether the interval of a linear effect is clear of absence, beside everything else that was found."""
-    known = zip(term.effect.parameters, term.estimates, strict=True)
-    return not term.effect.linear or any(e.std is None or abs(e.value - p.nominal) > SURE * e.std for p, e in known)
+def _sure(terms: Sequence[Term], covariance: np.ndarray) -> list[bool]:
+    """Of each linear effect, whether it is clear of absence, beside everything else that was found (Wald's test).
+
+    Args:
+        covariance: Of the parameters of all terms of the model, of which these are the last, (p, p); NaN where nothing decides.
+    """
+    sure, at = [], len(covariance) - sum(len(t.estimates) for t in terms)
+    for t in terms:
+        own = slice(at, at := at + len(t.estimates))
+        away, matrix = t.values - [p.nominal for p in t.effect.parameters], covariance[own, own]
+        known = np.all(np.isfinite(matrix))
+        far = not known or away @ np.linalg.pinv(matrix, hermitian=True) @ away > chi2.isf(UNSURE, len(away))
+        sure.append(not t.effect.linear or bool(far))
+    return sure
 
 
 def _weighed(

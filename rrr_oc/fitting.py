@@ -15,7 +15,7 @@ from rrr_oc.inference import box_step, normal_equations
 from rrr_oc.regression import Rows, rows, with_residuals
 from rrr_oc.widths import with_widths
 
-STEADY = 3.0  # standard errors by which a fit must be better
+STEADY, SELDOM = 3.0, 2.0  # standard errors by which a fit must be better; of what acts only as a joint reverses, and so seldom
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
 BEND = 0.01  # of the squared change in a step, by which the residual may miss what was foreseen before derivatives are renewed
 
@@ -122,6 +122,7 @@ def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[st
     """Whether the fit is better all along, not by luck in a few places: differences of squares by block of time.
 
     Args:
+        one: A fit with a new effect, its last term.
         scope: Groups of the recordings that have what is new; None for all.
     """
     weights = one.rows.deviation() ** -2
@@ -130,7 +131,8 @@ def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[st
     if scope is not None:
         inside = np.repeat([float(g in scope) for g in bench.groups], np.diff(bench.edges))
         blocks = blocks[bench.by_block(inside) > 0]
-    return bool(blocks.sum() > STEADY * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
+    errors = SELDOM if one.model.terms[-1].effect.abrupt else STEADY
+    return bool(blocks.sum() > errors * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
 
 
 def as_abrupt(bench: Bench, model: CalibratedModel) -> Fitted:

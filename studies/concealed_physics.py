@@ -32,7 +32,7 @@ from scipy.stats import beta, chi2
 from rrr_oc import parallel
 from rrr_oc.calibrate import fit_terms, plain_model
 from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.diagnose import term
+from rrr_oc.diagnose import rewidened, term
 from rrr_oc.diagnosis import diagnose
 from rrr_oc.diagnosis_file import to_json
 from rrr_oc.errors import UserError, entry_point
@@ -186,7 +186,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     prepared = prepare(recordings)
     prepared = thinned(without_spikes(prepared, fit_terms(recordings, prepared, with_widths(prepared, start)).model))
     bench = Bench(prepared, recordings.inertial == "identify")
-    fitted = refit(bench, with_widths(prepared, start, free=True))
+    fitted = rewidened(bench, refit(bench, with_widths(prepared, start)))
     entries = []
     for e in truth["effects"]:
         joints = tuple(recordings.joints.index(j) for j in place(e["joint"]))
@@ -201,7 +201,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
             extra = replace(
                 term(candidate), recordings=tuple(e["recordings"]) if e["recordings"] != "all" else "all", groups=()
             )
-            better = refit(bench, with_widths(prepared, replace(fitted.model, terms=(*fitted.model.terms, extra)), free=True))
+            better = rewidened(bench, refit(bench, replace(fitted.model, terms=(*fitted.model.terms, extra))))
         growth = 0.0 if better is None else better.better_than(fitted)
         parameters = 0 if better is None else len(better.model.terms[-1].estimates)
         entries.append({"effect": e["effect"], "likelihood": growth, "parameters": parameters})

@@ -4,6 +4,7 @@ import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import chains
 import mujoco
@@ -22,6 +23,7 @@ from rrr_oc.diagnosis_file import to_json
 from rrr_oc.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.effects import Trial
 from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
+from rrr_oc.effects.coupled_friction import CoupledFriction
 from rrr_oc.effects.empirical import STRAIGHT, Empirical
 from rrr_oc.effects.link_inertial import LinkInertial
 from rrr_oc.effects.parallel_spring import ParallelSpring
@@ -562,10 +564,17 @@ def test_an_effect_of_some_groups_is_that_of_all_where_nothing_speaks_against_it
     assert findings[0].term.values == pytest.approx([-2.0], rel=0.02)
 
 
-@pytest.mark.parametrize(("value", "std", "sure"), [(0.3, 0.09, True), (0.3, 0.11, False), (0.3, None, True)])
-def test_a_linear_effect_stays_where_its_interval_is_clear_of_absence(value, std, sure):
-    term = nominal_term(QuadraticDrag((0,)))
-    assert _sure(replace(term, estimates=(Estimate(value, std),))) is sure
+@pytest.mark.parametrize(("value", "std", "sure"), [(0.3, 0.09, True), (0.3, 0.11, False), (0.3, np.nan, True)])
+def test_a_linear_effect_stays_where_it_is_clear_of_absence(value, std, sure):
+    term = nominal_term(QuadraticDrag((0,))).with_values(np.array([value]))
+    assert _sure([term], np.diag([1e-9, std**2])) == [sure]
+
+
+@pytest.mark.parametrize(("viscous", "sure"), [(0.3, True), (-0.3, False)])
+def test_parameters_that_only_together_are_clear_of_absence(viscous, sure):
+    """The recordings tell the sum of the two by 0.07, their difference by 0.42."""
+    term = nominal_term(CoupledFriction((0, 1))).with_values(np.array([0.3, viscous]))
+    assert _sure([term], np.array([[0.045, -0.0425], [-0.0425, 0.045]])) == [sure]
 
 
 @pytest.mark.parametrize("seconds", [6.0, 10.0])
@@ -614,13 +623,14 @@ def test_signature_of_an_unexplained_torque_is_its_exact_derivative(made, variab
 
 @pytest.mark.parametrize(
     ("after", "groups", "refuted"),
-    [((0.05, 0.101), (), True), ((0.05, 0.1), (), False), ((0.04, 0.101), (), False), ((0.05, 0.101), ("a",), False)],
+    [((0.05, 0.105), (), True), ((0.05, 0.101), (), False), ((0.048, 0.105), (), False), ((0.05, 0.105), ("a",), False)],
 )
 def test_what_predicts_held_out_recordings_worse_is_refuted(after, groups, refuted):
-    """But not what only one of several groups has, which nobody can know who has not seen it."""
+    """By more than chance, of 200 independent rows; but not what only one of several groups has, which others cannot know."""
     offset = replace(nominal_term(TorqueOffset((0,))), recordings=() if groups else "all", groups=groups)
-    assert _refuted([Finding(offset, 20.0, 1, 9)], (np.array([0.05, 0.1]), np.array(after))) is refuted
-    assert not _refuted([], (np.array([0.05]), np.array([0.06])))
+    fitted, before = SimpleNamespace(counts=np.array([200.0, 200.0])), np.array([0.05, 0.1])
+    assert _refuted([Finding(offset, 20.0, 1, 9)], fitted, (before, np.array(after))) is refuted
+    assert not _refuted([], fitted, (before, before * 2))
 
 
 @pytest.mark.parametrize("change", ["payload", "gain", "offset"])
