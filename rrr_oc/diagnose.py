@@ -270,9 +270,13 @@ def _next(
 
 
 def _bar(named: Best, other: Best) -> float:
-    """Score that an empirical term must reach to be preferred to a law; friction changes in some recordings, but not its law."""
+    """Score that an empirical term must reach to be preferred to a law; friction changes in some recordings, but not its law.
+
+    A law that explains as much is the likelier one, however few parameters the term has.
+    """
     changed = named[2].scope is not None and other[2].scope is not None and named[2].trial.effect.side == "drive"
-    return named[0] if changed else MARGIN * named[0] + SAME
+    as_much = named[0] + named[2].penalty - other[2].penalty + SAME
+    return named[0] if changed else max(MARGIN * named[0] + SAME, as_much)
 
 
 def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, other: Best) -> list[Key] | None:

@@ -27,6 +27,7 @@ from rrr_oc.effects.coupled_friction import CoupledFriction
 from rrr_oc.effects.empirical import STRAIGHT, Empirical
 from rrr_oc.effects.link_inertial import LinkInertial
 from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.effects.position_dependent_friction import PositionDependentFriction
 from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.effects.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.torque_gain import TorqueGain
@@ -216,6 +217,16 @@ def test_a_law_is_named_rather_than_a_series_that_also_says_how_friction_changes
     (found,) = diagnose(as_set(plant, made), jobs=1).findings
     assert found.term.effect == TorqueOffset((1,))
     assert found.term.values == pytest.approx([0.4], rel=0.05)
+
+
+def test_a_faint_law_is_named_rather_than_a_series_of_fewer_parameters_that_explains_as_much(planar):
+    plant, rng, made = planar(1), np.random.default_rng(0), []
+    for i in range(4):
+        r = record(plant, f"{i}.csv", rng, 15.0, 0.05)
+        friction = np.cos(3.8 * r.q - 2.9) * np.tanh(r.dq / plant.width)
+        made.append(replace(r, tau=r.tau - 0.012 * r.tau.std() * friction))
+    (found,) = diagnose(as_set(plant, made), jobs=1).findings
+    assert found.term.effect == PositionDependentFriction((0,))
 
 
 def test_a_ripple_of_few_cycles_takes_the_place_of_a_series(planar):
