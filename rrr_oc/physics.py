@@ -93,8 +93,7 @@ class Physics:
         for _ in range(SWEEPS if alone else 0):  # what a link does behind its gear follows from the motion that all else makes
             total = _summed(found, recording)
             load = self._load(recording, total)
-            if reaction is None:  # a slope, which hardly changes with so small a shift
-                reaction = cache(partial(self._reaction, recording, load, total))
+            reaction = cache(partial(self._reaction, recording, load, total))
             for i, effect, theta, width in alone:
                 (j,) = effect.joints
                 needed = load.copy()  # by the link if it moved with its drive
