@@ -15,7 +15,7 @@ lint: $(VENV)/installed
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/pyright --pythonpath $(VENV)/bin/python
 
-$(VENV)/installed: pyproject.toml setup.py rrr_oc/_rigid_body.cpp rrr_oc/_along.cpp
+$(VENV)/installed: pyproject.toml setup.py rrr_oc/robot/_rigid_body.cpp rrr_oc/numerics/_along.cpp
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/pip install --quiet --editable '.[test]'
 	touch $@

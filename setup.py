@@ -18,8 +18,8 @@ libcasadi = str(next(casadi_dir.glob("libcasadi.so.*")))
 setup(
     ext_modules=[
         Extension(
-            "rrr_oc._rigid_body",
-            sources=["rrr_oc/_rigid_body.cpp"],
+            "rrr_oc.robot._rigid_body",
+            sources=["rrr_oc/robot/_rigid_body.cpp"],
             include_dirs=[str(include), str(include / "eigen3"), str(casadi_dir / "include")],
             # As the wheel's own CMake configuration exports them.
             define_macros=[
@@ -32,8 +32,8 @@ setup(
             extra_link_args=[libcasadi],
         ),
         Extension(
-            "rrr_oc._along",
-            sources=["rrr_oc/_along.cpp"],
+            "rrr_oc.numerics._along",
+            sources=["rrr_oc/numerics/_along.cpp"],
             include_dirs=[str(casadi_dir / "include")],
             extra_compile_args=["-std=c++17", "-O3", "-g0", "-w", "-fvisibility=hidden"],
             extra_link_args=[libcasadi],

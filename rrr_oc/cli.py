@@ -10,21 +10,21 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from rrr_oc.before_after import in_closed_loop
-from rrr_oc.calibrate import calibrate as calibrate_inverse
-from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
-from rrr_oc.calibrated import CalibratedModel, load_model, save_model
-from rrr_oc.diagnosis import diagnose as diagnose_recordings
-from rrr_oc.diagnosis_report import write_diagnosis
+from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, save_model
+from rrr_oc.calibration.inverse_dynamics import calibrate as calibrate_inverse
+from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
+from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
+from rrr_oc.diagnosis.held_out import in_closed_loop
+from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.evaluate import evaluate_inverse, evaluate_simulated, summary, write_predictions
-from rrr_oc.files import check_file, check_folder, write_json
-from rrr_oc.importers import import_mcap, import_prototype
-from rrr_oc.importers.prototype import PAYLOAD_AT
+from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.parallel import check_jobs
-from rrr_oc.recordings import RecordingSet, load_recordings
-from rrr_oc.report import wide_console
-from rrr_oc.savitzky_golay import WINDOW
+from rrr_oc.recordings.importers import import_mcap, import_prototype
+from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
+from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.storage import check_file, check_folder, write_json
 
 app = typer.Typer(
     help="System identification of robot arms on recordings of their motion and torques.",

@@ -20,19 +20,19 @@ import typer
 from rich.markdown import Markdown
 from scipy.spatial import KDTree
 
-from rrr_oc.actuator import Actuators, load_actuators
-from rrr_oc.calibrate import labels
-from rrr_oc.calibrate_simulated import POPULATION, calibrate_evolution, calibrate_response
-from rrr_oc.calibrated import CalibratedModel, save_model
-from rrr_oc.codesign import CONFIGURATIONS
+from rrr_oc.calibration.calibrated_model import CalibratedModel, save_model
+from rrr_oc.calibration.inverse_dynamics import labels
+from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
+from rrr_oc.codesign.design_problem import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.figures import save_figure
-from rrr_oc.files import check_folder, write_json, write_text
-from rrr_oc.nrmse import error
-from rrr_oc.recordings import Recording, RecordingSet, load_recordings
-from rrr_oc.replay import Replayed, replay, tracking_controller
-from rrr_oc.report import wide_console
-from rrr_oc.savitzky_golay import smooth, split
+from rrr_oc.numerics.savitzky_golay import smooth, split
+from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings
+from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.figures import save_figure
+from rrr_oc.robot.drives import Actuators, load_actuators
+from rrr_oc.simulation.replay import Replayed, replay, tracking_controller
+from rrr_oc.storage import check_folder, write_json, write_text
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load by Eq. 10", "tau_load of the engine", "tau_load of the engine, own drives")
 EQ10 = SIGNALS[4]

@@ -30,22 +30,22 @@ from scipy.special import expit, logit, xlogy
 from scipy.stats import beta, chi2
 
 from rrr_oc import parallel
-from rrr_oc.calibrate import fit_terms, plain_model
-from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.diagnose import rewidened, term
-from rrr_oc.diagnosis import diagnose
-from rrr_oc.diagnosis_file import to_json
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.friction_width import with_widths
+from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
+from rrr_oc.calibration.prediction_error import evaluate_inverse
+from rrr_oc.calibration.regression import prepare, thinned, without_spikes
+from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.evidence import Bench, Evidence
+from rrr_oc.diagnosis.fitting import refit
+from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.diagnosis.selection import rewidened, term
+from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.evaluate import evaluate_inverse
-from rrr_oc.evidence import Bench, Evidence
-from rrr_oc.figures import save_figure
-from rrr_oc.files import write_json, write_text
-from rrr_oc.fitting import refit
-from rrr_oc.recordings import RecordingSet, load_recordings
-from rrr_oc.regression import prepare, thinned, without_spikes
-from rrr_oc.report import wide_console
-from rrr_oc.signatures import trials, view
-from rrr_oc.widths import with_widths
+from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.figures import save_figure
+from rrr_oc.storage import write_json, write_text
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -27,12 +27,14 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import parallel
-from rrr_oc.candidates import Encoding
-from rrr_oc.codesign import CONFIGURATIONS
-from rrr_oc.comparison import FREE_MOTION, NEAR, evolved_of, summarise, tables
+from rrr_oc.codesign.design_problem import CONFIGURATIONS
+from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.evolution import Protocol
-from rrr_oc.experiments import (
+from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise, tables
+from rrr_oc.paper.encoding import Encoding
+from rrr_oc.paper.engine_population import STEPS
+from rrr_oc.paper.evolution import Protocol
+from rrr_oc.paper.experiments import (
     ENDS,
     EXPERIMENTS,
     GRADIENT,
@@ -47,11 +49,9 @@ from rrr_oc.experiments import (
     spring_torques,
     stored_motion,
 )
-from rrr_oc.figures import draw_comparison
-from rrr_oc.files import write_json, write_npz, write_text
-from rrr_oc.rollouts import STEPS
-from rrr_oc.runs import Run, all_runs
-from rrr_oc.task import load_task
+from rrr_oc.paper.run_store import Run, all_runs
+from rrr_oc.report.figures import draw_comparison
+from rrr_oc.storage import write_json, write_npz, write_text
 
 STAGES = ("engine", "model", "gradient", "restricted", "again", "race", "fixed", "transfer", "tables")
 console = Console()

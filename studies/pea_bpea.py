@@ -23,21 +23,21 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import __version__
-from rrr_oc.actuator import load_actuators
-from rrr_oc.calibrated import CalibratedModel, load_model
-from rrr_oc.catalogue import METHODS, CatalogueResult, load_catalogue, search_catalogue
-from rrr_oc.certificate import certify
-from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model
+from rrr_oc.codesign.certificate import certify
+from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, search
+from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
+from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, load_catalogue, search_catalogue
+from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task, tool_height
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.figures import draw_all
-from rrr_oc.files import check_folder, write_json, write_npz, write_text
-from rrr_oc.outcome import Motion, describe, describe_simulation, sample_motion
+from rrr_oc.optimal_control.solver import Refinement, SolverFailure
 from rrr_oc.parallel import check_jobs
-from rrr_oc.report import published_springs, report, wide_console
-from rrr_oc.search import SearchOptions, SearchResult, Start, search
-from rrr_oc.solve import Refinement, SolverFailure
-from rrr_oc.task import PHASES, PRESETS, Task, load_task, tool_height
-from rrr_oc.transfer import check_transfer, describe_transfer, transfer_table
+from rrr_oc.report.design_report import published_springs, report, wide_console
+from rrr_oc.report.figures import draw_all
+from rrr_oc.robot.drives import load_actuators
+from rrr_oc.storage import check_folder, write_json, write_npz, write_text
 
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
 console = wide_console()

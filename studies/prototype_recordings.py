@@ -23,15 +23,15 @@ from sklearn.linear_model import RidgeCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, StandardScaler
 
-from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.diagnosis import Diagnosis, diagnose
-from rrr_oc.diagnosis_report import write_diagnosis
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.regression import Prepared, prepare
+from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import entry_point
-from rrr_oc.files import write_json, write_text
-from rrr_oc.nrmse import error
-from rrr_oc.recordings import RecordingSet, load_recordings
-from rrr_oc.regression import Prepared, prepare
-from rrr_oc.report import markdown
+from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.report.design_report import markdown
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.storage import write_json, write_text
 
 THINNED = 4  # samples for one that a black box is trained on
 VARIANTS = ("labelled", "no_payload", "no_springs", "bare")

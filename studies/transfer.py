@@ -28,27 +28,27 @@ import typer
 from rich.markdown import Markdown
 from scipy.interpolate import CubicHermiteSpline
 
-from rrr_oc.actuator import load_actuators
-from rrr_oc.calibrate_simulated import calibrate_response
-from rrr_oc.calibrated import CalibratedModel, load_model, save_model
-from rrr_oc.codesign import CONFIGURATIONS, CoDesign, spring_bounds
-from rrr_oc.diagnosis import diagnose
-from rrr_oc.diagnosis_report import write_diagnosis
+from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, save_model
+from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.response import calibrate_response
+from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.codesign.multistart import SearchOptions, search
+from rrr_oc.codesign.optimum import Motion, resimulate, sample_motion
+from rrr_oc.codesign.task import PHASES, Task, load_task
+from rrr_oc.codesign.transfer import repaired
+from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.figures import save_figure
-from rrr_oc.files import write_json, write_npz, write_text
-from rrr_oc.metrics import measure
-from rrr_oc.nrmse import error
-from rrr_oc.outcome import Motion, resimulate, sample_motion
-from rrr_oc.recording_header import Spring, spring_json
-from rrr_oc.recordings import Recording, RecordingSet, load_recordings, write_set
-from rrr_oc.report import markdown, wide_console
-from rrr_oc.savitzky_golay import smooth
-from rrr_oc.search import SearchOptions, search
-from rrr_oc.solve import Refinement
-from rrr_oc.sweeps import PROTOTYPE_SWEEP, PlannedRecording, Sweep, protocol, sweep
-from rrr_oc.task import PHASES, Task, load_task
-from rrr_oc.transfer import repaired
+from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, PlannedRecording, Sweep, protocol, sweep
+from rrr_oc.model.metrics import measure
+from rrr_oc.numerics.savitzky_golay import smooth
+from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.recordings.header import Spring, spring_json
+from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings, write_set
+from rrr_oc.report.design_report import markdown, wide_console
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.figures import save_figure
+from rrr_oc.robot.drives import load_actuators
+from rrr_oc.storage import write_json, write_npz, write_text
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from studies.calibration import SIGNALS, Run, coverage, draw_coverage, follow, table

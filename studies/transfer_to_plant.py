@@ -17,23 +17,23 @@ from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from rrr_oc.actuator import load_actuators
-from rrr_oc.calibrated import CalibratedModel
-from rrr_oc.candidates import Encoding
-from rrr_oc.codesign import CoDesign
-from rrr_oc.comparison import FREE_MOTION
-from rrr_oc.diagnosis import diagnose
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import SearchOptions, continued
+from rrr_oc.codesign.optimum import Motion, describe, sample_motion
+from rrr_oc.codesign.task import PHASES, load_task
+from rrr_oc.codesign.transfer import describe_transfer, reference_phases, repaired
+from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError
-from rrr_oc.experiments import candidate_motion, experiment, stored_motion
-from rrr_oc.metrics import measure
-from rrr_oc.outcome import Motion, describe, sample_motion
-from rrr_oc.problem import Guess, PhaseGuess
-from rrr_oc.recordings import load_recordings
-from rrr_oc.runs import Run, all_runs
-from rrr_oc.search import SearchOptions, continued
-from rrr_oc.solve import Refinement
-from rrr_oc.task import PHASES, load_task
-from rrr_oc.transfer import describe_transfer, reference_phases, repaired
+from rrr_oc.model.metrics import measure
+from rrr_oc.optimal_control.problem import Guess, PhaseGuess
+from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.paper.comparison import FREE_MOTION
+from rrr_oc.paper.encoding import Encoding
+from rrr_oc.paper.experiments import candidate_motion, experiment, stored_motion
+from rrr_oc.paper.run_store import Run, all_runs
+from rrr_oc.recordings.recording import load_recordings
+from rrr_oc.robot.drives import load_actuators
 from validation.concealed.build import Built, build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.plant import LEAD, Plant, Setup

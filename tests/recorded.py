@@ -15,10 +15,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
-from rrr_oc.effects.parallel_spring import ParallelSpring
-from rrr_oc.recordings import Recording, RecordingSet
-from rrr_oc.robot import Robot, load_robot
-from rrr_oc.savitzky_golay import differentiate, split
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.numerics.savitzky_golay import differentiate, split
+from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.robot.robot import Robot, load_robot
 
 URDF = Path(__file__).resolve().parents[1] / "rrr_oc" / "urdf"
 

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rrr_oc.actuator import COEFFICIENTS, Actuators, load_actuators
 from rrr_oc.errors import UserError
+from rrr_oc.robot.drives import COEFFICIENTS, Actuators, load_actuators
 
 JOINTS = ("joint1", "joint2", "joint3")
 # facts.md: k_t, c_0, nu, c_v2, c_1, c_12, J_m of the prototype's joints 1, 2, 3

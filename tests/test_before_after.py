@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from recorded import Plant, as_set, record
 
-from rrr_oc import before_after
-from rrr_oc.before_after import _means, in_closed_loop, intervals
-from rrr_oc.calibrate import plain_model
-from rrr_oc.calibrated import Estimate, Term
-from rrr_oc.diagnosis import Diagnosis, Fold, Shares
-from rrr_oc.diagnosis_report import sentence, write_diagnosis
-from rrr_oc.effects.backlash import Backlash
-from rrr_oc.effects.joint_elasticity import JointElasticity
-from rrr_oc.effects.parallel_spring import ParallelSpring
-from rrr_oc.evaluate import SIGNALS
+from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.prediction_error import SIGNALS
+from rrr_oc.diagnosis import held_out as before_after
+from rrr_oc.diagnosis.held_out import _means, in_closed_loop, intervals
+from rrr_oc.diagnosis.procedure import Diagnosis, Fold, Shares
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.transmission.backlash import Backlash
+from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
+from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
 
 STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 

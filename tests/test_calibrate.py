@@ -13,20 +13,20 @@ from chains import random_chain
 from recorded import Plant, as_set, behind_gear, multisine, real, record
 from scipy.optimize import lsq_linear
 
-from rrr_oc.calibrate import calibrate, fit_terms, labels, plain_model, with_parameter_values
-from rrr_oc.calibrate_simulated import calibrate_evolution, calibrate_response
-from rrr_oc.calibrated import CalibratedModel, Term, load_model, nominal_term, save_model
-from rrr_oc.effects.joint_elasticity import JointElasticity
-from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, load_model, nominal_term, save_model
+from rrr_oc.calibration.covariance import box_step, covariance, normal_equations, undetermined
+from rrr_oc.calibration.friction_width import widened, with_widths
+from rrr_oc.calibration.inverse_dynamics import calibrate, fit_terms, labels, plain_model, with_parameter_values
+from rrr_oc.calibration.regression import Rows, is_linear, prepare, rows, with_residuals
+from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.errors import UserError
-from rrr_oc.importers import import_prototype
-from rrr_oc.inertial import base_parameters, from_log_cholesky, is_physical, pseudo_inertia, to_log_cholesky
-from rrr_oc.inference import box_step, covariance, normal_equations, undetermined
-from rrr_oc.recordings import RecordingSet, load_recordings
-from rrr_oc.regression import Rows, is_linear, prepare, rows, with_residuals
-from rrr_oc.rigid_body import rigid_body
-from rrr_oc.robot import load_robot
-from rrr_oc.widths import widened, with_widths
+from rrr_oc.recordings.importers import import_prototype
+from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.robot.inertial_parameters import base_parameters, from_log_cholesky, is_physical, pseudo_inertia, to_log_cholesky
+from rrr_oc.robot.rigid_body import rigid_body
+from rrr_oc.robot.robot import load_robot
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])  # dry, viscous, armature of three joints
 PEA = {1: (13.705, 1.92), 2: (1.318, 2.44)}

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import Akima1DInterpolator
 
-from rrr_oc.candidates import WEIGHT, Analytic, Encoding
-from rrr_oc.codesign import CoDesign, spring_bounds
-from rrr_oc.effects.biarticular_spring import reduced
+from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.task import load_task
+from rrr_oc.effects.elastic.biarticular_spring import reduced
 from rrr_oc.errors import UserError
-from rrr_oc.experiments import candidate_motion, experiment
-from rrr_oc.rigid_body import rigid_body, with_payload
-from rrr_oc.rollouts import Engine
-from rrr_oc.task import load_task
+from rrr_oc.paper.encoding import WEIGHT, Analytic, Encoding
+from rrr_oc.paper.engine_population import Engine
+from rrr_oc.paper.experiments import candidate_motion, experiment
+from rrr_oc.robot.rigid_body import rigid_body, with_payload
 
 TASK = load_task("paper")
 RNG = np.random.default_rng(5)
@@ -150,7 +150,7 @@ def test_limits_of_torque_and_of_the_tools_height_are_penalised():
 
 
 def test_other_costs_are_refused():
-    from rrr_oc.actuator import load_actuators
+    from rrr_oc.robot.drives import load_actuators
 
     design = CoDesign(TASK, (), "motor", load_actuators(TASK.joints))
     with pytest.raises(UserError, match="cost 'load' only"):

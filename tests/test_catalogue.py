@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rrr_oc.catalogue import Catalogue, CatalogueResult, load_catalogue, search_catalogue
-from rrr_oc.codesign import CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.multistart import SearchOptions, SearchResult, search
+from rrr_oc.codesign.purchasable import Catalogue, CatalogueResult, load_catalogue, search_catalogue
+from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
-from rrr_oc.search import SearchOptions, SearchResult, search
-from rrr_oc.solve import Refinement
-from rrr_oc.task import load_task
+from rrr_oc.optimal_control.solver import Refinement
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(

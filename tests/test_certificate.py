@@ -12,14 +12,14 @@ import pytest
 from scipy.sparse import csc_array
 from test_codesign import TASK, design_of, solved, trapezoid
 
-from rrr_oc.certificate import Certificate, certify, exact_cost, reintegrate
-from rrr_oc.codesign import CoDesign
-from rrr_oc.collocation import Scheme, Transcription, scheme, uniform_mesh
-from rrr_oc.files import write_json
-from rrr_oc.optimality import Kkt, _factor
-from rrr_oc.problem import Guess, Phase, PhaseGuess, Problem
-from rrr_oc.search import Optimum, SearchResult
-from rrr_oc.solve import Options, Refinement, Solution, Solver, refine, solve
+from rrr_oc.codesign.certificate import Certificate, certify, exact_cost, reintegrate
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import Optimum, SearchResult
+from rrr_oc.optimal_control.optimality import Kkt, _factor
+from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.solver import Options, Refinement, Solution, Solver, refine, solve
+from rrr_oc.optimal_control.transcription import Scheme, Transcription, scheme, uniform_mesh
+from rrr_oc.storage import write_json
 
 TIGHT = Options(tolerance=1e-10)
 

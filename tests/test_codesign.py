@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rrr_oc.actuator import load_actuators
-from rrr_oc.codesign import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
-from rrr_oc.collocation import Transcription, scheme, uniform_mesh
-from rrr_oc.effects.biarticular_spring import reduced
+from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
+from rrr_oc.codesign.multistart import decode, dimensions
+from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.effects.elastic.biarticular_spring import reduced
 from rrr_oc.errors import UserError
-from rrr_oc.report import published_springs
-from rrr_oc.search import decode, dimensions
-from rrr_oc.solve import Solution, Solver
-from rrr_oc.task import Task, load_task
+from rrr_oc.optimal_control.solver import Solution, Solver
+from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
+from rrr_oc.report.design_report import published_springs
+from rrr_oc.robot.drives import load_actuators
 
 TASK = load_task("paper")
 URDF = importlib.resources.files("rrr_oc.urdf").joinpath("rrr.urdf").read_text()

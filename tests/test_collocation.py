@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rrr_oc.collocation import Transcription, scheme, uniform_mesh
 from rrr_oc.errors import UserError
-from rrr_oc.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
 
 R3, R5, R6 = np.sqrt([3, 5, 6])
 # Hairer & Wanner, "Solving Ordinary Differential Equations II", tables IV.5.1, 5.6 and 5.7 (Lobatto IIIA), in (A, c); b follows

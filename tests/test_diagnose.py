@@ -13,36 +13,36 @@ import pytest
 from recorded import Plant, as_set, multisine, real, record
 from typer.testing import CliRunner
 
-from rrr_oc import diagnose as forward
-from rrr_oc.calibrate import fit_terms, identify, plain_model
-from rrr_oc.calibrated import Estimate, Term, load_model, nominal_term, save_model
+from rrr_oc.calibration.calibrated_model import Estimate, Term, load_model, nominal_term, save_model
+from rrr_oc.calibration.friction_width import widened, with_widths
+from rrr_oc.calibration.inverse_dynamics import fit_terms, identify, plain_model
+from rrr_oc.calibration.prediction_error import evaluate_inverse
+from rrr_oc.calibration.regression import Rows, prepare, rows
 from rrr_oc.cli import app
-from rrr_oc.contest import Finding, contested
-from rrr_oc.diagnosis import _refuted, _sure, diagnose
-from rrr_oc.diagnosis_file import to_json
-from rrr_oc.diagnosis_report import sentence, write_diagnosis
+from rrr_oc.diagnosis import selection as forward
+from rrr_oc.diagnosis.contest import Finding, contested
+from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.evidence import Bench, Evidence, pseudo_inverse
+from rrr_oc.diagnosis.procedure import _refuted, _sure, diagnose
+from rrr_oc.diagnosis.reversals import blurred_joints
+from rrr_oc.diagnosis.signatures import columns, context, trials, view
+from rrr_oc.diagnosis.suggestion import suggest
 from rrr_oc.effects import Trial
-from rrr_oc.effects.coulomb_asymmetry import CoulombAsymmetry
-from rrr_oc.effects.coupled_friction import CoupledFriction
-from rrr_oc.effects.empirical import STRAIGHT, Empirical
-from rrr_oc.effects.link_inertial import LinkInertial
-from rrr_oc.effects.parallel_spring import ParallelSpring
-from rrr_oc.effects.position_dependent_friction import PositionDependentFriction
-from rrr_oc.effects.presliding_hysteresis import PreslidingHysteresis
-from rrr_oc.effects.quadratic_drag import QuadraticDrag
-from rrr_oc.effects.torque_gain import TorqueGain
-from rrr_oc.effects.torque_offset import TorqueOffset
-from rrr_oc.effects.torque_ripple import TorqueRipple
-from rrr_oc.evaluate import evaluate_inverse
-from rrr_oc.evidence import Bench, Evidence, pseudo_inverse
-from rrr_oc.inertial import precision, prior
-from rrr_oc.recordings import Recording, load_recordings
-from rrr_oc.regression import Rows, prepare, rows
-from rrr_oc.replay import pieces
-from rrr_oc.reversals import blurred_joints
-from rrr_oc.signatures import columns, context, trials, view
-from rrr_oc.suggest import suggest
-from rrr_oc.widths import widened, with_widths
+from rrr_oc.effects.black_box.empirical import STRAIGHT, Empirical
+from rrr_oc.effects.body.link_inertial import LinkInertial
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.friction.coulomb_asymmetry import CoulombAsymmetry
+from rrr_oc.effects.friction.coupled_friction import CoupledFriction
+from rrr_oc.effects.friction.position_dependent_friction import PositionDependentFriction
+from rrr_oc.effects.friction.presliding_hysteresis import PreslidingHysteresis
+from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
+from rrr_oc.effects.sensor.torque_gain import TorqueGain
+from rrr_oc.effects.sensor.torque_offset import TorqueOffset
+from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
+from rrr_oc.recordings.recording import Recording, load_recordings
+from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
+from rrr_oc.robot.inertial_parameters import precision, prior
+from rrr_oc.simulation.replay import pieces
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case

@@ -13,24 +13,30 @@ import pytest
 from recorded import Plant, as_set, record
 from scipy.integrate import solve_ivp
 
-from rrr_oc.calibrate import plain_model
-from rrr_oc.calibrated import CalibratedModel, Estimate, Term, load_model, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, load_model, save_model
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.regression import prepare
+from rrr_oc.diagnosis.signatures import columns, context, table, trials, view
 from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial
-from rrr_oc.effects.biarticular_spring import HARDWARE_LIMITS, BiarticularSpring, hardware_exists, pick_hardware, reduced
-from rrr_oc.effects.coupled_friction import CoupledFriction
-from rrr_oc.effects.echo import Echo
-from rrr_oc.effects.empirical import Empirical
-from rrr_oc.effects.friction_change import FrictionChange
-from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.effects.black_box.echo import Echo
+from rrr_oc.effects.black_box.empirical import Empirical
+from rrr_oc.effects.black_box.friction_change import FrictionChange
+from rrr_oc.effects.elastic.biarticular_spring import (
+    HARDWARE_LIMITS,
+    BiarticularSpring,
+    hardware_exists,
+    pick_hardware,
+    reduced,
+)
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.friction.coupled_friction import CoupledFriction
 from rrr_oc.errors import UserError
-from rrr_oc.model import Model
-from rrr_oc.physics import states_along
-from rrr_oc.recordings import Recording
-from rrr_oc.regression import prepare
-from rrr_oc.robot import load_robot
-from rrr_oc.signatures import columns, context, table, trials, view
-from rrr_oc.smooth import TURNS, ramp, ramp_integral
-from rrr_oc.smooth import sign as smooth_sign
+from rrr_oc.model.recorded_physics import states_along
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.numerics.smooth import TURNS, ramp, ramp_integral
+from rrr_oc.numerics.smooth import sign as smooth_sign
+from rrr_oc.recordings.recording import Recording
+from rrr_oc.robot.robot import load_robot
 
 WINDINGS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
 SPRINGS = [ParallelSpring((1,), "below"), ParallelSpring((1,), "above"), *[BiarticularSpring((1, 2), w) for w in WINDINGS]]

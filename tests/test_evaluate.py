@@ -8,13 +8,13 @@ import pytest
 from recorded import Plant, as_set, record
 from scipy.signal import savgol_filter
 
-from rrr_oc.calibrate import calibrate, plain_model
-from rrr_oc.calibrated import CalibratedModel
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.inverse_dynamics import calibrate, plain_model
+from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.prediction_error import SIGNALS, evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.errors import UserError
-from rrr_oc.evaluate import SIGNALS, evaluate_inverse, evaluate_simulated, summary, write_predictions
-from rrr_oc.nrmse import error
-from rrr_oc.recordings import RecordingSet
-from rrr_oc.rigid_body import rigid_body
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.robot.rigid_body import rigid_body
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from rrr_oc import parallel
-from rrr_oc.candidates import Analytic, Encoding
+from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
-from rrr_oc.evolution import Protocol, evolve
-from rrr_oc.experiments import experiment, run_evolution
-from rrr_oc.task import load_task
+from rrr_oc.paper.encoding import Analytic, Encoding
+from rrr_oc.paper.evolution import Protocol, evolve
+from rrr_oc.paper.experiments import experiment, run_evolution
 
 TASK = load_task("paper")
 SMALL = Protocol("analytic", generations=150, population=12, every=3)
@@ -25,8 +25,8 @@ LABELS = {"preset": "paper", "experiment": "BPEA", "ends": "rest", "way": "evolu
 TRIAL = """
 import sys
 from pathlib import Path
-from rrr_oc.evolution import Protocol
-from rrr_oc.experiments import run_evolution
+from rrr_oc.paper.evolution import Protocol
+from rrr_oc.paper.experiments import run_evolution
 labels = {labels!r}
 run_evolution(Path(sys.argv[1]), labels, {protocol!r}, 3)
 """

@@ -9,11 +9,10 @@ import pinocchio as pin
 import pytest
 from chains import random_chain
 
-from rrr_oc import excitation
-from rrr_oc.csv_table import read_table
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
-from rrr_oc.excitation import (
+from rrr_oc.excitation import d_optimal as excitation
+from rrr_oc.excitation.d_optimal import (
     INERTIAL,
     Limits,
     Question,
@@ -27,10 +26,11 @@ from rrr_oc.excitation import (
     robot_limits,
     sensitivity,
 )
-from rrr_oc.importers.prototype import import_prototype
-from rrr_oc.model import Model
-from rrr_oc.robot import Robot, load_robot
-from rrr_oc.sweeps import PROTOTYPE_SPRINGS, PROTOTYPE_SWEEP, PlannedRecording, protocol, sweep, write_trajectory
+from rrr_oc.excitation.sweeps import PROTOTYPE_SPRINGS, PROTOTYPE_SWEEP, PlannedRecording, protocol, sweep, write_trajectory
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.recordings.csv_table import read_table
+from rrr_oc.recordings.importers.prototype import import_prototype
+from rrr_oc.robot.robot import Robot, load_robot
 
 RAW = Path(__file__).resolve().parents[2] / "shared/recordings/rrr_prototype"
 FRICTION = ("viscous_friction", "dry_friction")

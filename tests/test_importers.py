@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from recorded import real
 
-from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
-from rrr_oc.importers import import_mcap, import_prototype
-from rrr_oc.model import Model
-from rrr_oc.recordings import load_recordings
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.recordings.importers import import_mcap, import_prototype
+from rrr_oc.recordings.recording import load_recordings
 
 JOINTS = ("joint1", "joint2", "joint3")
 

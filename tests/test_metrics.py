@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rrr_oc import metrics
 from rrr_oc.errors import UserError
+from rrr_oc.model import metrics
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rrr_oc.model import along
+from rrr_oc.numerics.along import along
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from rrr_oc.candidates import Analytic, Encoding
-from rrr_oc.codesign import motion_guess
-from rrr_oc.experiments import experiment
-from rrr_oc.fixed_motion import _exact, _sampled, best_springs
-from rrr_oc.parametrised import RestrictedDesign, proposals
-from rrr_oc.task import load_task
+from rrr_oc.codesign.design_problem import motion_guess
+from rrr_oc.codesign.task import load_task
+from rrr_oc.paper.encoding import Analytic, Encoding
+from rrr_oc.paper.experiments import experiment
+from rrr_oc.paper.fixed_motion import _exact, _sampled, best_springs
+from rrr_oc.paper.parametrised import RestrictedDesign, proposals
 
 TASK = load_task("paper")
 

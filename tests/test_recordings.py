@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from recorded import real
 from scipy.signal import savgol_filter
 
-from rrr_oc import plausibility
-from rrr_oc.effects.biarticular_spring import BiarticularSpring
-from rrr_oc.effects.parallel_spring import ParallelSpring
+from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
-from rrr_oc.files import check_file, check_folder, new_folder, write_json, write_npz, write_text
-from rrr_oc.recordings import load_recordings, save_recordings
-from rrr_oc.savitzky_golay import differentiate, local_polynomial, smooth, split
+from rrr_oc.numerics.savitzky_golay import differentiate, local_polynomial, smooth, split
+from rrr_oc.recordings import plausibility
+from rrr_oc.recordings.recording import load_recordings, save_recordings
+from rrr_oc.storage import check_file, check_folder, new_folder, write_json, write_npz, write_text
 
 JOINTS = ("joint1", "joint2", "joint3")
 EXAMPLE = {  # as printed in the contract

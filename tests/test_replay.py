@@ -8,13 +8,13 @@ import pytest
 from chains import arm as chain
 from recorded import Plant, as_set, behind_gear, multisine, record
 
-from rrr_oc.calibrate import plain_model
-from rrr_oc.calibrated import Estimate, Term
+from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.nrmse import error
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
-from rrr_oc.nrmse import error
-from rrr_oc.replay import pieces, replay, tracking_controller
-from rrr_oc.robot import load_robot
+from rrr_oc.robot.robot import load_robot
+from rrr_oc.simulation.replay import pieces, replay, tracking_controller
 
 FOUND = {
     "load_dependent_friction": ((1,), (0.15,)),

@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 from chains import random_chain
 
-from rrr_oc.rigid_body import rigid_body, with_payload
-from rrr_oc.robot import Robot, load_robot
+from rrr_oc.robot.rigid_body import rigid_body, with_payload
+from rrr_oc.robot.robot import Robot, load_robot
 
 URDFS = Path(__file__).parent.parent / "rrr_oc" / "urdf"
 TILTED = np.array([3.0, -4.0, -8.0])

@@ -10,8 +10,8 @@ import pytest
 from chains import arm, joint, link, random_chain, robot
 
 from rrr_oc.errors import UserError
-from rrr_oc.rigid_body import rigid_body
-from rrr_oc.robot import BUNDLED, load_robot
+from rrr_oc.robot.rigid_body import rigid_body
+from rrr_oc.robot.robot import BUNDLED, load_robot
 
 ROOT = Path(__file__).parent.parent
 

@@ -6,9 +6,9 @@ import pytest
 from mujoco import rollout
 
 from rrr_oc.effects import CATALOGUE
-from rrr_oc.model import Model
-from rrr_oc.robot import load_robot
-from rrr_oc.twin import Settings, twin
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.robot import load_robot
+from rrr_oc.simulation.engine_model import Settings, twin
 
 COUNT, STEPS = 24, 300
 THETA = np.array([8.3, 1.7, 36.0, 0.6, -0.05])

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rrr_oc.codesign import CoDesign, motion_guess, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign, motion_guess, spring_bounds
+from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, decode, dimensions, same, search
+from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
-from rrr_oc.search import SearchOptions, SearchResult, Start, decode, dimensions, same, search
-from rrr_oc.solve import Refinement, SolverFailure
-from rrr_oc.task import Task, load_task
+from rrr_oc.optimal_control.solver import Refinement, SolverFailure
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(
@@ -176,7 +176,7 @@ def test_progress_sees_every_start():
 
 def test_proposals_cost_what_their_motion_costs():
     """A start's `proposed` is the guess's own cost: here by the trapezoid rule on the guess."""
-    from rrr_oc.search import Polisher
+    from rrr_oc.codesign.multistart import Polisher
 
     vector = np.random.default_rng(0).random(dimensions(PEA, OPTIONS.via))
     start = Polisher(PEA, replace(OPTIONS, coarse=40))("sobol", vector)

@@ -13,14 +13,16 @@ from mujoco import rollout
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
-from rrr_oc import c_library, metrics, native
+from rrr_oc import compiler as c_library
 from rrr_oc.effects import CATALOGUE, Effect, Signals
-from rrr_oc.effects.empirical import Empirical
+from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.errors import UserError
-from rrr_oc.model import Model
-from rrr_oc.robot import Robot, ToolPoint, load_robot
-from rrr_oc.simulate import ReferencePhase, track
-from rrr_oc.twin import Controller, Settings, controller, twin
+from rrr_oc.model import metrics
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
+from rrr_oc.simulation import generated_c as native
+from rrr_oc.simulation.engine_model import Controller, Settings, controller, twin
+from rrr_oc.simulation.tracking import ReferencePhase, track
 
 ROOT = Path(__file__).parent
 URDFS = {

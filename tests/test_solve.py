@@ -8,9 +8,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rrr_oc.collocation import Transcription, scheme, uniform_mesh
-from rrr_oc.problem import Guess, Phase, PhaseGuess, Problem
-from rrr_oc.solve import MeshError, Options, Refinement, Solution, Solver, SolverFailure, continue_in, refine, solve
+from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.solver import (
+    MeshError,
+    Options,
+    Refinement,
+    Solution,
+    Solver,
+    SolverFailure,
+    continue_in,
+    refine,
+    solve,
+)
+from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
 
 TIGHT = Options(tolerance=1e-12)
 METHODS = [scheme("hermite-simpson"), scheme("lobatto", 4), scheme("gauss", 2), scheme("gauss", 3), scheme("radau", 3)]

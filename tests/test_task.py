@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from rrr_oc.codesign.task import load_task, tool_height
 from rrr_oc.errors import UserError
-from rrr_oc.rigid_body import rigid_body
-from rrr_oc.task import load_task, tool_height
+from rrr_oc.robot.rigid_body import rigid_body
 
 PAPER = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
 LINK = 0.3  # [m], links 2 and 3

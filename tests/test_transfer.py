@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from recorded import Plant, as_set, record
 
-from rrr_oc.actuator import load_actuators
-from rrr_oc.calibrate import plain_model
-from rrr_oc.calibrated import Estimate, Term
-from rrr_oc.codesign import CoDesign, spring_bounds
+from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.optimum import Motion
+from rrr_oc.codesign.task import load_task
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, reference_phases, transfer_table
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
-from rrr_oc.outcome import Motion
-from rrr_oc.task import load_task
-from rrr_oc.transfer import check_transfer, describe_transfer, reference_phases, transfer_table
+from rrr_oc.robot.drives import load_actuators
 
 
 def calibrated(dry=0.0, viscous=0.0, armature=0.0):

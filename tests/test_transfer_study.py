@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rrr_oc.calibrate import plain_model
-from rrr_oc.calibrated import CalibratedModel, Estimate, Term
-from rrr_oc.codesign import CoDesign, spring_bounds
-from rrr_oc.effects.cable_harness import CableHarness
-from rrr_oc.effects.parallel_spring import ParallelSpring
-from rrr_oc.effects.payload_mass import PayloadMass
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.multistart import SearchOptions
+from rrr_oc.codesign.task import load_task
+from rrr_oc.codesign.transfer import repaired
+from rrr_oc.effects.body.payload_mass import PayloadMass
+from rrr_oc.effects.elastic.cable_harness import CableHarness
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
-from rrr_oc.recordings import RecordingSet
-from rrr_oc.search import SearchOptions
-from rrr_oc.solve import Refinement
-from rrr_oc.sweeps import PROTOTYPE_SWEEP, PlannedRecording
-from rrr_oc.task import load_task
-from rrr_oc.transfer import repaired
+from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, PlannedRecording
+from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.recordings.recording import RecordingSet
 from studies import transfer as study
 
 ARMS = study.prototypes(3)

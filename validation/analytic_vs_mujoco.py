@@ -33,15 +33,15 @@ import numpy as np
 from mujoco import rollout
 from scipy.integrate import solve_ivp
 
-from rrr_oc import metrics
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.errors import UserError
-from rrr_oc.figures import save_figure
-from rrr_oc.files import write_json, write_text
-from rrr_oc.model import Model
-from rrr_oc.robot import BUNDLED, load_robot
-from rrr_oc.simulate import ReferencePhase, track
-from rrr_oc.twin import Controller, Form, Integrator, Settings, Twin, twin
+from rrr_oc.model import metrics
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.report.figures import save_figure
+from rrr_oc.robot.robot import BUNDLED, load_robot
+from rrr_oc.simulation.engine_model import Controller, Form, Integrator, Settings, Twin, twin
+from rrr_oc.simulation.tracking import ReferencePhase, track
+from rrr_oc.storage import write_json, write_text
 
 INTEGRATORS: tuple[Integrator, ...] = ("euler", "implicitfast", "implicit", "rk4")
 FORMS: tuple[Form, ...] = get_args(Form)

@@ -26,12 +26,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # pyright: reportAttributeAccessIssue=false
 # (pin's wheel has no stubs)
 
-from rrr_oc.calibrate import calibrate, labels
-from rrr_oc.files import write_json
+from rrr_oc.calibration.inverse_dynamics import calibrate, labels
+from rrr_oc.numerics.savitzky_golay import differentiate, split
 from rrr_oc.parallel import ordered
-from rrr_oc.recordings import Recording, RecordingSet
-from rrr_oc.robot import Robot, load_robot
-from rrr_oc.savitzky_golay import differentiate, split
+from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.robot.robot import Robot, load_robot
+from rrr_oc.storage import write_json
 
 WIDTH = 0.05  # [rad/s], of the plant's dry friction
 STEP = 0.01  # [s]

@@ -28,16 +28,16 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq, root
 from scipy.special import j0, j1
 
-from rrr_oc.codesign import CoDesign, motion_guess, spring_bounds
-from rrr_oc.collocation import Scheme, Transcription, scheme, uniform_mesh
-from rrr_oc.effects.parallel_spring import ParallelSpring
-from rrr_oc.figures import save_figure
-from rrr_oc.files import write_json, write_text
-from rrr_oc.model import Model
-from rrr_oc.problem import Guess, Phase, PhaseGuess, Problem
-from rrr_oc.robot import load_robot
-from rrr_oc.solve import Options, Refinement, Solution, Solver, refine, solve
-from rrr_oc.task import load_task
+from rrr_oc.codesign.design_problem import CoDesign, motion_guess, spring_bounds
+from rrr_oc.codesign.task import load_task
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.solver import Options, Refinement, Solution, Solver, refine, solve
+from rrr_oc.optimal_control.transcription import Scheme, Transcription, scheme, uniform_mesh
+from rrr_oc.report.figures import save_figure
+from rrr_oc.robot.robot import load_robot
+from rrr_oc.storage import write_json, write_text
 
 SCHEMES = {
     "Hermite–Simpson": scheme("hermite-simpson"),

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rrr_oc.codesign import CoDesign, motion_guess
-from rrr_oc.collocation import Transcription, scheme, uniform_mesh
-from rrr_oc.figures import save_figure
-from rrr_oc.files import write_json, write_text
-from rrr_oc.solve import Options, Solver
-from rrr_oc.task import Task, load_task
+from rrr_oc.codesign.design_problem import CoDesign, motion_guess
+from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.optimal_control.solver import Options, Solver
+from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
+from rrr_oc.report.figures import save_figure
+from rrr_oc.storage import write_json, write_text
 
 INTERVALS = (20, 40, 80, 160, 320)
 JOINTS = (3, 6, 7)

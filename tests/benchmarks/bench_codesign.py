@@ -11,12 +11,12 @@ the saved json (`--benchmark-json`) beside each time.
 import numpy as np
 import pytest
 
-from rrr_oc.codesign import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
-from rrr_oc.collocation import Transcription, scheme, uniform_mesh
-from rrr_oc.problem import Guess
-from rrr_oc.search import SearchOptions, decode, dimensions, search
-from rrr_oc.solve import Options, Solver, continue_in
-from rrr_oc.task import load_task
+from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
+from rrr_oc.codesign.multistart import SearchOptions, decode, dimensions, search
+from rrr_oc.codesign.task import load_task
+from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.solver import Options, Solver, continue_in
+from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
 
 INTERVALS = 40
 SCHEMES = {"hermite-simpson": scheme("hermite-simpson"), "lobatto-4": scheme("lobatto", 4)}

@@ -18,9 +18,9 @@ import pytest
 from mujoco import rollout
 
 from rrr_oc.effects import CATALOGUE
-from rrr_oc.model import Model
-from rrr_oc.robot import load_robot
-from rrr_oc.twin import Settings, Twin, twin
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.robot import load_robot
+from rrr_oc.simulation.engine_model import Settings, Twin, twin
 
 CANDIDATES, SECONDS, STEP = 64, 3.5, 2e-3
 FORMS = ("bare", "generated", "native")

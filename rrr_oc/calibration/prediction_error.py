@@ -1,0 +1,80 @@
+"""How well a calibrated model predicts recordings, from the measured motion and in simulation."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.nrmse import error
+from rrr_oc.numerics.savitzky_golay import WINDOW
+from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.simulation.replay import replay, tracking_controller
+from rrr_oc.storage import write_text
+
+SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load")
+Errors = dict[str, dict[str, Any]]  # by file, joint and, in simulation, signal: {"nrmse": …, "rmse": …}
+
+
+def evaluate_inverse(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:
+    """Errors of the signal predicted from the measured motion, in the recorded unit, by file and joint."""
+    model = model.placed(recordings)
+    return {
+        r.file: _by_joint(model.joints, error(r.t, r.tau, model.predict(r), r.segments, window)) for r in recordings.recordings
+    }
+
+
+def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:
+    """Errors of `SIGNALS` while the MuJoCo model tracks the recorded motion, by file, joint and signal [SI].
+
+    What recordings of motor torque say of the load torque is the recorded torque less what the model's drives take, and the
+    other way round; both at the recorded motion. What the model's sensors add to a torque is taken off what was recorded.
+    """
+    model = model.placed(recordings)
+    control, result = tracking_controller(model, recordings), {}
+    for r in recordings.recordings:
+        simulated, measured = replay(model, r, control), _measured(model, recordings, r)
+        found = {s: error(r.t, measured[s], getattr(simulated, s), r.segments, window) for s in SIGNALS}
+        parts = {s: _by_joint(model.joints, errors) for s, errors in found.items()}
+        result[r.file] = {joint: {s: parts[s][joint] for s in SIGNALS} for joint in model.joints}
+    return result
+
+
+def summary(inverse: Errors, simulated: Errors | None = None) -> dict[str, Any]:
+    """What `rrr-oc evaluate` prints: the errors and their means over the recordings, of each joint."""
+    result: dict[str, Any] = {"inverse": inverse, "simulated": {} if simulated is None else simulated, "mean": {}}
+    for way in ("inverse", "simulated"):
+        if result[way]:
+            result["mean"][way] = _mean(list(result[way].values()))
+    return result
+
+
+def write_predictions(model: CalibratedModel, recordings: RecordingSet, folder: str | Path) -> None:
+    """One CSV per recording, named as the recording: t and the predicted signal of every joint, at every sample."""
+    model = model.placed(recordings)
+    tables = {r.file: np.vstack([r.t, model.predict(r)]).T.tolist() for r in recordings.recordings}
+    for file, table in tables.items():
+        header = ",".join(["t", *(f"tau_{joint}" for joint in model.joints)])
+        write_text(Path(folder) / file, "\n".join([header, *(",".join(map(repr, row)) for row in table)]) + "\n")
+
+
+def _measured(model: CalibratedModel, recordings: RecordingSet, recording: Recording) -> dict[str, np.ndarray]:
+    physics = model.physics(recording)
+    motor, load = physics.torques(recording)
+    true = load if recordings.torque == "load" else motor
+    drive, output = motor - load, recordings.output_torque(recording) - (physics.recorded(recording, true) - true)
+    torques = (output + drive, output) if recordings.torque == "load" else (output, output - drive)
+    return dict(zip(SIGNALS, (recording.q, recording.dq, recording.ddq, *torques), strict=True))
+
+
+def _by_joint(joints: tuple[str, ...], errors: Mapping[str, np.ndarray]) -> dict[str, dict[str, float | None]]:
+    return {joint: {key: number(values[i]) for key, values in errors.items()} for i, joint in enumerate(joints)}
+
+
+def _mean(parts: list[Any]) -> Any:
+    """The mean of numbers that stand in the same place; null where there is none."""
+    if isinstance(parts[0], dict):
+        return {key: _mean([p[key] for p in parts]) for key in parts[0]}
+    known = [p for p in parts if p is not None]
+    return float(np.mean(known)) if known else None

@@ -1,0 +1,240 @@
+"""A certificate with every optimum: how optimal it is, what holds it back, and how far it can be trusted."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, HARDWARE, CoDesign, torque_path
+from rrr_oc.codesign.multistart import Optimum, SearchResult
+from rrr_oc.optimal_control.optimality import Kkt
+from rrr_oc.optimal_control.solver import Solution
+
+_DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
+
+
+@dataclass(frozen=True)
+class ActiveBound:
+    """A bound that holds the optimum back.
+
+    Attributes:
+        name: Of what, and which side.
+        value: The bound, in `unit`.
+        unit: A unit that a designer reads.
+        saving: Relative fall of the cost for moving the bound outward by one unit, to first order.
+        sentence: The same in words.
+    """
+
+    name: str
+    value: float
+    unit: str
+    saving: float
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is known of an optimum.
+
+    Attributes:
+        primal, dual, complementarity: Residuals of the optimality conditions, scaled; infinity norms.
+        second_order: "strict" if the Hessian of the Lagrangian is positive definite on the directions that the active
+            constraints leave (kappa, rho, phi stand for the biarticular spring, so its null directions are gone);
+            "weak" if it is so only with bounds held that are touched with next to no multiplier (the cost may still fall
+            inward from one of these: less than the necessary condition); "violated" otherwise.
+        curvature: Its smallest eigenvalue there, variables scaled and weighted by their share of time, cost relative.
+        flattest: The variables that dominate that eigenvector.
+        active: Bounds with their multipliers, largest saving first.
+        sensitivity: Relative change of the cost by one more kg of payload.
+        mesh: Largest error between the nodes, the quadrature's, and the cost's last change from mesh to mesh, all relative;
+            and whether error and change are within the tolerance.
+        violation: Largest excess of a limit between the nodes, relative to its scale; no part of `mesh`.
+        smoothing: Relative change of the cost with exact, non-smooth springs on the same motion.
+        exact_cost: The cost with exact springs.
+        reintegration: Differences after an adaptive integrator (DOP853) has run the controls: states, and cost (relative).
+        share: Of the starts that reached this optimum; 0 where it was found on the way from another one.
+    """
+
+    primal: float
+    dual: float
+    complementarity: float
+    second_order: str
+    curvature: float
+    flattest: tuple[str, ...]
+    active: tuple[ActiveBound, ...]
+    sensitivity: float
+    mesh: dict[str, float | bool]
+    violation: float
+    smoothing: float
+    exact_cost: float
+    reintegration: dict[str, float]
+    share: float
+
+    def to_json(self) -> dict:
+        """As plain data."""
+        return asdict(self)
+
+
+def certify(result: SearchResult, optimum: Optimum) -> Certificate:
+    """The certificate of one of a search's optima."""
+    solution, design = optimum.solution, result.design
+    kkt = Kkt(solution)
+    second_order, curvature, direction = kkt.second_order()
+    exact = exact_cost(design, solution)
+    last = optimum.meshes[-1]
+    return Certificate(
+        primal=kkt.primal,
+        dual=kkt.dual,
+        complementarity=kkt.complementarity,
+        second_order=second_order,
+        curvature=curvature,
+        flattest=kkt.dominant(direction),
+        active=_active(design, solution, kkt),
+        sensitivity=float(kkt.data_gradient[0]) / solution.cost,
+        mesh={
+            "error": solution.error.largest,
+            "quadrature": solution.error.quadrature,
+            "change": last.get("change", float("nan")),
+            "converged": last.get("converged", False),
+        },
+        violation=solution.error.violation,
+        smoothing=abs(exact - solution.cost) / solution.cost,
+        exact_cost=exact,
+        reintegration=reintegrate(solution),
+        share=optimum.reached / max(len(result.starts), 1),
+    )
+
+
+def _active(design: CoDesign, solution: Solution, kkt: Kkt) -> tuple[ActiveBound, ...]:
+    bounds = [*_parameter_bounds(design, solution), *_hardware_bounds(design, kkt)]
+    bounds += [*_motion_bounds(design, solution), *_path_bounds(design, solution)]
+    return tuple(sorted((b for b in bounds if b.saving > 1e-6), key=lambda b: -b.saving))
+
+
+def _bound(design: CoDesign, solution: Solution, name: str, value: float, unit: str, gain: float) -> ActiveBound:
+    """`gain`: fall of the cost for one unit [unit] outward."""
+    factor, readable = _DESIGNER.get(unit, (1.0, unit))
+    saving = gain / factor / solution.cost
+    e1 = "E1" if design.cost == "load" else f"the cost [{COST_UNITS[design.cost]}]"
+    sentence = (
+        f"moving {name} ({value * factor:.4g} {readable}) outward by one {readable} would save {100 * saving:.2g} % of {e1}"
+    )
+    return ActiveBound(name, value * factor, readable, saving, sentence)
+
+
+def _parameter_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
+    found, problem, t = [], solution.problem, solution.transcription
+    units = [p.unit for p in design.model.parameters]
+    entries = [(i, name, units[i]) for i, name in enumerate(problem.parameters)]
+    entries += [(b.duration, f"duration of {p.name}", "s") for p, b in zip(problem.phases, t.blocks, strict=True)]
+    lower, upper = t.bounds
+    for index, name, unit in entries:
+        force = solution.lam_w[index] / t.scale[index] * problem.cost_scale
+        if lower[index] == upper[index]:
+            continue
+        side, bound = ("upper", upper) if force > 0 else ("lower", lower)
+        if abs(solution.w[index] - bound[index]) < 1e-4 and abs(force) > 0:
+            value = float(bound[index] * t.scale[index])
+            found.append(_bound(design, solution, f"the {side} bound of {name}", value, unit, abs(float(force))))
+    return found
+
+
+def _hardware_bounds(design: CoDesign, kkt: Kkt) -> list[ActiveBound]:
+    """The multipliers of `hardware_exists`, passed on to the bounds of k_b, q_0 and the radii that it depends on."""
+    found, solution = [], kkt.solution
+    gradient = -kkt.data_gradient  # fall of the cost by one unit of each datum
+    for name, value, gain in zip(design.data_names, solution.problem.data, gradient, strict=True):
+        words = name.split()
+        if words[0] in HARDWARE:
+            unit = {"k_b": "Nm/rad", "q_0": "rad"}.get(words[0], "m")
+            outward = gain if words[1] == "upper" else -gain
+            found.append(_bound(design, solution, f"the {words[1]} bound of {words[0]}", float(value), unit, float(outward)))
+    return found
+
+
+def _motion_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
+    """Speed, acceleration and range limits: the multipliers of all instants together."""
+    found, t, problem, task = [], solution.transcription, solution.problem, design.task
+    m = len(task.moving)
+    force = solution.lam_w / t.scale * problem.cost_scale
+    for j, joint in enumerate(task.joints):
+        for kind, unit, row, limits in (
+            ("range", "rad", j, (task.lower[j], task.upper[j])),
+            ("speed", "rad/s", m + j, (-task.speed[j], task.speed[j])),
+        ):
+            for side, value in (("lower", limits[0]), ("upper", limits[1])):
+                total = _one_sided(force, [_inner(b, row) for b in t.blocks], side)
+                found.append(_bound(design, solution, f"the {side} {kind} limit of {joint}", float(value), unit, total))
+        total = sum(_one_sided(force, [np.unique(b.stage_u[j]) for b in t.blocks], side) for side in ("lower", "upper"))
+        if np.isfinite(task.acceleration[j]):
+            found.append(
+                _bound(design, solution, f"the acceleration limit of {joint}", float(task.acceleration[j]), "rad/s²", total)
+            )
+    return found
+
+
+def _path_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
+    """Torque limits and the floor, rows of the problem: the multipliers of all instants together."""
+    found, t, task = [], solution.transcription, design.task
+    force: dict[str, float] = {}
+    for name, rows in t.path_rows:
+        force[name] = force.get(name, 0.0) + float(np.abs(solution.lam_g[rows]).sum()) * solution.problem.cost_scale
+    for name, total in force.items():
+        if name == FLOOR:
+            found.append(_bound(design, solution, "the floor under the tool", float(task.floor), "m", total))
+            continue
+        limit = float(task.torque[[torque_path(j) for j in task.joints].index(name)])
+        # the row is torque / limit ≤ 1
+        found.append(_bound(design, solution, f"the limit of the {name}", limit, "Nm", total / limit))
+    return found
+
+
+def _inner(block, row: int) -> np.ndarray:
+    """A state's variables at all nodes and stages but the phase's fixed ends."""
+    every = np.r_[block.nodes[row], block.stage_x[row].ravel()]
+    return np.setdiff1d(every, block.nodes[row, [0, -1]])
+
+
+def _one_sided(force: np.ndarray, indices: list[np.ndarray], side: str) -> float:
+    sign = 1 if side == "upper" else -1
+    return float(sum(np.maximum(sign * force[np.unique(i)], 0).sum() for i in indices))
+
+
+def exact_cost(design: CoDesign, solution: Solution) -> float:
+    """The cost with exact, non-smooth springs on the same motion and its mesh, by fine quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(9)
+    data, total = design.data(0.0), 0.0
+    for i, phase in enumerate(solution.problem.phases):
+        _, x, _, u = solution.sample(i, (nodes + 1) / 2)
+        rates = phase.rates(x.reshape(len(x), -1), u.reshape(len(u), -1), solution.parameters[:, None], data[:, None])
+        h = solution.transcription.mesh[i] * solution.durations[i]
+        total += float(np.einsum("nk,k,n->", np.array(rates[1]).reshape(x.shape[1:]), weights / 2, h))
+    return total
+
+
+def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float]:
+    """Run the controls through an adaptive integrator, interval by interval without a reset.
+
+    Returns:
+        `state`: largest difference of the states at the phases' ends, over their scales; `cost`: relative difference.
+    """
+    worst, cost = 0.0, 0.0
+    p, d = solution.parameters, solution.problem.data
+    for i, phase in enumerate(solution.problem.phases):
+        block, nx = solution.transcription.blocks[i], len(phase.states)
+        edges = np.r_[0, np.cumsum(solution.transcription.mesh[i])] * solution.durations[i]
+        y = np.r_[solution.values[block.nodes[:, 0]], 0.0]
+        u_stages = solution.values[block.stage_u]
+        for k in range(len(edges) - 1):
+            controls = u_stages[:, :, k]
+
+            def rates(t, y, start=edges[k], end=edges[k + 1], controls=controls, phase=phase, nx=nx):
+                weights = solution.transcription.scheme.at(np.array([(t - start) / (end - start)]))[0][0]
+                f, cost_rate, _ = phase.rates(y[:nx], controls @ weights, p, d)
+                return np.r_[np.array(f).ravel(), float(cost_rate)]
+
+            run = solve_ivp(rates, (edges[k], edges[k + 1]), y, method="DOP853", rtol=tolerance, atol=tolerance)
+            y = run.y[:, -1]
+        worst = max(worst, float((np.abs(y[:nx] - solution.values[block.nodes[:, -1]]) / phase.x_scale).max()))
+        cost += y[nx]
+    return {"state": worst, "cost": abs(cost - solution.cost) / abs(solution.cost)}

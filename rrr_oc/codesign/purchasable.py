@@ -1,0 +1,349 @@
+"""Purchasable hardware: the best springs and pulleys of a catalogue, searched over all of it, the rest re-optimised."""
+
+import importlib.resources
+import itertools
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import Optimum, SearchOptions, continued, transcribed
+from rrr_oc.effects.elastic.biarticular_spring import reduced
+from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
+from rrr_oc.parallel import unordered
+from rrr_oc.robot.parameters import check_names, read_object
+
+METHODS = ("exhaustive", "screened")
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """What can be bought.
+
+    Attributes:
+        name: Where it is from.
+        parallel: Stiffnesses by joint name [Nm/rad].
+        biarticular: Lists of k_b [Nm/rad], r_1, r_2, r_3 [m] (cable included).
+    """
+
+    name: str
+    parallel: Mapping[str, tuple[float, ...]]
+    biarticular: Mapping[str, tuple[float, ...]]
+
+
+def load_catalogue(source: str | Path = "prototype") -> Catalogue:
+    """The bundled catalogue of the prototype, or a JSON file of the same form; raises `UserError`."""
+    if str(source) == "prototype":
+        text, where = importlib.resources.files("rrr_oc.data").joinpath("catalogue.json").read_text(), "catalogue 'prototype'"
+    elif Path(source).is_file():
+        text, where = Path(source).read_bytes(), str(source)
+    else:
+        raise UserError(f"no catalogue at {str(source)!r}; give a JSON file or 'prototype'")
+    try:
+        content = json.loads(text)
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{where}: not valid JSON: {error}") from None
+    if not isinstance(content, dict) or content.get("format") != "rrr_oc-catalogue/1":
+        raise UserError(f'{where}: expected an object with "format": "rrr_oc-catalogue/1"')
+    check_names(content, ("format", "name", "parallel_springs_Nm_per_rad", "biarticular_spring"), where)
+    pulleys = content.get("biarticular_spring", {})
+    keys = ("k_b_Nm_per_rad", "r_1_mm", "r_2_mm", "r_3_mm")
+    pulleys = read_object(where, "biarticular_spring", pulleys, keys, keys if pulleys else ())
+    lists = content.get("parallel_springs_Nm_per_rad", {})
+    lists = read_object(where, "parallel_springs_Nm_per_rad", lists, tuple(lists) if isinstance(lists, dict) else ("joints",))
+    parallel = {j: _list(where, j, v, 1.0) for j, v in lists.items()}
+    units = {"k_b": ("k_b_Nm_per_rad", 1.0), "r_1": ("r_1_mm", 1e-3), "r_2": ("r_2_mm", 1e-3), "r_3": ("r_3_mm", 1e-3)}
+    biarticular = {h: _list(where, key, pulleys[key], unit) for h, (key, unit) in units.items()} if pulleys else {}
+    return Catalogue(str(content.get("name", source)), parallel, biarticular)
+
+
+def _list(where: str, key: str, values: object, unit: float) -> tuple[float, ...]:
+    if not isinstance(values, list) or not values or not all(isinstance(v, int | float) and v > 0 for v in values):
+        raise UserError(f"{where}: {key} must be a list of numbers above 0, got {values!r}")
+    return tuple(sorted({float(v) * unit for v in values}))
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much of the catalogue was searched, and what that says.
+
+    Attributes:
+        combinations: In the catalogue.
+        distinct: Of those, that differ in what the arm feels (kappa, rho, stiffnesses).
+        solved: Of those, solved with the hardware held.
+        complete: Whether that is every one of them.
+        neighbours: Whether of the parallel springs only those were solved whose stiffness lies next to the optimal one of
+            their biarticular spring. That the best is among them is likely, as the cost is smooth, and not certain.
+        relaxed: Problems solved with parallel stiffnesses free, or off the catalogue, to screen the rest.
+        margin: By how much the screening value (interpolated) of the best biarticular spring that was left out exceeds the
+            best cost, relative; infinite where none was left out.
+        failed: Problems that IPOPT did not solve.
+    """
+
+    combinations: int
+    distinct: int
+    solved: int
+    complete: bool
+    neighbours: bool
+    relaxed: int
+    margin: float
+    failed: int
+
+
+@dataclass(frozen=True, eq=False)
+class CatalogueResult:
+    """The best of a catalogue.
+
+    Attributes:
+        design: The problem with the best hardware held and the rest free.
+        optimum: Its optimum.
+        hardware: What to buy, SI units.
+        coverage: What was searched.
+        runners_up: Costs of the next best on the fine mesh, with their hardware.
+    """
+
+    design: CoDesign
+    optimum: Optimum
+    hardware: dict[str, float]
+    coverage: Coverage
+    runners_up: list[dict]
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """One distinct thing to buy: hardware of some springs, and the bounds that hold the parameters to it."""
+
+    hardware: dict[str, float]
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def search_catalogue(
+    design: CoDesign,
+    start: Solution,
+    catalogue: Catalogue,
+    options: SearchOptions | None = None,
+    method: str = "exhaustive",
+    progress: Callable[[int], None] | None = None,
+    finalists: int = 6,
+) -> CatalogueResult:
+    """The best purchasable hardware, near the continuous optimum `start`, everything else re-optimised for each choice.
+
+    Parallel springs alone: every choice is solved. A biarticular spring alone: every distinct (kappa, rho) is solved
+    (`method="exhaustive"`: by Hermite–Simpson on 10 intervals, the best 200 again on the coarse mesh), or all are screened
+    and the best solved (`method="screened"`, see `_screened`), as they always are for both kinds together.
+    """
+    if method not in METHODS:
+        raise UserError(f"unknown catalogue search {method!r}; there are {', '.join(METHODS)}")
+    if any(s.known for s in design.springs):
+        raise UserError("the catalogue's search takes a task as it stands; effects known from a diagnosis are not supported")
+    options = options or SearchOptions()
+    springs, combinations = _choices(design, catalogue)
+    bar = next((i for i, s in enumerate(design.springs) if s.hardware), None)
+    distinct = int(np.prod([len(s) for s in springs]))
+    run, counts = _Runner(design, start, options, progress), {"relaxed": 0, "margin": float("inf")}
+    if bar is not None and (len(springs) > 1 or method == "screened"):
+        ranked, counts = _screened(design, run, springs, bar, finalists)
+    else:
+        choices = [_merge(design, c) for c in itertools.product(*springs)]
+        if bar is not None:
+            rough = _Runner(design, start, replace(options, scheme="hermite-simpson", coarse=10), progress)
+            choices = [choice for _, choice, _ in rough.all(choices)[:200]]
+            run.solved, run.failed = rough.solved - len(choices), rough.failed
+        ranked = [(cost, choice) for cost, choice, _ in run.all(choices)]
+    solved, neighbours = run.solved - counts["relaxed"], bar is not None and len(springs) > 1
+    complete = solved == distinct and not run.failed
+    coverage = Coverage(combinations, distinct, solved, complete, neighbours and not complete, **counts, failed=run.failed)
+    return _finish(design, start, options, [c for _, c in ranked[:finalists]], coverage)
+
+
+def _screened(
+    design: CoDesign,
+    run: "_Runner",
+    springs: list[list["_Choice"]],
+    bar: int,
+    finalists: int,
+    grid: int = 12,
+    margin: float = 0.02,
+) -> tuple[list[tuple[float, "_Choice"]], dict]:
+    """The catalogue's best by screening, for a biarticular spring with or without parallel ones.
+
+    With the parallel stiffnesses free, the optimal cost is a smooth function of (kappa, rho), below what any catalogued
+    parallel springs can give. It is solved on a grid and interpolated for every catalogued (kappa, rho). In the order of
+    these values each is solved itself, then with the catalogued stiffnesses next to its optimal ones, until the next
+    value lies more than `margin` above the best cost found.
+    """
+    kinds = springs[bar]
+    reach = np.array([[c.lower[0], c.lower[1]] for c in kinds])
+    values, relaxed = np.full(len(kinds), -np.inf), 0  # so few that all are solved
+    if len(kinds) > grid**2:
+        axes = np.geomspace(*_range(reach[:, 0]), grid), np.linspace(*_range(reach[:, 1]), grid)
+        low, high = np.min([c.lower for c in kinds], axis=0)[2], np.max([c.upper for c in kinds], axis=0)[2]
+        nodes = [_Choice({}, np.array([k, r, low]), np.array([k, r, high])) for k in axes[0] for r in axes[1]]
+        solved = {
+            (c.lower[_at(design, bar)], c.lower[_at(design, bar) + 1]): cost
+            for cost, c, _ in run.all([_alone(design, c, bar) for c in nodes])
+        }
+        table = np.array([[solved[k, r] for r in axes[1]] for k in axes[0]])
+        table = np.where(np.isfinite(table), table, np.nanmax(np.where(np.isfinite(table), table, np.nan)))
+        values = RegularGridInterpolator((np.log(axes[0]), axes[1]), np.log(table), method="cubic")(
+            np.c_[np.log(reach[:, 0]), reach[:, 1]]
+        )
+        relaxed = len(nodes)
+    order = np.argsort(values, kind="stable")
+    ranked: list[tuple[float, _Choice]] = []
+    for position in range(0, len(order), 64):
+        value = float(np.exp(values[order[position]]))
+        if ranked and value > ranked[0][0] * (1 + margin):
+            return ranked, {"relaxed": relaxed, "margin": value / ranked[0][0] - 1}
+        batch = run.all([_alone(design, kinds[i], bar) for i in order[position : position + 64]])
+        if len(springs) == 1:
+            ranked = sorted([*ranked, *[(cost, c) for cost, c, _ in batch]], key=lambda r: r[0])
+            continue
+        relaxed += len(batch)
+        limit = ranked[min(finalists, len(ranked)) - 1][0] if ranked else float("inf")
+        near = [c for cost, choice, p in batch if cost < limit for c in _neighbours(design, springs, bar, choice, p)]
+        ranked = sorted([*ranked, *[(cost, c) for cost, c, _ in run.all(near)]], key=lambda r: r[0])
+    return ranked, {"relaxed": relaxed, "margin": float("inf")}
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _at(design: CoDesign, spring: int) -> int:
+    """Where a spring's parameters begin."""
+    return sum(len(s.lower) for s in design.springs[:spring])
+
+
+def _alone(design: CoDesign, choice: "_Choice", spring: int) -> "_Choice":
+    """A choice for one spring, the others free."""
+    return _merge(design, [choice if i == spring else None for i in range(len(design.springs))])
+
+
+def _neighbours(design: CoDesign, springs, bar: int, choice: "_Choice", parameters: np.ndarray) -> list["_Choice"]:
+    """The choice with the catalogued stiffnesses next below and above the optimal ones of each parallel spring."""
+    lists = []
+    for i, kinds in enumerate(springs):
+        at = _at(design, i)
+        if i == bar:
+            rows = slice(at, at + 3)
+            lists.append([_Choice(choice.hardware, choice.lower[rows], choice.upper[rows])])
+            continue
+        stiffness = np.array([c.lower[0] for c in kinds])
+        above = int(np.searchsorted(stiffness, parameters[at]))
+        lists.append([kinds[k] for k in sorted({max(above - 1, 0), min(above, len(kinds) - 1)})])
+    return [_merge(design, c) for c in itertools.product(*lists)]
+
+
+def _choices(design: CoDesign, catalogue: Catalogue) -> tuple[list[list[_Choice]], int]:
+    """For each spring its distinct choices within the task's bounds, and the number of combinations before merging."""
+    lists, combinations, joints = [], 1, design.task.robot.joints
+    for spring in design.springs:
+        if spring.hardware:
+            if not catalogue.biarticular:
+                raise UserError(f"catalogue {catalogue.name!r} has no biarticular_spring")
+            inside = {
+                h: [v for v in values if spring.hardware[h][0] * (1 - 1e-4) <= v <= spring.hardware[h][1] * (1 + 1e-4)]
+                for h, values in catalogue.biarticular.items()
+            }
+            distinct: dict[tuple[float, float, float], _Choice] = {}
+            for h, values in inside.items():
+                if not values:
+                    raise UserError(f"catalogue {catalogue.name!r} has no {h} within the task's bounds")
+            items = list(itertools.product(*[inside[h] for h in ("k_b", "r_1", "r_2", "r_3")]))
+            for k_b, r_1, r_2, r_3 in items:
+                kappa, rho, _ = reduced(k_b, 0.0, r_1, r_2, r_3)
+                low, high = (q * r_1 / r_2 for q in spring.hardware["q_0"])
+                key = (round(float(kappa), 9), round(float(rho), 9), 0.0)
+                known = distinct.get(key)
+                if known is None or high - low > known.upper[2] - known.lower[2]:  # the one that leaves phi most room
+                    hardware = {"k_b": k_b, "r_1": r_1, "r_2": r_2, "r_3": r_3}
+                    distinct[key] = _Choice(hardware, np.array([kappa, rho, low]), np.array([kappa, rho, high]))
+            lists.append(list(distinct.values()))
+            combinations *= len(items)
+            continue
+        number, joint = spring.effect.joints[0] + 1, joints[spring.effect.joints[0]]
+        available = [k for k in catalogue.parallel.get(joint, ()) if spring.lower[0] <= k <= spring.upper[0] * (1 + 1e-4)]
+        if not available:
+            raise UserError(f"catalogue {catalogue.name!r} has no parallel spring for {joint} within the task's bounds")
+        lists.append(
+            [_Choice({f"k_p{number}": k}, np.array([k, spring.lower[1]]), np.array([k, spring.upper[1]])) for k in available]
+        )
+        combinations *= len(available)
+    return lists, combinations
+
+
+def _merge(design: CoDesign, choices: Sequence[_Choice | None]) -> _Choice:
+    """One choice from those of the springs; None leaves a spring free."""
+    lower = [s.lower if c is None else c.lower for s, c in zip(design.springs, choices, strict=True)]
+    upper = [s.upper if c is None else c.upper for s, c in zip(design.springs, choices, strict=True)]
+    hardware = {k: v for c in choices if c is not None for k, v in c.hardware.items()}
+    return _Choice(hardware, np.concatenate(lower), np.concatenate(upper))
+
+
+class _Runner:
+    """Solves choices on the coarse mesh from one start, in parallel."""
+
+    def __init__(self, design: CoDesign, start: Solution, options: SearchOptions, progress) -> None:
+        coarse = transcribed(design, options, options.coarse)
+        self._design, self._options, self._progress = design, options, progress
+        self._w = Solver(coarse, Options(barrier=1e-4)).solve(start.guess(), design.data(options.widths[0])).w
+        self.solved = self.failed = 0
+
+    def all(self, choices: list[_Choice]) -> list[tuple[float, _Choice, np.ndarray]]:
+        """(cost, choice, parameters), best first. Neighbours are solved in turn, each started from the one before."""
+        ordered = sorted(choices, key=lambda c: c.lower.tolist())
+        chunks = [ordered[i : i + 40] for i in range(0, len(ordered), 40)]
+        arguments = [(self._design, self._options, self._w, c) for c in chunks]
+        results: list[tuple[float, _Choice, np.ndarray]] = []
+        for part in unordered(_solve_chunk, arguments, self._options.jobs):
+            results += part
+            self.solved += len(part)
+            if self._progress:
+                self._progress(self.solved)
+        self.failed += sum(not np.isfinite(r[0]) for r in results)
+        return sorted(results, key=lambda r: (r[0], r[1].lower.tolist()))
+
+
+_chunk_solvers: dict[bytes, Solver] = {}
+
+
+def _solve_chunk(design: CoDesign, options: SearchOptions, w: np.ndarray, choices: list[_Choice]):
+    key = w.tobytes()
+    if key not in _chunk_solvers:
+        _chunk_solvers.clear()
+        settings = Options(tolerance=1e-5, iterations=100, barrier=1e-4)
+        _chunk_solvers[key] = Solver(transcribed(design, options, options.coarse), settings)
+    solver, results, data = _chunk_solvers[key], [], design.data(options.widths[0])
+    start: np.ndarray | Solution = w
+    for choice in choices:
+        bounds = choice.lower, choice.upper
+        solution = solver.solve(start, data, check=False, parameters=bounds)
+        if solution.status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
+            solution = solver.solve(w, data, check=False, parameters=bounds)
+        lost = solution.status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+        start = w if lost else solution
+        results.append((float("inf") if lost else solution.cost, choice, solution.parameters))
+    return results
+
+
+def _finish(
+    design: CoDesign, start: Solution, options: SearchOptions, choices: list[_Choice], coverage: Coverage
+) -> CatalogueResult:
+    """Solve the best choices on the fine mesh, and refine the best of them."""
+    names = {f"q_eq{s.effect.joints[0] + 1}" for s in design.springs if not s.hardware} | {"q_0"}
+    held = [design.with_fixed(c.hardware, tuple(names)) for c in choices]
+    guess = start.guess()
+    starts = [replace(guess, parameters=np.clip(guess.parameters, c.lower, c.upper)) for c in choices]
+    found = continued(list(zip(held, starts, strict=True)), options)
+    if not found:
+        raise SolverFailure("no choice of the catalogue could be solved", 0, 0.0, "")
+    best, optimum = found[0]
+    runners_up = [{"cost": o.solution.cost, **held[i].hardware(o.solution.parameters)} for i, o in found]
+    return CatalogueResult(held[best], optimum, held[best].hardware(optimum.solution.parameters), coverage, runners_up)

@@ -1,0 +1,129 @@
+"""The diagnosis as data: what `diagnosis.json` holds."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rrr_oc.calibration.calibrated_model import Term, number
+from rrr_oc.diagnosis.mismatch import FAR
+from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.recordings.recording import RecordingSet
+
+FORMAT = "rrr_oc-diagnosis/1"
+
+
+def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The content of `diagnosis.json`."""
+    model, joints = diagnosis.model, diagnosis.model.joints
+    effects, unexplained = [], []
+    for i, finding in enumerate(diagnosis.findings):
+        if finding.term.effect.lawless:
+            unexplained.append(_unexplained(diagnosis, i))
+        else:
+            effects.append(_effect(diagnosis, i))
+    by_joint = {
+        key: {
+            when: dict(zip(joints, map(number, values), strict=True))
+            for when, values in zip(("before", "after"), pair, strict=True)
+        }
+        for key, pair in (("calibration", diagnosis.calibration), ("held_out", diagnosis.held_out))
+    }
+    return {
+        "format": FORMAT,
+        "verdict": diagnosis.verdict,
+        "held_out": diagnosis.way,
+        "mismatch": list(diagnosis.mismatch),
+        "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
+        "effects": effects,
+        "unexplained": unexplained,
+        "suggested_recordings": [
+            {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}
+            for k, s in enumerate(diagnosis.suggestions, 1)
+        ],
+        "nrmse": by_joint,
+        "versions": dict(model.versions),
+    }
+
+
+def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
+    finding, shares = diagnosis.findings[i], diagnosis.shares
+    return {
+        "effect": finding.term.effect.name,
+        "joint": _joint(finding.term, diagnosis.model.joints),
+        "recordings": files_of(finding.term, diagnosis.recordings),
+        "equation": finding.term.effect.equation,
+        "parameters": _parameters(finding.term),
+        "share_of_error": shares.share[i],
+        "p_value": finding.p_value,
+        "nrmse": {"held_out_before": number(shares.before[i]), "held_out_after": number(shares.after[i])},
+        "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
+        "rivals": [{"effect": name, "joint": _names(j, diagnosis.model.joints)} for name, j in finding.rivals],
+    }
+
+
+def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
+    finding, joints = diagnosis.findings[i], diagnosis.model.joints
+    effect = finding.term.effect
+    named = [_variable(kind, j, joints) for kind, j in effect.depends_on]
+    validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in effect.validity]
+    joint, files = joints[effect.joints[0]], files_of(finding.term, diagnosis.recordings)
+    some = "" if files == "all" else f" in {', '.join(files)}"
+    return {
+        "joint": joint,
+        "depends_on": named,
+        "recordings": files,
+        "share_of_error": diagnosis.shares.share[i],
+        "p_value": finding.p_value,
+        "validity": validity,
+        "description": f"a torque on {joint}{some} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
+        f"the model carries it as {effect.words(finding.term.named)}{', valid in the ranges given' if validity else ''}",
+    }
+
+
+def _variable(kind: str, j: int, joints: Sequence[str]) -> str:
+    if kind in ("load", "motor"):
+        return "load_torque"
+    if kind == "time":
+        return "time"
+    return f"sign(dq_{joints[j]})" if kind == "sign" else f"{kind}_{joints[j]}"
+
+
+def files_of(term: Term, recordings: RecordingSet) -> str | list[str]:
+    """The recordings that have an effect, as in the file."""
+    if term.recordings == "all":
+        return "all"
+    return [r.file for r in recordings.recordings if term.holds_for(r)]
+
+
+def _parameters(term: Term) -> dict[str, Any]:
+    """Values with standard errors and intervals; the components of a vector or matrix under one name."""
+    if term.effect.name == "link_inertial":
+        e = term.estimates
+        order = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
+        std = [x.std for x in e]
+        return {
+            "mass": {"value": e[0].value, "std": std[0], "unit": "kg"},
+            "first_moment": {"value": [x.value for x in e[1:4]], "std": std[1:4], "unit": "kg m"},
+            "inertia": {
+                "value": [[e[k].value for k in row] for row in order],
+                "std": [[std[k] for k in row] for row in order],
+                "unit": "kg m²",
+            },
+        }
+    result: dict[str, Any] = {}
+    for p, e in zip(term.effect.parameters, term.estimates, strict=True):
+        interval = None if e.interval is None else list(e.interval)
+        result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": interval}
+    for option in ("active", "winding", "form"):
+        if hasattr(term.effect, option):
+            value = getattr(term.effect, option)
+            result[option] = {"value": list(value) if isinstance(value, tuple) else value, "std": None, "unit": ""}
+    return result
+
+
+def _joint(term: Term, joints: Sequence[str]) -> Any:
+    return _names(term.effect.joints, joints)
+
+
+def _names(numbers: Sequence[int], joints: Sequence[str]) -> Any:
+    named = [joints[j] for j in numbers]
+    return None if not named else named[0] if len(named) == 1 else named

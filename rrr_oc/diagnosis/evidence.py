@@ -1,0 +1,500 @@
+"""Evidence that recordings hold for effects that a model lacks: linear algebra on residuals and signatures.
+
+For every trial, coefficients are fitted together with all parameters that the model has, on all recordings or on the groups of
+them that have the effect; evidence is the growth of the log-likelihood, with each joint's noise re-estimated, less what chance
+would give for the number of coefficients and of trials. Where residuals are autocorrelated, samples count for less.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.regression import CORRELATION, STRIDE, Prepared, Rows, kept_rows, rows
+from rrr_oc.diagnosis.signatures import Table, context, table
+from rrr_oc.effects import Effect, Trial
+
+LONGEST = 2.0  # [s], of the lags over which residuals are correlated
+WHITE = 0.11  # [s], over which the common filter correlates white noise
+NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
+PIECES = 4  # of a recording that alone has an effect, when that is confirmed
+BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
+ALARMS = 0.01  # chance that anything passes for an effect where nothing is missing
+SHARES = (1.0, 0.85, 0.7, 0.5)  # of coefficients, tried where they are out of bounds
+FIRST = 40  # effects, by quadratic gain, whose likelihood is worked out
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Recordings made ready for comparing models.
+
+    Attributes:
+        prepared: The recordings.
+        identify: Whether the links' inertial parameters are unknown.
+        belief: What is then believed of them beside the recordings: links (10, n) that are bodies, and how surely (10 n, 10 n), as
+            `inertial.precision` has it. A few recordings leave much open, on which others depend.
+        of: The recordings of which these are some; nothing where these are all.
+    """
+
+    prepared: tuple[Prepared, ...]
+    identify: bool
+    belief: tuple[np.ndarray, np.ndarray] | None = None
+    of: tuple[Prepared, ...] = ()
+
+    def part(self, keep: Sequence[int]) -> "Bench":
+        """The bench of some of the recordings."""
+        return replace(self, prepared=tuple(self.prepared[i] for i in keep), of=self.whole)
+
+    @property
+    def whole(self) -> tuple[Prepared, ...]:
+        """All recordings, whose motions say where to look for effects."""
+        return self.of or self.prepared
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """First row of each recording, and the end."""
+        return np.concatenate([[0], np.cumsum([len(kept_rows(p.recording)[0]) for p in self.prepared])]).astype(int)
+
+    @cached_property
+    def torque(self) -> np.ndarray:
+        """Deviation of each joint's recorded torque, (n,) [Nm]."""
+        return np.concatenate([p.measured for p in self.prepared], axis=1).std(axis=1)
+
+    def believed(self, inertial: np.ndarray) -> np.ndarray:
+        """What is believed of links (10, n), as products of (derivatives by their parameters, residual) of further rows.
+
+        (10 n + 1, 10 n + 1); (1, 1) where they are known. Rows are correlated, hence count for more than one each.
+        """
+        size = inertial.size if self.identify else 0
+        result = np.zeros((size + 1, size + 1))
+        if self.belief is not None:
+            centre, sure = self.belief
+            off = (centre - inertial).T.ravel()
+            result[:-1, :-1], result[-1, -1] = sure, off @ sure @ off
+            result[:-1, -1] = result[-1, :-1] = sure @ off
+        return result * CORRELATION / STRIDE
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Physical set-up of each recording, in their order."""
+        return tuple(p.recording.group for p in self.prepared)
+
+    def least_payload(self, scope: Sequence[str] | None) -> float:
+        """The least payload listed in recordings of these groups, or of all [kg]."""
+        return min(
+            (float(p.recording.payload.min()) for p in self.prepared if scope is None or p.recording.group in scope),
+            default=0.0,
+        )
+
+    def by_block(self, values: np.ndarray) -> np.ndarray:
+        """Sums of values (rows, …) over pieces of `BLOCK` seconds, of which none reaches over two recordings."""
+        step = max(1, round(BLOCK / STRIDE))
+        starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(self.edges)])
+        return np.add.reduceat(values, starts, axis=0)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.prepared[0].measured)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The groups, each once."""
+        return tuple(dict.fromkeys(self.groups))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A trial with what speaks for it.
+
+    Attributes:
+        trial: The trial.
+        number: Of the trial among those of the evidence.
+        scope: Groups that have the effect; None for all.
+        coefficients: Fitted with all parameters of the model, (m,).
+        likelihood: Growth of twice the log-likelihood, with as many independent rows as the trial leaves.
+        compared: The same with as many as the model without it leaves, alike for all its rivals.
+        dimensions: Coefficients that the recordings tell apart.
+        penalty: What its parameters and the choice of it would gain by chance, for ranking.
+        least: Likelihood that it must add to be beyond chance.
+    """
+
+    trial: Trial
+    number: int
+    scope: tuple[str, ...] | None
+    coefficients: np.ndarray
+    likelihood: float
+    compared: float
+    dimensions: int
+    penalty: float
+    least: float
+
+    @property
+    def score(self) -> float:
+        """Evidence beyond chance."""
+        return self.likelihood - self.penalty
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A model at a bench, with the signatures of trials.
+
+    Attributes:
+        bench, model: As given.
+        rows: Residuals and derivatives by the parameters of the model.
+        table: Signatures.
+        weights: 1/variance of each joint's residual, times the share of rows that are independent where noise is white, (n,).
+            What is missing may be so slow that none of its own rows are independent: `_judged` sees what is left without it.
+        counts: Independent rows of each joint, (n,).
+        products: Products of (derivatives, signatures, residual) for each recording, weighted, (R, D, D).
+    """
+
+    bench: Bench
+    model: CalibratedModel
+    rows: Rows
+    table: Table
+    weights: np.ndarray
+    counts: np.ndarray
+    products: np.ndarray
+
+    @classmethod
+    def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
+        """Work out signatures and products."""
+        found = rows(bench.prepared, model, bench.identify)
+        signatures = table([context(p, model) for p in bench.prepared], every)
+        nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
+        return cls(bench, model, found, signatures, *nothing).under(found)
+
+    def under(self, noise: Rows) -> "Evidence":
+        """The same, weighed by what another model leaves at the same rows."""
+        counts, weights = independent(noise), STRIDE / WHITE / noise.deviation() ** 2
+        size = self.size + int(self.table.start[-1]) + 1
+        products = np.zeros((len(self.bench.prepared), size, size))
+        for j, weight in enumerate(weights):
+            used, stack = _stack(self.rows, self.table, j)
+            for r in range(len(products)):
+                part = stack[self.bench.edges[r] : self.bench.edges[r + 1]]
+                products[r][np.ix_(used, used)] += weight * (part.T @ part)
+        return replace(self, weights=weights, counts=np.maximum(counts, 1.0), products=products)
+
+    @property
+    def size(self) -> int:
+        """Parameters of the model."""
+        return self.rows.jacobian.shape[2]
+
+    @cached_property
+    def _total(self) -> np.ndarray:
+        return self.products.sum(axis=0) + self._believed
+
+    @cached_property
+    def _believed(self) -> np.ndarray:
+        """`Bench.believed` among the products: the links are the last of the model's parameters."""
+        result, known = np.zeros(self.products.shape[1:]), self.bench.believed(self.model.robot.inertial)
+        at = np.append(np.arange(self.size - len(known) + 1, self.size), len(result) - 1)
+        result[np.ix_(at, at)] = known * STRIDE / WHITE
+        return result
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """Of the normal matrix of the model's parameters."""
+        return pseudo_inverse(self._total[: self.size, : self.size])
+
+    @cached_property
+    def _left(self) -> np.ndarray:
+        """The products after the model's parameters are fitted."""
+        return self._total - self._total[:, : self.size] @ self.inverse @ self._total[: self.size]
+
+    def candidates(self) -> list[Candidate]:
+        """The trials that explain most, best first, each where it explains most."""
+        total, inverse, left = self._total, self.inverse, self._left
+        best: dict[tuple, tuple] = {}  # of each effect at its joints, everywhere and in some groups
+        for k, trial in enumerate(self.table.trials):
+            c = self._columns(k)
+            options = [(None, left[np.ix_(c, c)], left[c, -1], np.diag(total)[c])]
+            if trial.effect.local and len(self.bench.labels) > 1:
+                options += self._scopes(c, total, inverse, _solve(*options[0][1:])[0])
+            if trial.effect.partial:
+                del options[0]
+            for scope, *quadratic in options:
+                gain, coefficients, dimensions = self._possibly(k, scope, *quadratic)
+                cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))
+                kind = (trial.effect if trial.effect.lawless else trial.effect.name), trial.effect.joints
+                key = (*kind, scope is None)
+                if dimensions and gain - cost > best.get(key, (0.0,))[0]:
+                    best[key] = (gain - cost, k, scope, coefficients, dimensions)
+        found = sorted(best.values(), key=lambda one: -one[0])
+        result = [self._judged(*one[1:]) for one in found[:FIRST]]
+        return sorted(result, key=lambda r: -r.score)
+
+    def pairs(self, parameters: int, count: int, joint: int | None = None) -> list[tuple[Candidate, Candidate]]:
+        """The pairs of effects of all recordings, of fewer parameters than given, that explain most together, best first.
+
+        Of one joint in any of the shapes that are tried; of the whole arm in those that are best alone.
+        """
+        left, raw, effects = self._left, np.diag(self._total), [trial.effect for trial in self.table.trials]
+
+        def explained(*numbers: int) -> tuple[float, np.ndarray, int]:
+            c = np.concatenate([self._columns(k) for k in numbers])
+            return _solve(left[np.ix_(c, c)], left[c, -1], raw[c])
+
+        shapes = [k for k, effect in enumerate(effects) if joint is None or effect.joints == (joint,)]
+        if joint is None:
+            ascending = sorted(shapes, key=lambda k: explained(k)[0])
+            shapes = sorted({(effects[k].name, effects[k].joints): k for k in ascending}.values())  # the last stays
+        found: dict[tuple[Effect, Effect], tuple[float, Candidate, Candidate]] = {}
+        for pair in itertools.combinations(shapes, 2):
+            one, other = (effects[k] for k in pair)
+            if len(one.parameters) + len(other.parameters) < parameters and (one != other or one.many):
+                gain, coefficients, dimensions = explained(*pair)
+                a, b = np.split(coefficients, [len(self._columns(pair[0]))])
+                better = (one, other) not in found or gain - 2 * dimensions > found[one, other][0]
+                if better and self._possible(pair[0], None, a) and self._possible(pair[1], None, b):
+                    found[one, other] = gain - 2 * dimensions, self._bare(pair[0], a), self._bare(pair[1], b)
+        return [(one, other) for _, one, other in sorted(found.values(), key=lambda f: -f[0])[:count]]
+
+    def _bare(self, k: int, coefficients: np.ndarray, scope: tuple[str, ...] | None = None) -> Candidate:
+        return Candidate(self.table.trials[k], k, scope, coefficients, 0.0, 0.0, len(coefficients), 0.0, 0.0)
+
+    @property
+    def tests(self) -> int:
+        """Effects at their joints that compete."""
+        return len({(t.effect.name, t.effect.joints) for t in self.table.trials})
+
+    def _possible(self, k: int, scope, coefficients: np.ndarray) -> bool:
+        trial = self.table.trials[k]
+        return trial.effect.possible(trial.effect.combined(trial.points, coefficients), self.bench.least_payload(scope))
+
+    def _possibly(self, k: int, scope, matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[float, np.ndarray, int]:
+        """Gain, coefficients and dimensions of a trial within the bounds of its effect; a gain of 0 where there is nothing.
+
+        Where the best coefficients are out of bounds, it may be by little, or for one of them that the recordings hardly know.
+        """
+        used, found = list(range(len(right))), (0.0, np.zeros(len(right)), 0)
+        alone = len(self.table.trials[k].effect.amplitudes) == len(right)  # each coefficient is a parameter
+        while used:
+            gain, some, dimensions = _solve(matrix[np.ix_(used, used)], right[used], raw[used])
+            coefficients = np.zeros(len(right))
+            coefficients[used] = some
+            for share in SHARES:
+                worth = share * (2 - share) * gain
+                if worth > found[0] and self._possible(k, scope, share * coefficients):
+                    found = worth, share * coefficients, dimensions
+                    break
+            if found[0] >= gain or not alone or len(used) == 1:
+                break
+            parts = [[i for i in used if i != out] for out in used]
+            used = max(parts, key=lambda part: _solve(matrix[np.ix_(part, part)], right[part], raw[part])[0])
+        return found
+
+    def _columns(self, k: int) -> np.ndarray:
+        return self.size + np.arange(self.table.start[k], self.table.start[k + 1])
+
+    def _scopes(self, c: np.ndarray, total: np.ndarray, inverse: np.ndarray, whole: float) -> list:
+        """The best set of groups of each size, found by adding one at a time."""
+        labels = self.bench.labels
+        member = np.array([[g == label for g in self.bench.groups] for label in labels], float)  # (groups, R)
+        own = np.einsum("gr,rab->gab", member, self.products[:, c][:, :, c])
+        cross = np.einsum("gr,rab->gab", member, self.products[:, c][:, :, : self.size])
+        right = np.einsum("gr,ra->ga", member, self.products[:, c, -1])
+        base = inverse @ total[: self.size, -1]
+        if _apart(own, cross, right, inverse, base) - whole < scope_cost(len(labels), 1):
+            return []  # coefficients of their own for each group explain no more
+        chosen: list[int] = []
+        result = []
+        for _ in range(len(labels) - 1):
+            best = None
+            for g in range(len(labels)):
+                if g in chosen:
+                    continue
+                at = [*chosen, g]
+                x = cross[at].sum(axis=0)
+                matrix, target = own[at].sum(axis=0) - x @ inverse @ x.T, right[at].sum(axis=0) - x @ base
+                quadratic = matrix, target, np.diag(own[at].sum(axis=0))
+                gain = _solve(*quadratic)[0]
+                if best is None or gain > best[1]:
+                    best = (g, gain, quadratic)
+            assert best is not None
+            chosen.append(best[0])
+            result.append((tuple(labels[i] for i in sorted(chosen)), *best[2]))
+        return result
+
+    def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:
+        """The candidate with its likelihood."""
+        trial = self.table.trials[k]
+        bare = replace(self._bare(k, coefficients, scope), dimensions=dimensions)
+        left = replace(self.rows, residual=self.left_by(bare))
+        after, before = (np.sum(x**2, axis=1) for x in (left.residual, self.left_by()))
+        ratio = np.log(np.maximum(before, 1e-300) / np.maximum(after, 1e-300))
+        shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
+        penalty = chance(dimensions + shape, self.counts, self.tests)
+        chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
+        least = penalty if trial.effect.lawless else min(penalty, significant(dimensions + shape, self.tests))
+        likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
+        gains = {"likelihood": likelihood, "compared": float(self.counts @ ratio)}
+        return replace(bare, penalty=penalty + chosen, least=least + chosen, **gains)
+
+    def left_by(self, *candidates: Candidate) -> np.ndarray:
+        """Residuals after the parameters are fitted beside candidates with the coefficients that they have, (n, M)."""
+        target, change = self._total[: self.size, -1], np.zeros_like(self.rows.residual)
+        for c in candidates:
+            cross = np.einsum("r,rab->ab", self._within(c.scope), self.products[:, : self.size][:, :, self._columns(c.number)])
+            target = target - cross @ c.coefficients
+            change = change + self.signature(c.number, c.scope) @ c.coefficients
+        return self.rows.residual - self.rows.jacobian @ (self.inverse @ target) - change
+
+    def confirmed(self, candidate: Candidate) -> float:
+        """Fall of the squared residual on recordings left out of the fit, over that on recordings in it; 1 for a law that holds.
+
+        Each recording in turn, with the model's parameters and the candidate's coefficients from the others; of what only one
+        recording has, pieces of that.
+        """
+        c, within = self._columns(candidate.number), self._within(candidate.scope)
+        used = np.concatenate([np.arange(self.size), c, [self.products.shape[1] - 1]])
+        part = self.products[:, used][:, :, used].copy()
+        for r, inside in enumerate(within):
+            part[r, self.size : -1] *= inside
+            part[r, :, self.size : -1] *= inside
+        if within.sum() == 1 < len(within):
+            only = int(np.argmax(within))
+            part = np.concatenate([np.delete(part, only, axis=0), self._pieces(candidate, only)])
+        total, out = part.sum(axis=0) + self._believed[np.ix_(used, used)], 0.0
+        inside = _fall(total, total, self.size)
+        for one in part:
+            rest = total - one
+            lost = np.append(np.diag(rest)[:-1] < NULL * np.diag(total)[:-1], False)  # what this recording alone knows of
+            rest[lost] = rest[:, lost] = 0.0
+            out += _fall(rest, one, self.size)
+        return out / max(inside, 1e-300)
+
+    def _pieces(self, candidate: Candidate, r: int) -> np.ndarray:
+        """Products of (derivatives, signature of a candidate, residual) for pieces of one recording, weighted, (`PIECES`, …)."""
+        rows = np.arange(self.bench.edges[r], self.bench.edges[r + 1])
+        residual = self.rows.residual[:, rows, None]
+        stack = np.concatenate([self.rows.jacobian[:, rows], self.signature(candidate.number, None)[:, rows], residual], axis=2)
+        parts = np.array_split(stack, PIECES, axis=1)
+        return np.array([np.einsum("j,jka,jkb->ab", self.weights, x, x, optimize=True) for x in parts])
+
+    def signature(self, k: int, scope) -> np.ndarray:
+        """Columns of a trial at all rows, (n, M, m)."""
+        c, result = np.arange(self.table.start[k], self.table.start[k + 1]), []
+        for values, used in zip(self.table.values, self.table.used, strict=True):
+            columns = np.zeros((len(values), len(c)))
+            for i, column in enumerate(c):
+                at = np.searchsorted(used, column)
+                if at < len(used) and used[at] == column:
+                    columns[:, i] = values[:, at]
+            result.append(columns)
+        whole = np.array(result)
+        if scope is not None:
+            for r, inside in enumerate(self._within(scope)):
+                whole[:, self.bench.edges[r] : self.bench.edges[r + 1]] *= inside
+        return whole
+
+    def _within(self, scope) -> np.ndarray:
+        return np.array([1.0 if scope is None or g in scope else 0.0 for g in self.bench.groups])
+
+
+def chance(parameters: int, counts: np.ndarray, tests: int) -> float:
+    """What parameters gain by chance where so many effects compete: Schwarz's criterion, and the best of the tests."""
+    return float(parameters * np.log(max(counts.sum(), 2.0)) + 2 * np.log(max(tests, 2)))
+
+
+def significant(parameters: int, tests: int) -> float:
+    """Twice the log-likelihood that parameters gain by chance in one of `1 / ALARMS` diagnoses with so many tests."""
+    return float(chi2.isf(ALARMS / max(tests, 1), parameters))
+
+
+def scope_cost(groups: int, size: int) -> float:
+    """What choosing so many of the groups costs: twice the logarithm of the number of choices."""
+    choices = float(np.prod([(groups - i) / (i + 1) for i in range(size)]))
+    return 2 * np.log(max(choices, 1.0) * groups)
+
+
+def independent(found: Rows) -> np.ndarray:
+    """Independent rows of each joint (n,)."""
+    return found.moving.sum(axis=1) * STRIDE / correlation(found)
+
+
+def correlation(found: Rows) -> np.ndarray:
+    """Time over which each joint's residuals are correlated, (n,) [s]; never less than the filter makes it."""
+    lags, result = int(LONGEST / STRIDE), []
+    for r in found.residual:
+        pieces = [r[s] for s in found.stretches]
+        power = sum(float(p @ p) for p in pieces) or 1.0
+        rho = (sum(float(p[k:] @ p[:-k]) for p in pieces if len(p) > k) / power for k in range(1, lags))
+        signal = itertools.takewhile(lambda x: x > 0.05, rho)  # beyond, it is noise
+        result.append(max(WHITE, STRIDE * (1 + 2 * sum(signal))))
+    return np.array(result)
+
+
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a normal matrix, with columns scaled and null directions left out."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale[scale == 0] = 1.0  # a column of zeros
+    return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
+
+
+def robust_p(evidence: Evidence, candidate: Candidate) -> float:
+    """P-value of a trial that holds up where residuals are autocorrelated and of unequal variance: scores by block of time."""
+    after = evidence.left_by(candidate)
+    whole = evidence.signature(candidate.number, candidate.scope)
+    cross = np.einsum("jka,j,jkb->ab", evidence.rows.jacobian, evidence.weights, whole)
+    clean = whole - evidence.rows.jacobian @ (evidence.inverse @ cross)
+    scores = np.einsum("jkm,jk,j->km", clean, after, evidence.weights)
+    matrix = np.einsum("jka,j,jkb->ab", clean, evidence.weights, clean)
+    blocks = evidence.bench.by_block(scores)
+    spread = blocks.T @ blocks
+    gain = matrix @ candidate.coefficients
+    statistic = float(gain @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ gain)
+    return float(chi2.sf(statistic, candidate.dimensions))
+
+
+def _fall(train: np.ndarray, test: np.ndarray, size: int) -> float:
+    """By how much more the squared residual falls on `test` with all columns than with the first `size`, fitted on `train`."""
+    falls = []
+    for count in (size, len(train) - 1):
+        theta = pseudo_inverse(train[:count, :count]) @ train[:count, -1]
+        falls.append(float(2 * theta @ test[:count, -1] - theta @ test[:count, :count] @ theta))
+    return falls[1] - falls[0]
+
+
+def _stack(found: Rows, signatures: Table, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of one joint that are not 0, and their numbers."""
+    size, total = found.jacobian.shape[2], int(signatures.start[-1])
+    live = np.flatnonzero(np.any(found.jacobian[j] != 0, axis=0))
+    used = np.concatenate([live, size + signatures.used[j], [size + total]])
+    return used, np.concatenate([found.jacobian[j][:, live], signatures.values[j], found.residual[j][:, None]], axis=1)
+
+
+def _apart(own: np.ndarray, cross: np.ndarray, right: np.ndarray, inverse: np.ndarray, base: np.ndarray) -> float:
+    """Gain of a trial with coefficients of their own for each group."""
+    groups, m = right.shape
+    flat = cross.reshape(groups * m, -1)
+    matrix = -flat @ inverse @ flat.T
+    for g in range(groups):
+        at = slice(g * m, (g + 1) * m)
+        matrix[at, at] += own[g]
+    return _solve(matrix, right.ravel() - flat @ base, np.einsum("gaa->ga", own).ravel())[0]
+
+
+def _solve(matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[float, np.ndarray, int]:
+    """Gain, coefficients and dimensions of a quadratic; directions that the parameters can mimic are left out."""
+    live = raw > 1e-12 * max(raw.max(initial=0.0), 1e-300)
+    coefficients = np.zeros(len(right))
+    if not live.any() or raw.max() <= 0:
+        return 0.0, coefficients, 0
+    scale = np.sqrt(raw[live])
+    if live.sum() == 1:
+        share = matrix[live][0, live][0] / raw[live][0]
+        if share < NULL:
+            return 0.0, coefficients, 0
+        coefficients[live] = right[live] / matrix[live][0, live]
+        return float(right @ coefficients), coefficients, 1
+    values, vectors = np.linalg.eigh(matrix[np.ix_(live, live)] / np.outer(scale, scale))
+    known = values > NULL * 10
+    coefficients[live] = vectors[:, known] @ ((vectors[:, known].T @ (right[live] / scale)) / values[known]) / scale
+    return float(right @ coefficients), coefficients, int(known.sum())

@@ -1,0 +1,109 @@
+"""What a diagnosis is worth: errors before and after it on recordings held out, with intervals, and in closed loop."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import bootstrap
+
+from rrr_oc import parallel
+from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.prediction_error import SIGNALS, Errors, evaluate_simulated
+from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.recording import RecordingSet
+
+LEVEL, RESAMPLES = 0.95, 4000
+LEAST = 3  # recordings of which an interval can be told
+
+
+def intervals(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """Held-out NRMSE before and after and their ratio, by joint, each {"value": …, "interval": [low, high] or null}.
+
+    Means over recordings; the 95 % intervals are percentiles of means over whole recordings (blocks of an only one) drawn with
+    replacement, before and after together (Efron & Tibshirani 1993, `scipy.stats.bootstrap`; its corrections for bias and skewness
+    jump about with so few). They say how much hangs on which recordings there are; of fewer than three there is none.
+    """
+    before, after = (np.concatenate([getattr(f, key) for f in diagnosis.folds]) for key in ("before", "after"))
+    result = {}
+    for j, joint in enumerate(diagnosis.model.joints):
+        known = np.isfinite(before[:, j]) & np.isfinite(after[:, j])
+        pair = before[known, j], after[known, j]
+        result[joint] = {
+            "before": _interval((pair[0],), _mean),
+            "after": _interval((pair[1],), _mean),
+            "ratio": _interval(pair, _ratio),
+        }
+    return result
+
+
+def _mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
+    return np.mean(x, axis=axis)
+
+
+def _ratio(before: np.ndarray, after: np.ndarray, axis: int = -1) -> np.ndarray:
+    return np.mean(after, axis=axis) / np.maximum(np.mean(before, axis=axis), 1e-300)
+
+
+def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
+    count = len(data[0])
+    if not count:
+        return {"value": None, "interval": None}
+    value = float(statistic(*data))
+    if count < LEAST:
+        return {"value": value, "interval": None}
+    seed, options = np.random.default_rng(0), {"paired": True, "method": "percentile"}
+    found = bootstrap(data, statistic, confidence_level=LEVEL, n_resamples=RESAMPLES, rng=seed, **options).confidence_interval
+    return {"value": value, "interval": [number(found.low), number(found.high)]}
+
+
+def in_closed_loop(diagnosis: Diagnosis, jobs: int = -1) -> dict[str, Any]:
+    """NRMSE of `evaluate.SIGNALS` while the MuJoCo twin tracks the recordings, before and after, by joint and signal.
+
+    Each recording is tracked by the models that were found without it; an only recording by those found on it.
+
+    Returns:
+        {"held_out": whether the recordings took no part, "before": …, "after": …}, the last two {joint: {signal: mean over the
+        recordings, or null}}, or {"why_not": sentence} where a model has what the twin cannot simulate.
+    """
+    every, held_out = diagnosis.recordings.recordings, diagnosis.way == "recordings"
+    if held_out:
+        parts = [(f.plain, f.model, tuple(every[k] for k in f.held)) for f in diagnosis.folds]
+    else:
+        parts = [(diagnosis.plain, diagnosis.model, every)]
+    sets = [replace(diagnosis.recordings, recordings=some) for *_, some in parts]
+    same = [len(model.terms) == len(plain.terms) for plain, model, _ in parts]
+    wanted = [(plain, some) for (plain, *_), some in zip(parts, sets, strict=True)]
+    wanted += [(model, some) for (_, model, _), some, s in zip(parts, sets, same, strict=True) if not s]
+    found = parallel.ordered(_tracked, wanted, jobs)
+    before, extended = found[: len(parts)], iter(found[len(parts) :])
+    after = [b if s else next(extended) for b, s in zip(before, same, strict=True)]
+    joints = diagnosis.model.joints
+    return {"held_out": held_out, "before": _means(before, joints), "after": _means(after, joints)}
+
+
+def _tracked(model: CalibratedModel, recordings: RecordingSet) -> Errors | str:
+    """Errors of the simulated signals, or why there are none."""
+    try:
+        return evaluate_simulated(replace(model, compiled={}), recordings)
+    except UserError as error:
+        return str(error)
+
+
+def _means(parts: Sequence[Errors | str], joints: Sequence[str]) -> dict[str, Any]:
+    reasons = [p for p in parts if isinstance(p, str)]
+    if reasons:
+        return {"why_not": reasons[0]}
+    errors = [one for part in parts if not isinstance(part, str) for one in part.values()]
+    lost = [
+        file for part in parts if not isinstance(part, str) for file, one in part.items() if one[joints[0]]["q"]["rmse"] is None
+    ]
+    if lost:
+        return {"why_not": f"it diverges while it follows {lost[0]}"}
+    return {j: {s: _known_mean([e[j][s]["nrmse"] for e in errors]) for s in SIGNALS} for j in joints}
+
+
+def _known_mean(values: Sequence[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return float(np.mean(known)) if known else None

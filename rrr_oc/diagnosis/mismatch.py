@@ -1,0 +1,126 @@
+"""Where a calibrated model fails: on which joints, in which recordings, and over which part of the motion."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.regression import through_filter
+from rrr_oc.diagnosis.contest import Finding
+from rrr_oc.diagnosis.evidence import Bench
+from rrr_oc.diagnosis.fitting import Fitted
+
+LEAST_GROWTH = 0.005  # of the squared residual without the effects, for a joint to be called one of the mismatch
+BINS = 12  # of a variable, when it is asked where the error is
+FAR = 3.0  # times the noise: a residual that is a mismatch, whether or not something was found that holds on other recordings
+NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
+
+
+def mismatch(
+    bench: Bench,
+    plain: Fitted,
+    fitted: Fitted,
+    findings: Sequence[Finding],
+    left_over: np.ndarray,
+    calibration: np.ndarray,
+    held_out: np.ndarray,
+) -> tuple[dict[str, Any], ...]:
+    """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end.
+
+    Args:
+        left_over: What `fitted` leaves of each joint's torque over what noise accounts for, (n,): far beyond it (`FAR`) there is a
+            mismatch, whatever was found.
+    """
+    result, joints = [], plain.model.joints
+    growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)
+    variables = _variables(bench, plain.model)
+    for j, joint in enumerate(joints):
+        own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
+        p = min((f.p_value for f in own), default=1.0)
+        significant = bool(own and growth[j] > LEAST_GROWTH)
+        if not significant and findings and growth[j] > 0.1:  # an effect elsewhere shows here too
+            significant, p = True, min(f.p_value for f in findings)
+        alone = left_over[j] > FAR and not significant
+        if alone:
+            count = max(float(fitted.counts[j]), 1.0)
+            significant, p = True, float(fisher.sf(left_over[j] ** 2, count, count))
+        moving = plain.rows.moving[j]
+        error = (plain.rows.residual[j] ** 2) * moving
+        left = np.array([float(np.mean(e)) for e in np.split(error, bench.edges[1:-1])])
+        floor = float(np.mean((fitted.rows.residual[j] ** 2) * moving))
+        files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor or alone]
+        result.append(
+            {
+                "joint": joint,
+                "significant": significant,
+                "p_value": p,
+                "nrmse": {"calibration": number(calibration[j]), "held_out": number(held_out[j])},
+                "where": _where(error, moving, j, joint, variables) if significant else [],
+                "recordings": list(dict.fromkeys(files)) if significant else [],
+            }
+        )
+    return tuple(result)
+
+
+def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
+    """What error may depend on, at the rows kept: (n, M) by name, with units."""
+    parts: dict[str, list[np.ndarray]] = {}
+    units = {
+        "q": "rad",
+        "dq": "rad/s",
+        "ddq": "rad/s²",
+        "load_torque": "Nm",
+        "time": "s",
+        "payload": "kg",
+        "spring_torque": "Nm",
+    }
+    for p in bench.prepared:
+        r, n = p.recording, model.robot.n
+        load = model.torques(r)[1]
+        springs = replace(model, terms=())
+        without = replace(r, springs=())
+        pull = springs.torques(without)[1] - springs.torques(r)[1] if r.springs else np.zeros_like(load)
+        values = {
+            "q": r.q,
+            "dq": r.dq,
+            "ddq": r.ddq,
+            "load_torque": load,
+            "time": np.tile(r.clock, (n, 1)),
+            "payload": np.tile(r.payload, (n, 1)),
+            "spring_torque": pull,
+        }
+        for name, value in values.items():
+            parts.setdefault(name, []).append(through_filter(value, p))
+    return {name: (np.concatenate(found, axis=1), units[name]) for name, found in parts.items()}
+
+
+def _where(
+    error: np.ndarray, moving: np.ndarray, j: int, joint: str, variables: Mapping[str, tuple[np.ndarray, str]]
+) -> list[dict[str, Any]]:
+    """The ranges of up to three variables in which the error is densest: half of it and more, in the least time."""
+    found = []
+    total = float(error.sum()) or 1.0
+    for name, (values, unit) in variables.items():
+        x = values[j][moving]
+        if not len(x) or np.ptp(x) <= 1e-9:
+            continue
+        edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+        bins = np.clip(np.searchsorted(edges, values[j], side="right") - 1, 0, len(edges) - 2)
+        power = np.bincount(bins, weights=error, minlength=len(edges) - 1) / total
+        time = np.bincount(bins, weights=moving, minlength=len(edges) - 1) / max(moving.sum(), 1)
+        best = None
+        for a in range(len(power)):
+            for b in range(a + 1, len(power) + 1):
+                inside, lasting = float(power[a:b].sum()), float(time[a:b].sum())
+                if inside >= 0.5 and lasting > 0 and (best is None or inside - lasting > best[0]):
+                    best = (inside - lasting, a, b, inside, lasting)
+        if best is not None and best[0] > 0.05:
+            label = f"{name}_{joint}" if name in ("q", "dq", "ddq") else name
+            found.append((best[0], {
+                "variable": label, "range": [float(edges[best[1]]), float(edges[best[2]])], "unit": unit,
+                "share_of_error": best[3], "share_of_time": best[4],
+            }))  # fmt: skip
+    return [entry for _, entry in sorted(found, key=lambda one: -one[0])[:3]]

@@ -1,0 +1,1 @@
+"""Terms for torques that no law of the catalogue explains."""

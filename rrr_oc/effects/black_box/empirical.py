@@ -1,0 +1,193 @@
+"""A torque that no law of the catalogue explains, as a smooth function of what it was found to depend on."""
+
+import itertools
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.numerics.smooth import cos, fmax, fmin, sign
+from rrr_oc.robot.parameters import Parameter
+
+EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # in a variable's range, from below
+STRAIGHT = ((1, 0.0, 1), (-1, 1.0, 1))  # the edges of a straight line over a whole range
+Direction = Literal["either", "turned", "upwards", "downwards"]
+EITHER: tuple[Direction, ...] = ("either", "turned")
+ONE_WAY: tuple[Direction, ...] = ("upwards", "downwards")
+
+
+@dataclass(frozen=True)
+class Empirical(Effect):
+    """tau = d Σ c_kl cos(k π x) cos(l π y) of one or two variables x, y, scaled from their range to [0, 1].
+
+    Or, of one variable, what begins at an edge: tau = d Σ c (±(x − edge))₊^p. The factor d of the joint's own direction of motion is
+    1, or sgn(dq) for what turns with it, or (1 ± sgn(dq))/2 for what acts in one direction only. Beyond its range of validity a
+    variable stays at the range's end. Cosines on an interval are smooth everywhere and converge fast for smooth functions; edges
+    stand for what stops or saturates, two of them at the ends of the range for a straight line. Each coefficient is linear.
+
+    Attributes:
+        variables: What it depends on: ("q", joint), ("dq", joint), ("ddq", joint), ("load", joint), ("motor", joint), load with
+            plain friction, or ("time", −1).
+        low, high: Range of validity of each [rad, rad/s, rad/s², Nm or s].
+        orders: Highest k (and l).
+        direction: Of its own joint's motion, in which it acts, or with which it is turned.
+        edges: (±1, edge in [0, 1], power) of what begins at an edge, upwards or downwards.
+        largest: Bound of a series' coefficients [Nm]: terms that cancel each other where recordings are mean nothing beyond them.
+        on_link: Whether it acts on the link, not in the drive: where the load torque was recorded, and it may depend on positions and
+            speeds.
+    """
+
+    name = "empirical"
+    equation = "tau = sum of c_kl cos(k pi x) cos(l pi y)"
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+    lawless = True
+
+    variables: tuple[tuple[str, int], ...] = field(default=())
+    low: tuple[float, ...] = field(default=())
+    high: tuple[float, ...] = field(default=())
+    orders: tuple[int, ...] = field(default=())
+    direction: Direction = field(default="either")
+    edges: tuple[tuple[int, float, int], ...] = field(default=())
+    largest: float = field(default=1e6)
+    on_link: bool = field(default=False)
+
+    def __post_init__(self) -> None:
+        if self.on_link:
+            object.__setattr__(self, "side", "link")
+
+    @cached_property
+    def powers(self) -> list[tuple[int, ...]]:
+        """(k,) or (k, l) of each coefficient; the constant is an effect only of what acts in one direction."""
+        every = itertools.product(*(range(o + 1) for o in self.orders))
+        return [p for p in every if any(p) or self.direction in ONE_WAY]
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        if self.edges:
+            return tuple(Parameter("c_above" if side > 0 else "c_below", "Nm", 0.0) for side, _, _ in self.edges)
+        bounds = -self.largest, self.largest
+        return tuple(Parameter("c_" + "_".join(map(str, p)), "Nm", 0.0, *bounds) for p in self.powers)
+
+    @cached_property
+    def amplitudes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return tuple(p.name for p in self.parameters)
+
+    def torque(self, signals, theta, width):
+        total = 0.0
+        for name, value in zip(self.amplitudes, self.basis(signals, width), strict=True):
+            if not (isinstance(theta[name], float) and theta[name] == 0.0):
+                total = total + theta[name] * value
+        return (total,)
+
+    def basis(self, signals, width) -> list:
+        """Torque for each coefficient being 1 [Nm]."""
+        scaled = []
+        for (kind, j), low, high in zip(self.variables, self.low, self.high, strict=True):
+            x = signals.time if kind == "time" else getattr(signals, "load" if kind == "motor" else kind)[j]
+            if kind == "motor":
+                x = x - signals.friction[j]
+            scaled.append(fmin(fmax((x - low) / (high - low), 0.0), 1.0))
+        turned = 1.0 if self.direction == "either" else sign(signals.dq[self.joints[0]], width)
+        if self.direction in ONE_WAY:
+            turned = (1 + turned) / 2 if self.direction == "upwards" else (1 - turned) / 2
+        if self.edges:
+            return [turned * fmax(side * (scaled[0] - edge), 0.0) ** power for side, edge, power in self.edges]
+        cosines = [_cosines(x, order) for x, order in zip(scaled, self.orders, strict=True)]
+        return [
+            math.prod((row[k] for row, k in zip(cosines, powers, strict=True) if k), start=turned) for powers in self.powers
+        ]
+
+    @property
+    def load_dependent(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return any(kind in ("load", "motor") for kind, _ in self.variables)
+
+    @property
+    def of_speed(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return ("dq", self.joints[0]) in self.variables
+
+    @property
+    def depends_on(self):
+        return (*self.variables, *([("sign", self.joints[0])] if self.direction != "either" else []))
+
+    @property
+    def validity(self):
+        return tuple(zip(self.variables, self.low, self.high, strict=True))
+
+    def words(self, theta):
+        way = f" while the joint moves {self.direction}" if self.direction in ONE_WAY else ""
+        if not self.edges:
+            return f"a sum of {len(self.amplitudes)} cosines{way}"
+        low, high = self.low[0], self.high[0]
+        if self.edges == STRAIGHT:
+            at_high, at_low = theta["c_above"], theta["c_below"]
+            slope = (at_high - at_low) / (high - low)
+            return f"a line, {at_low:.3g} Nm at {low:.3g} rad and {slope:+.3g} Nm/rad from there{way}"
+        where = " and ".join(
+            f"{'above' if side > 0 else 'below'} {low + edge * (high - low):.4g}, power {power}"
+            for side, edge, power in self.edges
+        )
+        return f"something that begins {where}"
+
+    def near(self, step):
+        """The same with one of its edges moved by a share `step` of the range, either way."""
+        for k, (side, edge, power) in enumerate(self.edges if self.edges != STRAIGHT else ()):
+            for there in (edge - step, edge + step):
+                if 0 < there < 1:
+                    yield replace(self, edges=(*self.edges[:k], (side, there, power), *self.edges[k + 1 :]))
+
+    @classmethod
+    def unnamed(cls, view, j, ranges, torque):
+        """Of one variable, coarse and fine, or beginning at an edge; and of two."""
+        on_link, largest = torque == "load", max(map(abs, ranges["motor", j]))
+        for effect in cls._shapes(view.n, j, ranges, largest, on_link):
+            if not on_link or all(kind in ("q", "dq") for kind, _ in effect.variables):
+                yield effect.trial(view)
+
+    @classmethod
+    def _shapes(cls, n, j, ranges, largest, on_link):
+
+        def one(variables, orders=(), direction: Direction = "either", edges=()):
+            low, high = zip(*(ranges[v] for v in variables), strict=True)
+            return cls((j,), tuple(variables), low, high, tuple(orders), direction, tuple(edges), largest, on_link)
+
+        for v in ranges:
+            if v[0] == "motor" and v[1] == j:
+                continue  # its own gain is in the catalogue; what is not linear, edges find
+            for order in (3, 8, 20, 45) if v == ("q", j) else (3, 8):
+                for direction in EITHER:
+                    if direction == "either" or v not in (("dq", j), ("motor", v[1])):
+                        yield one([v], [order], direction)
+        for direction in ONE_WAY:
+            yield one([("q", j)], edges=STRAIGHT, direction=direction)
+            yield one([("q", j)], [3], direction)
+        for v in (("q", j), ("dq", j), ("motor", j)):
+            for at in EDGES:
+                for power in (3,) if v[0] == "q" else (1, 3):  # straight beyond a position, it is a spring
+                    above, below = (1, at, power), (-1, 1 - at, power)
+                    for edges in ([above], [below], [above, below]):
+                        yield one([v], edges=edges)
+        for i in range(n):
+            for direction in EITHER:
+                if i != j:
+                    yield one([("q", j), ("q", i)], [3, 3], direction)
+                    yield one([("dq", j), ("q", i)], [3, 3], direction)
+            yield one([("dq", j), ("q", j)], [3, 3])
+            yield one([("motor", j), ("dq", i)], [1, 2])
+            if i != j:
+                yield one([("dq", j), ("dq", i)], [3, 3])
+        yield one([("motor", j), ("time", -1)], [1, 1])
+        yield one([("motor", j), ("time", -1)], [3, 3])
+        yield one([("motor", j), ("dq", j)], [3, 3])
+
+
+def _cosines(x, order: int) -> list:
+    """cos(k π x) for k up to the order, by Chebyshev's recurrence: one cosine for all."""
+    first = cos(np.pi * x)
+    found = [1.0, first]
+    while len(found) <= order:
+        found.append(2 * first * found[-1] - found[-2])
+    return found

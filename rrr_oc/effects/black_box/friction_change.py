@@ -1,0 +1,41 @@
+"""Plain friction that is another in some recordings than in the rest, as of a gear that was cold, or greased anew."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.numerics.smooth import sign
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class FrictionChange(Effect):
+    """tau = −dry sgn(dq) − viscous dq, in some recordings only: in all it would be the plain friction itself.
+
+    The recordings show that friction changed; why, no law of the catalogue says.
+    """
+
+    name = "friction_change"
+    equation = "tau = -dry sgn(dq) - viscous dq"
+    parameters = (Parameter("dry", "Nm", 0.0), Parameter("viscous", "Nm s/rad", 0.0))
+    amplitudes = ("dry", "viscous")
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+    local = True
+    partial = True
+    lawless = True
+
+    @property
+    def depends_on(self):
+        return (("dq", self.joints[0]), ("sign", self.joints[0]))
+
+    def words(self, theta):
+        return f"dry friction that is {theta['dry']:+.3g} Nm and viscous friction that is {theta['viscous']:+.3g} Nm s/rad off there"
+
+    def torque(self, signals, theta, width):
+        speed = signals.dq[self.joints[0]]
+        return (-theta["dry"] * sign(speed, width) - theta["viscous"] * speed,)
+
+    @classmethod
+    def unnamed(cls, view, j, ranges, torque):
+        if torque != "load":  # links have no drive's friction
+            yield cls((j,)).trial(view)

@@ -1,0 +1,1 @@
+"""What changes the rigid body: payloads, links, the direction of gravity."""

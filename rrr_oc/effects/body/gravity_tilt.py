@@ -1,0 +1,38 @@
+"""A base that is not level."""
+
+import math
+from dataclasses import dataclass, replace
+
+from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.numerics.smooth import cos, sin
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class GravityTilt(Effect):
+    """gravity in the base frame = (R_y(about_y) R_x(about_x))ᵀ g."""
+
+    name = "gravity_tilt"
+    equation = "gravity in the base frame = (R_y(about_y) R_x(about_x))^T g"
+    parameters = tuple(Parameter(name, "rad", 0.0, -math.pi / 2, math.pi / 2) for name in ("about_x", "about_y"))
+    amplitudes = ("about_x", "about_y")
+    side = "body"
+    local = True
+    of_arm = True
+
+    def torque(self, signals, theta, width):
+        return ()
+
+    def change(self, body, theta):
+        (cx, sx), (cy, sy) = ((cos(theta[k]), sin(theta[k])) for k in self.amplitudes)
+        x, y, z = body.gravity[0], body.gravity[1], body.gravity[2]
+        x, z = cy * x - sy * z, sy * x + cy * z  # R_yᵀ
+        return replace(body, gravity=[x, cx * y + sx * z, -sx * y + cx * z])  # R_xᵀ
+
+    @classmethod
+    def trials(cls, view):
+        zero = dict.fromkeys(cls.amplitudes, 0.0)
+        yield Trial(cls(()), tuple(zero | {k: STEP} for k in cls.amplitudes), STEP)
+
+
+STEP = 1e-4  # [rad], for a derivative

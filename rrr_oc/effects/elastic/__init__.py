@@ -1,0 +1,1 @@
+"""Springs and cables on the links, and what is wrong with springs that a recording lists."""

@@ -1,0 +1,151 @@
+"""Spring across two joints, wound over pulleys (BPEA)."""
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.errors import UserError
+from rrr_oc.numerics.smooth import ramp, ramp_integral
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class BiarticularSpring(Effect):
+    """Unilateral spring and cable over pulleys at two joints (Eq. 5, Figure 3).
+
+    Eq. 5 has five hardware parameters (k_b, q_0, r_1, r_2, r_3) but three degrees of freedom:
+    kappa = k_b (r_2/r_1)², rho = r_3/r_2, phi = r_1 q_0 / r_2 give, with s = −w_a q_a − w_b rho q_b − phi,
+    tau_a = w_a kappa s₊ and tau_b = w_b rho kappa s₊. The windings w = ±1 are the four arrangements of the cable;
+    (1, 1) is the one that Eq. 5 prints.
+    """
+
+    name = "biarticular_spring"
+    equation = "tau_a = kappa max(-q_a - rho q_b - phi, 0), tau_b = rho tau_a"
+    parameters = (
+        Parameter("kappa", "Nm/rad", 10.0, lower=0.0),
+        Parameter("rho", "1", 1.0, lower=0.0),
+        Parameter("phi", "rad", 0.0),
+    )
+    amplitudes = ("kappa",)
+    width = Parameter("width", "rad", 1e-3, lower=0.0)
+    local = True
+    mounted = True
+
+    winding: tuple[int, int] = field(default=(1, 1))
+    pulleys: float = field(default=1.0)  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
+
+    def __post_init__(self) -> None:
+        if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
+            raise UserError(f"a biarticular spring spans two different joints, got {self.joints}")
+        if len(self.winding) != 2 or any(w not in (-1, 1) for w in self.winding):
+            raise UserError(f"a biarticular spring's winding is a pair of +1 or -1, got {self.winding}")
+
+    def _stretch(self, signals, theta):
+        (a, b), (wa, wb) = self.joints, self.winding
+        return -wa * signals.q[a] - wb * theta["rho"] * signals.q[b] - theta["phi"]
+
+    def torque(self, signals, theta, width):
+        pull = theta["kappa"] * ramp(self._stretch(signals, theta), width)
+        return self.winding[0] * pull, self.winding[1] * theta["rho"] * pull
+
+    def energy(self, signals, theta, width):
+        return theta["kappa"] * ramp_integral(self._stretch(signals, theta), width)
+
+    def lever(self, theta):
+        """By how much the stretch changes with each joint, less its sign."""
+        return self.winding[0], self.winding[1] * theta["rho"]
+
+    def moved(self, theta, offset):
+        """Parameters with the equilibrium q_0 moved by an offset [rad]."""
+        return {**theta, "phi": theta["phi"] + self.pulleys * offset}
+
+    @classmethod
+    def trials(cls, view):
+        for a in range(view.n - 1):
+            for winding in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+                for rho in (0.35, 0.6, 0.9, 1.3, 1.9):
+                    stretch = -winding[0] * view.positions[a] - winding[1] * rho * view.positions[a + 1]
+                    for share in (0.05, 0.25, 0.45, 0.65):
+                        phi = float(np.quantile(stretch, share))
+                        yield cls((a, a + 1), winding).trial(view, rho=rho, phi=phi)
+
+    def native(self, spec, joints, theta):
+        """A fixed tendon of length w_a q_a + w_b rho q_b that is slack above −phi."""
+        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}_{joints[self.joints[1]]}")
+        tendon.wrap_joint(joints[self.joints[0]], self.winding[0])
+        tendon.wrap_joint(joints[self.joints[1]], self.winding[1] * theta["rho"])
+        tendon.stiffness[0] = theta["kappa"]
+        tendon.springlength = [-theta["phi"], 1e6]
+        return True
+
+
+def reduced(k_b, q_0, r_1, r_2, r_3):
+    """(kappa, rho, phi) of hardware: stiffness [Nm/rad], equilibrium [rad], radii [m] (any type with arithmetic)."""
+    return k_b * (r_2 / r_1) ** 2, r_3 / r_2, r_1 * q_0 / r_2
+
+
+def hardware_exists(kappa, rho, phi, bounds):
+    """Inequalities ≤ 0 on (kappa, rho, phi) that hold exactly where hardware within bounds exists.
+
+    With s = r_1/r_2, the radii allow s up to r_1max/a and down to r_1min/b, where a = max(r_2min, r_3min/rho) and
+    b = min(r_2max, r_3max/rho) bound r_2; the spring needs s ≥ |phi|/|q_0|max and s ≤ sqrt(k_max/kappa). Each lower end
+    of s against each upper end, and a ≤ b, written out so that every one is smooth and dimensionless.
+
+    Args:
+        bounds: `{"k_b": (0, k_max), "q_0": (q_min ≤ 0, q_max ≥ 0), "r_1": (lo, hi), "r_2": …, "r_3": …}`; values may be
+            symbolic, so that multipliers turn into sensitivities to them.
+
+    Returns:
+        casadi column of 10 inequalities; `HARDWARE_LIMITS` says in words what each one runs into.
+    """
+    k_max = bounds["k_b"][1]
+    (q_low, q_high), (r1_low, r1_high), (r2_low, r2_high), (r3_low, r3_high) = (bounds[k] for k in ("q_0", "r_1", "r_2", "r_3"))
+    return ca.vertcat(
+        rho * r2_low / r3_high - 1,
+        1 - rho * r2_high / r3_low,
+        kappa * r1_low**2 / (k_max * r2_high**2) - 1,
+        kappa * rho**2 * r1_low**2 / (k_max * r3_high**2) - 1,
+        phi * r2_low / (q_high * r1_high) - 1,
+        phi * r2_low / (q_low * r1_high) - 1,
+        (phi * r3_low / (q_high * r1_high) - rho) / 2,
+        (phi * r3_low / (q_low * r1_high) - rho) / 2,
+        kappa * ca.fmax(phi, 0) ** 2 / (k_max * q_high**2) - 1,
+        kappa * ca.fmin(phi, 0) ** 2 / (k_max * q_low**2) - 1,
+    )
+
+
+HARDWARE_LIMITS = (
+    "r_3 at its largest, r_2 at its smallest",
+    "r_3 at its smallest, r_2 at its largest",
+    "k_b and r_2 at their largest, r_1 at its smallest",
+    "k_b and r_3 at their largest, r_1 at its smallest",
+    "q_0 and r_1 at their largest, r_2 at its smallest",
+    "q_0 at its smallest, r_1 at its largest, r_2 at its smallest",
+    "q_0 and r_1 at their largest, r_3 at its smallest",
+    "q_0 at its smallest, r_1 at its largest, r_3 at its smallest",
+    "k_b and q_0 at their largest",
+    "k_b at its largest, q_0 at its smallest",
+)
+
+
+def pick_hardware(kappa: float, rho: float, phi: float, bounds) -> dict[str, float]:
+    """Hardware within bounds that gives (kappa, rho, phi): of all that do, radii in the middle of what is left open.
+
+    Raises `UserError` where there is none (by more than a relative 1e-6, which solvers leave).
+    """
+    slack = 1 + 1e-6
+    k_max, q_bounds = bounds["k_b"][1], bounds["q_0"]
+    r2_low = max(bounds["r_2"][0], bounds["r_3"][0] / rho)
+    r2_high = min(bounds["r_2"][1], bounds["r_3"][1] / rho)
+    q_max = q_bounds[1] if phi > 0 else -q_bounds[0]
+    ratio_low = max(bounds["r_1"][0] / r2_high, abs(phi) / q_max)
+    ratio_high = min(bounds["r_1"][1] / r2_low, (k_max / kappa) ** 0.5 if kappa > 0 else float("inf"))
+    if r2_low > r2_high * slack or ratio_low > ratio_high * slack:
+        raise UserError(f"no hardware within bounds gives kappa = {kappa:g} Nm/rad, rho = {rho:g}, phi = {phi:g} rad")
+    ratio = (ratio_low + min(ratio_high, 2 * ratio_low + 1)) / 2
+    r2_low, r2_high = max(r2_low, bounds["r_1"][0] / ratio), min(r2_high, bounds["r_1"][1] / ratio)
+    r_2 = (r2_low + r2_high) / 2
+    r_1 = ratio * r_2
+    return {"k_b": kappa * ratio**2, "q_0": phi / ratio, "r_1": r_1, "r_2": r_2, "r_3": rho * r_2}

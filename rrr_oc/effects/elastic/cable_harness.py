@@ -1,0 +1,39 @@
+"""An elastic torque of what is led along a joint: dress pack, cable, hose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class CableHarness(Effect):
+    """tau = −stiffness (q − rest)."""
+
+    name = "cable_harness"
+    equation = "tau = -stiffness (q - rest)"
+    parameters = (Parameter("stiffness", "Nm/rad", 0.0, lower=0.0), Parameter("rest", "rad", 0.0))
+    amplitudes = ("stiffness", "rest")
+    local = True
+
+    def torque(self, signals, theta, width):
+        return (-theta["stiffness"] * (signals.q[self.joints[0]] - theta["rest"]),)
+
+    def energy(self, signals, theta, width):
+        return theta["stiffness"] * (signals.q[self.joints[0]] - theta["rest"]) ** 2 / 2
+
+    @property
+    def linear(self):
+        return False  # in the product of both
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            yield Trial(cls((j,)), ({"stiffness": 1.0, "rest": view.low[j]}, {"stiffness": 1.0, "rest": view.high[j]}))
+
+    def combined(self, points, coefficients):
+        stiffness = float(np.sum(coefficients))
+        rest = sum(c * p["rest"] for c, p in zip(coefficients, points, strict=True)) / (stiffness or 1e-12)
+        return {"stiffness": stiffness, "rest": float(rest)}

@@ -1,0 +1,76 @@
+"""Spring in parallel with one joint's drive (PEA)."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.errors import UserError
+from rrr_oc.numerics.smooth import ramp, ramp_integral
+from rrr_oc.robot.parameters import Parameter
+
+FURTHEST = 4 * np.pi  # [rad], of an equilibrium: beyond, a spring is no more than an offset
+
+
+@dataclass(frozen=True)
+class ParallelSpring(Effect):
+    """Unilateral spiral torsion spring across one joint (Eq. 3).
+
+    tau_p = −k (q − q_eq) where q ≥ q_eq (`active="above"`, as Eq. 3 is printed), or where q ≤ q_eq (`active="below"`, the
+    inverted orientation, which holds the arm up with the joint signs used here).
+    """
+
+    name = "parallel_spring"
+    equation = "tau = stiffness (equilibrium - q) on the active side of the equilibrium, else 0"
+    parameters = (
+        Parameter("stiffness", "Nm/rad", 5.0, lower=0.0),
+        Parameter("equilibrium", "rad", 0.0),
+    )
+    amplitudes = ("stiffness",)
+    width = Parameter("width", "rad", 1e-3, lower=0.0)
+    local = True
+    mounted = True
+
+    active: Literal["below", "above"] = field(default="below")
+
+    def __post_init__(self) -> None:
+        if self.active not in ("below", "above"):
+            raise UserError(f"a parallel spring is active 'below' or 'above' its equilibrium, got {self.active!r}")
+
+    @property
+    def _sign(self) -> int:
+        return 1 if self.active == "below" else -1
+
+    def _deflection(self, signals, theta):
+        return self._sign * (theta["equilibrium"] - signals.q[self.joints[0]])
+
+    def torque(self, signals, theta, width):
+        return (self._sign * theta["stiffness"] * ramp(self._deflection(signals, theta), width),)
+
+    def energy(self, signals, theta, width):
+        return theta["stiffness"] * ramp_integral(self._deflection(signals, theta), width)
+
+    def native(self, spec, joints, theta):
+        """A fixed tendon over one joint; its spring is slack between `springlength`'s two lengths."""
+        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}")
+        tendon.wrap_joint(joints[self.joints[0]], -self._sign)
+        tendon.stiffness[0] = theta["stiffness"]
+        tendon.springlength = [-1e6, -self._sign * theta["equilibrium"]]
+        return True
+
+    def possible(self, theta, payload):
+        return abs(theta["equilibrium"]) < FURTHEST
+
+    def moved(self, theta, offset):
+        """Parameters with the equilibrium moved by an offset [rad]."""
+        return {**theta, "equilibrium": theta["equilibrium"] + offset}
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for active in ("below", "above"):
+                for share in (0.12, 0.25, 0.37, 0.5, 0.62, 0.75, 0.88, 1.0):
+                    way = view.high[j] - view.low[j]
+                    start = view.low[j] + share * way if active == "below" else view.high[j] - share * way
+                    yield cls((j,), active).trial(view, equilibrium=float(start))

@@ -1,0 +1,34 @@
+"""A mounted spring, or its cable, that loses energy in a cycle."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.numerics.smooth import fabs, sign
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class SpringHysteresis(Effect):
+    """tau = −loss |torque of the listed spring| sgn(rate of its stretch), on each joint."""
+
+    name = "spring_hysteresis"
+    equation = "tau = -loss |tau_spring| sgn(stretch rate)"
+    parameters = (Parameter("loss", "1", 0.0, lower=0.0),)
+    amplitudes = ("loss",)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    local = True
+    of_spring = True
+
+    def torque(self, signals, theta, width):
+        spring, values, own = signals.springs[self.joints]
+        torques = spring.torque(signals, values, own)
+        lever = [1.0] if len(torques) == 1 else spring.lever(values)  # of the stretch's rate, by joint
+        rate = sum(r * signals.dq[j] for r, j in zip(lever, self.joints, strict=True))
+        turn = sign(rate, width)
+        size = fabs(torques[0])
+        return tuple(-theta["loss"] * r * size * turn for r in lever)
+
+    @classmethod
+    def trials(cls, view):
+        for joints in view.springs:
+            yield cls(joints).trial(view)

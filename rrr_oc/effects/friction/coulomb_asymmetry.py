@@ -1,0 +1,22 @@
+"""Dry friction that differs between the directions of motion."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.numerics.smooth import sign
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class CoulombAsymmetry(Effect):
+    """tau = −(asymmetry/2) sgn²(dq): what the level has more for dq > 0 than for dq < 0, halved about the plain level."""
+
+    name = "coulomb_asymmetry"
+    equation = "tau = -(asymmetry/2) sgn(dq)^2"
+    parameters = (Parameter("asymmetry", "Nm", 0.0),)
+    amplitudes = ("asymmetry",)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+
+    def torque(self, signals, theta, width):
+        return (-theta["asymmetry"] / 2 * sign(signals.dq[self.joints[0]], width) ** 2,)

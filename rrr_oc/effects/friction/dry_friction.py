@@ -1,0 +1,37 @@
+"""Dry friction of one joint's drive: bearings, seals and gears that rub without regard to load and speed."""
+
+from dataclasses import dataclass, field
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.errors import UserError
+from rrr_oc.numerics.smooth import TURNS, sign
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class DryFriction(Effect):
+    """tau = −level sgn(dq): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
+
+    `turn` is the way in which the sign changes over its width, one of `smooth.TURNS`.
+    A joint at rest may carry any torque between −level and level; the law gives 0 there. So calibration leaves rests out.
+    """
+
+    name = "dry_friction"
+    parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+    plain = True
+
+    turn: str = field(default="tanh")
+
+    def __post_init__(self) -> None:
+        if self.turn not in TURNS:
+            raise UserError(f"dry friction changes sign by {', '.join(TURNS)}, got {self.turn!r}")
+
+    def torque(self, signals, theta, width):
+        return (-theta["level"] * sign(signals.dq[self.joints[0]], width, self.turn),)
+
+    def native(self, spec, joints, theta):
+        """The joint's `frictionloss`: the exact law, which holds a joint at rest."""
+        spec.joint(joints[self.joints[0]]).frictionloss += theta["level"]
+        return True

@@ -1,0 +1,28 @@
+"""Friction that changes with the torque that the gear transmits."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.numerics.smooth import fabs, sign
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(Effect):
+    """tau = −mu |tau_l| sgn(dq): the dissipative form of c_12 in Eq. 9, which prints mu sgn(dq) tau_l; of either sign.
+
+    A negative one, as the paper has for joint 1, lowers the dry friction; beyond the loads recorded it might drive the joint.
+    """
+
+    name = "load_dependent_friction"
+    equation = "tau = -mu |tau_l| sgn(dq)"
+    parameters = (Parameter("mu", "1", 0.0, lower=-1.0),)
+    amplitudes = ("mu",)
+    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    side = "drive"
+    load_dependent = True
+    local = True
+
+    def torque(self, signals, theta, width):
+        j = self.joints[0]
+        return (-theta["mu"] * fabs(signals.load[j]) * sign(signals.dq[j], width),)

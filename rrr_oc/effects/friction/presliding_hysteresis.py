@@ -1,0 +1,43 @@
+"""Friction that builds up over a small way, as of bristles that bend before they slip."""
+
+from dataclasses import dataclass, replace
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.numerics.smooth import fabs, fmax, sign
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class PreslidingHysteresis(Effect):
+    """tau = −level z with dz/dt = |dq| (sgn(dq) − z) stiffness/level (Dahl 1968), beside what is left of the plain level.
+
+    With a width the sign is tanh(dq / width), as in the plain law, which it tends to for a great stiffness.
+    """
+
+    name = "presliding_hysteresis"
+    equation = "tau = -level z, dz/dt = |dq| (sgn(dq) - z) stiffness / level"
+    parameters = (Parameter("stiffness", "Nm/rad", 100.0, lower=1e-3), Parameter("level", "Nm", 0.0, lower=0.0))
+    amplitudes = ("level",)
+    states = (Parameter("z", "1", 0.0),)
+    width = Parameter("width", "rad/s", 0.0, lower=0.0)
+    side = "drive"
+    of_speed = True
+
+    def torque(self, signals, theta, width):
+        return (-theta["level"] * (0 * signals.q[self.joints[0]] if signals.states is None else signals.states[0]),)
+
+    def rate(self, signals, theta, width):
+        dq = signals.dq[self.joints[0]]
+        return (fabs(dq) * (sign(dq, width) - signals.states[0]) * theta["stiffness"] / fmax(theta["level"], 1e-9),)
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for share in (0.00001, 0.0015, 0.004, 0.01, 0.025, 0.06):
+                trial = cls((j,)).trial(view, stiffness=1 / (share * (view.high[j] - view.low[j])))
+                yield from (trial, replace(trial, width=0.0))
+
+    def combined(self, points, coefficients):
+        """The reach level/stiffness is what the points share."""
+        level = float(coefficients[0])
+        return {"stiffness": points[0]["stiffness"] * level, "level": level}

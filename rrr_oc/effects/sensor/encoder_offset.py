@@ -1,0 +1,24 @@
+"""An encoder with a wrong zero."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class EncoderOffset(Effect):
+    """recorded position = true + offset."""
+
+    name = "encoder_offset"
+    equation = "recorded position = true + offset"
+    parameters = (Parameter("offset", "rad", 0.0),)
+    amplitudes = ("offset",)
+    side = "motion"
+    local = True
+
+    def torque(self, signals, theta, width):
+        return (0 * signals.q[self.joints[0]],)
+
+    def shift(self, signals, theta, width):
+        return (-theta["offset"] + 0 * signals.q[self.joints[0]],)

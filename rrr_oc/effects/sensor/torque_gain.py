@@ -1,0 +1,25 @@
+"""A torque channel with a wrong scale."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class TorqueGain(Effect):
+    """recorded = (1 + gain) true."""
+
+    name = "torque_gain"
+    equation = "recorded torque = (1 + gain) true"
+    parameters = (Parameter("gain", "1", 0.0, lower=-0.6, upper=1.5),)  # beyond, all that the joint has scales with it
+    amplitudes = ("gain",)
+    side = "sensor"
+    local = True
+
+    def possible(self, theta, payload):
+        (gain,) = self.parameters
+        return gain.lower < theta["gain"] < gain.upper
+
+    def torque(self, signals, theta, width):
+        return (theta["gain"] * signals.load[self.joints[0]],)

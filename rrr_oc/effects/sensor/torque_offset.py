@@ -1,0 +1,21 @@
+"""A torque channel with a wrong zero."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class TorqueOffset(Effect):
+    """recorded = true + offset."""
+
+    name = "torque_offset"
+    equation = "recorded torque = true + offset"
+    parameters = (Parameter("offset", "Nm", 0.0),)
+    amplitudes = ("offset",)
+    side = "sensor"
+    local = True
+
+    def torque(self, signals, theta, width):
+        return (theta["offset"] + 0 * signals.load[self.joints[0]],)

@@ -1,0 +1,1 @@
+"""What stands between motor and link: rotor inertia, elasticity, play, gear ripple."""

@@ -1,0 +1,27 @@
+"""Inertia of one joint's motor and gear, reflected to the joint."""
+
+from dataclasses import dataclass
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class Armature(Effect):
+    """tau = −inertia ddq: J_m of Eq. 7, the rotor's inertia times the gear ratio squared.
+
+    The rotor's spin about its own axis is all that counts; its mass is part of the link that carries it.
+    """
+
+    name = "armature"
+    parameters = (Parameter("inertia", "kg m²", 0.0, lower=0.0),)
+    side = "drive"
+    plain = True
+
+    def torque(self, signals, theta, width):
+        return (-theta["inertia"] * signals.ddq[self.joints[0]],)
+
+    def native(self, spec, joints, theta):
+        """The joint's `armature`."""
+        spec.joint(joints[self.joints[0]]).armature += theta["inertia"]
+        return True

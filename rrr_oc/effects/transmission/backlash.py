@@ -1,0 +1,94 @@
+"""Play between motor and link."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.robot.parameters import Parameter
+
+STEPS = 2  # of the link's motion in a sample
+SLOWED = 10.0  # [1/s], the rate at which a link that is looked for loses its speed in the gap
+SLOWER = (0.3, 1.0, 3.0)  # times that, from which a fit starts
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """The link is free within ±gap/2 of the motor; positions are the motor's.
+
+    Pressed to an end of the gap, q_link = theta − (gap/2) sgn(tau_l). Between the ends the drive transmits no more than what grease
+    does, and the link moves by itself, M x'' + damping x' = −(tau_rigid + K x) with x = q_link − theta, until it meets the other end,
+    where it stays.
+
+    Attributes:
+        impacts: Whether what it takes to speed up the link in the gap, and to stop it, counts; of a wide gap it cannot be foretold.
+    """
+
+    name = "backlash"
+    equation = "tau_l = 0 while |q_link - theta| < gap/2, else q_link = theta - (gap/2) sgn(tau_l)"
+    parameters = (Parameter("gap", "rad", 0.0, lower=0.0), Parameter("damping", "Nm s/rad", 0.0, lower=0.0, factor=3.0))
+    amplitudes = ("gap",)
+    side = "motion"
+    abrupt = True
+    simulated = True
+
+    impacts: bool = field(default=True)
+
+    def torque(self, signals, theta, width):
+        return (0 * signals.q[self.joints[0]],)
+
+    def motion(self, t, load, stiffness, inertia, theta):
+        half, count = float(theta["gap"]) / 2, len(t)
+        result = np.zeros((3, count))
+        if half <= 0.0:
+            return result
+        mass = np.maximum(inertia, 1e-9)
+        steps = np.append(np.diff(t), t[-1] - t[-2] if count > 1 else 1.0)
+        leaving = {1: np.flatnonzero(load + stiffness * half > 0), -1: np.flatnonzero(load - stiffness * half < 0)}
+        numbers = [
+            x.tolist() for x in (load, stiffness, mass, theta["damping"] / mass, steps)
+        ]  # quicker one at a time than arrays
+        samples = list(zip(*numbers, strict=True))
+        side, k, v = -1 if load[0] > 0 else 1, 0, 0.0
+        while True:
+            next_ = leaving[side].searchsorted(k)
+            end = int(leaving[side][next_]) if next_ < len(leaving[side]) else count
+            result[0, k:end] = x = side * half
+            motion = []
+            for k in range(end, count):  # in the gap
+                pull, spring, inert, slowing, step = samples[k]
+                before, part, start = v, step / STEPS, (x, v)
+                for _ in range(STEPS):
+                    v = (v - (pull + spring * x) / inert * part) / (1 + slowing * part)
+                    x += v * part
+                    if abs(x) >= half:
+                        x, v = (half if x > 0 else -half), 0.0
+                motion.append((*start, (v - before) / step))
+                if abs(x) == half:
+                    break
+            k = end + len(motion)
+            if motion:
+                result[:, end:k] = np.transpose(motion)
+            if k == count:
+                return result * np.array([[1.0], [self.impacts], [self.impacts]])
+            side = 1 if x > 0 else -1
+
+    def gear(self, twist, theta, stiffest):
+        """The joint's range, with ends as hard as MuJoCo's constraints allow, and its `damping`."""
+        twist.damping[0] = theta["damping"]
+        twist.limited, twist.range = True, [-theta["gap"] / 2, theta["gap"] / 2]
+        twist.solref_limit, twist.solimp_limit = [0.004, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
+
+    def starts(self, theta):
+        for times in SLOWER:
+            yield Backlash(self.joints, True), {**theta, "damping": times * theta["damping"]}
+        yield Backlash(self.joints, False), theta
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for gap in (0.002, 0.006, 0.02, 0.05, 0.11, 0.2):
+                for impacts in (True, False):
+                    if gap > 0.01 or impacts:
+                        damping = SLOWED * float(view.inertia[j])
+                        yield Trial(cls((j,), impacts), ({"gap": gap, "damping": damping},), gap)

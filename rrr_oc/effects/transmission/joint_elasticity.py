@@ -1,0 +1,89 @@
+"""A transmission that twists under load."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.numerics.oscillator import Oscillator
+from rrr_oc.robot.parameters import Parameter
+
+TIME = 0.002  # of damping, where a gear is so stiff that none is felt [s]
+RINGING = (1e5, 60.0, 36.0, 22.0, 13.0, 8.0)  # of links that are looked for [rad/s]; the first has no inertia to speak of
+DAMPED = 0.3  # of critical damping, from which a fit starts: with less it finds the right resonance only from near by
+LIGHT = 0.01  # of the largest inertia, that a link has at the least: one near 0 is an estimate gone astray
+FURTHEST = 1.0  # [rad]; in a model whose gears twist further, other things are wrong
+SHARPEST = 0.06  # [s], of the windows that the load passes, each shorter than the one before by `SHARPER`
+SHARPER = 0.7
+STABLE = 0.05  # of the stiffness, that gravity and springs leave at the least
+
+
+@dataclass(frozen=True)
+class JointElasticity(Effect):
+    """tau_l = stiffness (twist + damping_time · rate of twist), twist = theta − q_link; positions are the motor's (Spong 1987).
+
+    The link moves by itself behind its spring: with x = q_link − theta, and M, K by how much the torque that the rigid motion needs
+    grows with acceleration and position, M x'' + stiffness damping_time x' + (stiffness + K) x = −tau_rigid.
+
+    Attributes:
+        smoothed: Window of the load [s]: a link rings on the noise of accelerations, too, and less where that is attenuated.
+    """
+
+    name = "joint_elasticity"
+    equation = "tau_l = stiffness (theta - q_link + damping_time (dtheta - dq_link))"
+    parameters = (
+        Parameter("stiffness", "Nm/rad", 1e6, lower=1e-3, factor=3.0),
+        Parameter("damping_time", "s", TIME, lower=0.0, upper=0.05),
+    )
+    amplitudes = ("stiffness",)
+    side = "motion"
+    simulated = True
+
+    smoothed: float = field(default=0.2)
+
+    @property
+    def window(self):
+        return self.smoothed
+
+    def sharper(self):
+        shorter = SHARPER * self.smoothed
+        return replace(self, smoothed=shorter) if shorter > SHARPEST else None
+
+    def torque(self, signals, theta, width):
+        return (0 * signals.q[self.joints[0]],)
+
+    def motion(self, t, load, stiffness, inertia, theta):
+        if len(t) < 3:
+            return np.zeros((3, len(t)))
+        found = _link(t, stiffness, inertia, theta).driven(-load)
+        return found / max(1.0, np.abs(found[0]).max() / FURTHEST)
+
+    def free(self, t, stiffness, inertia, theta):
+        return _link(t, stiffness, inertia, theta).free() if len(t) > 2 else np.zeros((2, 3, len(t)))
+
+    def gear(self, twist, theta, stiffest):
+        """The joint's own `stiffness` and `damping`."""
+        twist.stiffness[0] = stiffness = min(theta["stiffness"], stiffest)
+        twist.damping[0] = stiffness * theta["damping_time"]
+
+    def combined(self, points, coefficients):
+        """The twist is nearly linear in the compliance."""
+        stiffness = 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0
+        return {**points[0], "stiffness": stiffness}
+
+    @classmethod
+    def trials(cls, view):
+        for j in range(view.n):
+            for ringing in RINGING:
+                stiffness = ringing**2 * float(view.inertia[j])
+                point = {"stiffness": stiffness, "damping_time": min(max(2 * DAMPED / ringing, TIME), cls.parameters[1].upper)}
+                yield Trial(cls((j,)), (point,), 1 / stiffness)
+
+
+def _link(t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> Oscillator:
+    """A link behind its spring, gravity and springs of its own included."""
+    own = theta["stiffness"]
+    least = max(LIGHT * float(np.abs(inertia).max()), 1e-9), (STABLE - 1) * own
+    mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, low) for x, low in zip((inertia, stiffness), least, strict=True))
+    return Oscillator(t, mass, own + rest, own * theta["damping_time"])

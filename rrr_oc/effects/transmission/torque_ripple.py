@@ -1,0 +1,70 @@
+"""Torque that is periodic in the joint's angle: cogging, gear mesh, a harmonic drive's wave."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rrr_oc.effects.base import Effect, Trial, View
+from rrr_oc.numerics.smooth import sin
+from rrr_oc.robot.parameters import Parameter
+
+
+@dataclass(frozen=True)
+class TorqueRipple(Effect):
+    """tau = amplitude sin(order q + phase); one effect an order."""
+
+    name = "torque_ripple"
+    equation = "tau = amplitude sin(order q + phase)"
+    parameters = (
+        Parameter("amplitude", "Nm", 0.0),
+        Parameter("order", "1", 1.0, lower=0.0),
+        Parameter("phase", "rad", 0.0),
+    )
+    amplitudes = ("amplitude",)
+    side = "drive"
+    many = True
+
+    def torque(self, signals, theta, width):
+        return (theta["amplitude"] * sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
+
+    @classmethod
+    def trials(cls, view):
+        """Whole orders of which the recordings see two cycles and more: less is any smooth torque."""
+        for j in range(view.n):
+            least = _order(view, j, FEW)
+            yield from cls._whole(j, max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
+
+    @classmethod
+    def slow(cls, view: View, j: int) -> Iterator[Trial]:
+        """Whole orders of which the recordings see one cycle and less than two, for what is no other law of the catalogue."""
+        least = _order(view, j, 1)
+        yield from cls._whole(j, max(least, 1), _order(view, j, FEW) if least <= MOST_CYCLES else 0)
+
+    def is_slow(self, view: View, theta: Mapping[str, float]) -> bool:
+        """Whether the recordings see less than two cycles of it."""
+        return theta["order"] < _order(view, self.joints[0], FEW)
+
+    @classmethod
+    def _whole(cls, j, least, most):
+        for order in range(least, most):
+            yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
+
+    def canonical(self, theta):
+        """Amplitude above 0, phase within ±π."""
+        phase = theta["phase"] + (np.pi if theta["amplitude"] < 0 else 0.0)
+        return {**theta, "amplitude": abs(theta["amplitude"]), "phase": float(np.angle(np.exp(1j * phase)))}
+
+    def combined(self, points, coefficients):
+        """c_0 sin x + c_1 cos x as one sine."""
+        s, c = map(float, coefficients)
+        return {"amplitude": float(np.hypot(c, s)), "order": points[0]["order"], "phase": float(np.arctan2(c, s))}
+
+
+def _order(view: View, j: int, cycles: float) -> int:
+    """The least whole order of which the recordings see so many cycles."""
+    return int(np.ceil(2 * np.pi * cycles / (view.high[j] - view.low[j])))
+
+
+FEW = 2  # cycles seen, below which a ripple may be any smooth torque
+MOST_CYCLES = 64  # a joint turn, of those looked for

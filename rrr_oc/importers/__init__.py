@@ -1,6 +1,0 @@
-"""Recordings in other layouts, turned into recording sets."""
-
-from rrr_oc.importers.mcap import import_mcap
-from rrr_oc.importers.prototype import import_prototype
-
-__all__ = ["import_mcap", "import_prototype"]

@@ -1,0 +1,229 @@
+"""The paper's seven experiments, and one run of each way to solve them, in a store (`runs`).
+
+Ways: "evolution" (the paper's protocol, in the engine or the analytic model), "multistart" (IPOPT from Sobol points), "cma-ipopt" (CMA-ES
+over IPOPT), "restricted" (IPOPT within the paper's parametrisation), "again" (evolution from the restricted optimum), "race" (how long the
+gradient takes to what evolution found), "fixed" (springs alone on a motion that is given).
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.codesign.certificate import exact_cost
+from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
+from rrr_oc.codesign.multistart import LAYERS, SearchOptions, Start, reach, search
+from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
+from rrr_oc.codesign.task import PHASES, Task, load_task
+from rrr_oc.errors import UserError
+from rrr_oc.paper.encoding import Encoding, load_torque
+from rrr_oc.paper.evolution import Protocol, evolve
+from rrr_oc.paper.fixed_motion import best_springs
+from rrr_oc.paper.parametrised import RestrictedDesign, proposals
+from rrr_oc.paper.run_store import Run
+from rrr_oc.report.design_report import published_springs
+
+EXPERIMENTS = (*CONFIGURATIONS, *(f"{name}*" for name in CONFIGURATIONS if name != "SA"))
+ENDS = ("rest", "free")
+GRADIENT = {"multistart": (LAYERS[0],), "cma-ipopt": (LAYERS[1],)}
+PER_INTERVAL = 30  # samples of a candidate's motion
+
+
+def experiment(task: Task, name: str, ends: str = "rest") -> CoDesign:
+    """One of the paper's experiments.
+
+    A starred one has the purchasable stiffnesses and pulleys that the paper bought (Table 4), the same for every way; equilibria,
+    motion and durations are free.
+
+    Args:
+        ends: "rest", or "free": no rest at the ends of a phase is imposed, as in the authors' code.
+    """
+    if name not in EXPERIMENTS or ends not in ENDS:
+        raise UserError(
+            f"there is no experiment {name!r} with ends {ends!r}; there are {', '.join(EXPERIMENTS)}, and {', '.join(ENDS)}"
+        )
+    design = CoDesign(task, spring_bounds(task, name.rstrip("*")), at_rest=ends == "rest")
+    if not name.endswith("*"):
+        return design
+    bought = published_springs(name)
+    return design.with_fixed(bought, [key for key in bought if key.startswith("q_")])
+
+
+def folder_of(store: Path, labels: Mapping[str, Any], seed: int) -> Path:
+    """Where a run of these labels lies in a store."""
+    way = labels["way"] + (f"-{labels['model']}" if "model" in labels else "")
+    return store / labels["experiment"] / labels["ends"] / way / str(seed)
+
+
+def run_evolution(store: Path, labels: Mapping[str, Any], protocol: Protocol, seed: int, start: list[float] | None = None):
+    """One trial of the paper's protocol; `labels` have preset, experiment, ends, way and model. The labels, and what was found."""
+    design = experiment(load_task(labels["preset"]), labels["experiment"], labels["ends"])
+    at = None if start is None else np.array(start)
+    return labels, evolve(design, protocol, seed, folder_of(store, labels, seed), labels, at)
+
+
+def run_gradient(store: Path, labels: Mapping[str, Any], starts: int, seed: int):
+    """IPOPT from the proposals of one layer, with hops and refinement, on one core; its motion is kept in the run's arrays."""
+    run = Run(folder_of(store, labels, seed), {**labels, "starts": starts, "seed": seed})
+    if (found := run.found) is not None:
+        return labels, found
+    design = experiment(load_task(labels["preset"]), labels["experiment"], labels["ends"])
+    began, wall, rows = time.process_time(), time.perf_counter(), []
+
+    def show(start: Start) -> None:
+        rows.append((time.process_time() - began, start.polished))
+
+    result = search(design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show).whole()
+    core_s = time.process_time() - began
+    solution = result.best.solution
+    motion, engine = sample_motion(design, solution), None
+    if labels["ends"] == "rest":  # a payload that is let go in full motion has no engine run of two phases in one
+        engine = describe_simulation(design, solution, motion)["exact_springs"]["E1"]
+    found = {
+        "E1": exact_cost(design, solution),
+        "engine": engine,
+        **_described(design, solution.parameters, motion),
+        "parameters": solution.parameters.tolist(),
+        "durations": solution.durations.tolist(),
+        "optima": [o.solution.cost for o in result.optima],
+        "starts": len(result.starts),
+        "failed": sum(not np.isfinite(s.polished) for s in result.starts),
+        "core_s": core_s,
+        "wall_s": time.perf_counter() - wall,
+    }
+    columns = np.array(rows).reshape(-1, 2).T
+    run.finish(found, {"core_s": columns[0], "polished": columns[1], **vars(motion)})
+    return labels, found
+
+
+def run_restricted(store: Path, labels: Mapping[str, Any], starts: int, seed: int):
+    """IPOPT within the paper's parametrisation, from Sobol points, on one core."""
+    run = Run(folder_of(store, labels, seed), {**labels, "starts": starts, "seed": seed})
+    if (found := run.found) is not None:
+        return labels, found
+    design = experiment(load_task(labels["preset"]), labels["experiment"], labels["ends"])
+    began, wall = time.process_time(), time.perf_counter()
+    encoding = Encoding(design)
+    program = RestrictedDesign(encoding)
+    rows, best = [], None
+    for guess in proposals(encoding, starts, seed):
+        optimum = program.solve(program.start(guess))
+        rows.append((time.process_time() - began, np.inf if optimum is None else optimum.cost))
+        if optimum is not None and (best is None or optimum.cost < best.cost):
+            best = optimum
+    if best is None:
+        raise UserError(
+            f"{labels['experiment']}: none of {starts} starts led to an optimum within the parametrisation; give more"
+        )
+    columns = np.array(rows).T
+    candidate = encoding.decode(best.x[None])
+    found = {
+        "E1": best.cost,
+        "smooth": best.smooth,
+        "x": best.x.tolist(),
+        **_described(design, candidate.theta[:, 0], candidate_motion(encoding, best.x)),
+        "parameters": candidate.theta[:, 0].tolist(),
+        "durations": candidate.durations[:, 0].tolist(),
+        "optima": sorted(c for c in columns[1].tolist() if np.isfinite(c)),
+        "starts": starts,
+        "failed": int(np.sum(~np.isfinite(columns[1]))),
+        "core_s": columns[0, -1],
+        "wall_s": time.perf_counter() - wall,
+    }
+    run.finish(found, {"core_s": columns[0], "polished": columns[1]})
+    return labels, found
+
+
+def run_race(store: Path, labels: Mapping[str, Any], target: float, starts: int, seed: int):
+    """Processor time until IPOPT, from one Sobol point after the other, is at or below `target` with the mesh and springs reported.
+
+    Everything counts that a run needs, but for compiling the generated C, which is kept from an earlier run; that is done before.
+    """
+    run = Run(folder_of(store, labels, seed), {**labels, "target": target, "starts": starts, "seed": seed})
+    if (found := run.found) is not None:
+        return labels, found
+    task = load_task(labels["preset"])
+    options = SearchOptions(starts=starts, seed=seed, jobs=1)
+    reach(experiment(task, labels["experiment"], labels["ends"]), SearchOptions(starts=1, seed=seed + 1, jobs=1), np.inf)
+    began, wall = time.process_time(), time.perf_counter()
+    needed, solution = reach(experiment(task, labels["experiment"], labels["ends"]), options, target)
+    found = {
+        "reached": None if solution is None else solution.cost,
+        "starts": needed,
+        "core_s": time.process_time() - began,
+        "wall_s": time.perf_counter() - wall,
+    }
+    run.finish(found, {})
+    return labels, found
+
+
+def run_fixed(store: Path, labels: Mapping[str, Any], duration: float, seed: int):
+    """The best springs for a straight motion of minimum jerk in joint space that takes `duration` [s] a phase."""
+    run = Run(folder_of(store, labels, seed), {**labels, "duration_s": duration, "seed": seed})
+    if (found := run.found) is not None:
+        return labels, found
+    design = experiment(load_task(labels["preset"]), labels["experiment"], labels["ends"])
+    began = time.process_time()
+    alone = best_springs(design, motion_guess(design, np.zeros(0), [duration, duration]).phases, seed=seed)
+    hardware = {k: float(v) for k, v in design.hardware(alone.parameters).items()}
+    found = {"E1": alone.E1, "hardware": hardware, "core_s": time.process_time() - began}
+    run.finish(found, {})
+    return labels, found
+
+
+def stored_motion(run: Run) -> Motion:
+    """The motion that a gradient's run keeps."""
+    arrays = run.arrays
+    return Motion(**{field.name: arrays[field.name] for field in fields(Motion)})
+
+
+def candidate_motion(encoding: Encoding, x: np.ndarray) -> Motion:
+    """A candidate's motion with exact springs, sampled densely; accelerations that jump stand twice at one time."""
+    design, candidate = encoding.design, encoding.decode(x[None])
+    bare = CoDesign(design.task, (), at_rest=design.at_rest)
+    m, s = len(design.task.moving), np.linspace(1e-9, 1 - 1e-9, PER_INTERVAL)
+    q, dq, ddq = candidate.motion(s)
+    load = load_torque(design, candidate.theta, q, dq, ddq)
+    spring = load_torque(bare, np.zeros((0, 1)), q, dq, ddq) - load
+    h = candidate.h[:, 0, 0, 0]
+    starts = np.cumsum(np.r_[0, candidate.durations[:-1, 0]])
+    t = starts[:, None] + h[:, None] * (np.arange(encoding.via + 1)[:, None] + s).ravel()
+    phase = np.repeat(np.arange(len(PHASES)), t.shape[1])
+    q, dq, ddq, load, spring = (values.reshape(m, -1) for values in (q, dq, ddq, load, spring))
+    return Motion(t.ravel(), q, dq, ddq, load, spring, phase, np.array(design.task.payloads)[phase])
+
+
+def spring_torques(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, np.ndarray]:
+    """Torque of each spring along a motion, by its label, on all joints (n, K) [Nm]; exact laws."""
+    found, at, q = {}, 0, design.task.full(motion.q)
+    for spring in design.springs:
+        theta = parameters[at : at + len(spring.lower)]
+        at += len(spring.lower)
+        alone = design.task.model([spring.effect])
+        found[design.model.label(spring.effect)] = np.array(
+            alone.inverse(q, 0 * q, 0 * q, 0.0, theta, np.zeros(len(alone.widths)))[1]
+        )
+    return found
+
+
+def roles(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, dict[str, float]]:
+    """∫ Σ_joints |torque of a spring| dt in each phase [Nm s], by the spring's label and the phase's name."""
+    return {
+        label: {
+            name: float(np.trapezoid(np.abs(torque[:, k]).sum(axis=0), motion.t[k]))
+            for name, k in zip(PHASES, motion.phases(), strict=True)
+        }
+        for label, torque in spring_torques(design, parameters, motion).items()
+    }
+
+
+def _described(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, Any]:
+    figures = describe(design, motion.metrics())
+    hardware = {k: float(v) for k, v in design.hardware(parameters).items()}
+    return {k: figures[k] for k in ("E1_joint", "rms", "peak")} | {
+        "hardware": hardware,
+        "roles": roles(design, parameters, motion),
+    }

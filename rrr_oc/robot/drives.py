@@ -1,0 +1,151 @@
+"""Electrical servo drives: current, load torque and energy (Eq. 7–11)."""
+
+import importlib.resources
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.errors import UserError
+from rrr_oc.numerics.smooth import ramp
+from rrr_oc.robot.parameters import read_number, read_object
+
+COEFFICIENTS = (
+    "torque_constant_Nm_per_A",
+    "c_0_A",
+    "viscous_A_s_per_rad",
+    "c_v2_A_s2_per_rad2",
+    "c_1_A_per_Nm",
+    "c_12_A_per_Nm",
+    "inertia_A_s2_per_rad",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Actuators:
+    """The drives of some joints (m). Coefficients in amperes, at the joint's output, as their authors give them.
+
+    Eq. 7 and 9: I = J ddq + nu dq + c_1 tau_l + sgn(dq) (c_0 + c_v2 dq² + c_12 |tau_l|).
+
+    Eq. 9 prints c_12 sgn(dq) tau_l, which would drive the joint where tau_l < 0; that form is `form="printed"`. The
+    dissipative |tau_l| is the default. sgn(v) is tanh(20 v), as in the authors' code. With c_v2 < 0 the friction
+    nu v + c_v2 v² would fall beyond its greatest value and turn negative; it is held constant from there on.
+
+    Attributes:
+        joints: Names (m).
+        torque_constant: Motor torque at the output by current [Nm/A], (m,).
+        c_0: [A]. viscous: nu [A s/rad]. c_v2: [A s²/rad²]. c_1, c_12: [A/Nm]. inertia: J_m [A s²/rad]. All (m,).
+        resistance: Of the windings [Ω], (m,); NaN where unknown.
+        form: "dissipative" or "printed".
+    """
+
+    joints: tuple[str, ...]
+    torque_constant: np.ndarray
+    c_0: np.ndarray
+    viscous: np.ndarray
+    c_v2: np.ndarray
+    c_1: np.ndarray
+    c_12: np.ndarray
+    inertia: np.ndarray
+    resistance: np.ndarray
+    form: str = "dissipative"
+
+    def current(self, dq, ddq, tau_load) -> ca.SX:
+        """Currents I (m,) [A] that drive the load torque (Eq. 7 with Eq. 9)."""
+        load = [
+            t * s if self.form == "printed" else _magnitude(t) * s for t, s in zip(_rows(tau_load), _signs(dq), strict=True)
+        ]
+        rows = zip(_rows(dq), _rows(ddq), _rows(tau_load), load, strict=True)
+        return ca.vertcat(
+            *[
+                self.inertia[i] * a + self._friction(i, v) + self.c_1[i] * t + self.c_12[i] * friction
+                for i, (v, a, t, friction) in enumerate(rows)
+            ]
+        )
+
+    def load_torque(self, dq, ddq, current) -> ca.SX:
+        """Load torque tau_l (m,) [Nm] from the currents (Eq. 10).
+
+        In the dissipative form |tau_l| has the sign of what is left of the current, which decides between the two cases.
+        """
+        torques = []
+        for i, (v, a, amperes, s) in enumerate(zip(_rows(dq), _rows(ddq), _rows(current), _signs(dq), strict=True)):
+            left = amperes - self.inertia[i] * a - self._friction(i, v)
+            direction = s if self.form == "printed" else s * ca.sign(left)
+            torques.append(left / (self.c_1[i] + self.c_12[i] * direction))
+        return ca.vertcat(*torques)
+
+    @cached_property
+    def load_from_motor(self) -> ca.Function:
+        """(dq, ddq, tau_motor) -> (tau_load, d tau_load / d tau_motor), each (m,), by Eq. 10; on numbers also (m, K)."""
+        dq, ddq, motor = (ca.SX.sym(name, len(self.joints)) for name in ("dq", "ddq", "tau_motor"))
+        load = self.load_torque(dq, ddq, motor / self.torque_constant)
+        return ca.Function("load_from_motor", [dq, ddq, motor], [load, ca.diag(ca.jacobian(load, motor))])
+
+    def motor_torque(self, dq, ddq, tau_load) -> ca.SX:
+        """tau_a = k_t I (m,) [Nm]."""
+        return ca.SX(self.torque_constant) * self.current(dq, ddq, tau_load)
+
+    def power(self, dq, ddq, tau_load) -> ca.SX:
+        """Electrical power U I of each drive (m,) [W] (Eq. 8, whose integral is Eq. 11)."""
+        if not np.all(np.isfinite(self.resistance)):
+            raise UserError(
+                f"electrical energy needs the winding resistances of {', '.join(self.joints)} [Ohm]; some are unknown"
+            )
+        amperes = self.current(dq, ddq, tau_load)
+        return ca.SX(self.resistance) * amperes**2 + ca.SX(self.torque_constant) * ca.vertcat(*_rows(dq)) * amperes
+
+    def check_resistance(self) -> None:
+        """Raise `UserError` where a winding resistance, which electrical power needs, is unknown."""
+        unknown = [j for j, r in zip(self.joints, self.resistance, strict=True) if not np.isfinite(r)]
+        if unknown:
+            raise UserError(f"electrical energy needs resistance_Ohm of {', '.join(unknown)} in the actuator file")
+
+    def _friction(self, i: int, v) -> ca.SX:
+        """Part that depends on speed alone [A]."""
+        s = ca.tanh(20 * v)
+        speed = v * s  # |v|, smooth
+        if self.c_v2[i] < 0:
+            peak = -self.viscous[i] / (2 * self.c_v2[i])
+            speed = peak - ramp(peak - speed, 0.05)  # 0.05 rad/s: width of the blend
+        return s * (self.c_0[i] + self.viscous[i] * speed + self.c_v2[i] * speed**2)
+
+
+def _magnitude(tau) -> ca.SX:
+    width = 0.05  # [Nm] within which |tau| is rounded
+    return ramp(tau, width) + ramp(-tau, width)
+
+
+def _rows(vector) -> list:
+    return [vector[i] for i in range(vector.shape[0])]
+
+
+def _signs(dq) -> list:
+    return [ca.tanh(20 * v) for v in _rows(dq)]
+
+
+def load_actuators(joints: Sequence[str], source: str = "prototype", form: str = "dissipative") -> Actuators:
+    """The drives of these joints from a bundled file, or from the path of a JSON file of the same form."""
+    try:
+        bundled = importlib.resources.files("rrr_oc.data").joinpath("actuators.json").read_text()
+        content = json.loads(bundled if source == "prototype" else Path(source).read_text())
+    except (OSError, json.JSONDecodeError) as error:
+        raise UserError(f"no usable actuators at {source!r}: {error}; give a JSON file or 'prototype'") from None
+    if form not in ("dissipative", "printed"):
+        raise UserError(f"the form of Eq. 9 is 'dissipative' or 'printed', got {form!r}")
+    content = read_object(
+        f"actuators {source!r}", "the file", content, tuple(content) if isinstance(content, dict) else ("joints",)
+    )
+    rows = []
+    for joint in joints:
+        if joint not in content:
+            raise UserError(f"actuators {source!r} have no joint {joint!r}; they have {', '.join(content)}")
+        where, keys = f"actuators {source!r}", (*COEFFICIENTS, "resistance_Ohm")
+        given = read_object(where, joint, content[joint], keys, COEFFICIENTS)
+        numbers = {k: read_number(where, f"{joint}'s {k}", v) for k, v in given.items()}
+        rows.append([numbers.get(k, np.nan) for k in keys])
+    return Actuators(tuple(joints), *np.array(rows).T, form=form)

@@ -1,0 +1,180 @@
+"""Inertial parameters of links: those that a motion can tell, and those that a body can have."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.robot.rigid_body import rigid_body
+from rrr_oc.robot.robot import Robot
+
+NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # the rows of `Robot.inertial`
+UNITS = ("kg", "kg m", "kg m", "kg m", "kg m²", "kg m²", "kg m²", "kg m²", "kg m²", "kg m²")
+SMALLEST_LENGTH = 0.05  # [m], of a link whose next joint lies on its own
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The combinations of inertial parameters that torques depend on: beta = independent + mixing @ dependent.
+
+    Attributes:
+        independent, dependent: Indices into the inertial parameters, link by link, in all 10 n.
+        mixing: (independent, dependent).
+        names: Of the combinations, such as "Izz[link2] + 0.16 m[link3]".
+        units: Of the combinations.
+    """
+
+    independent: np.ndarray
+    dependent: np.ndarray
+    mixing: np.ndarray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+    @property
+    def projection(self) -> np.ndarray:
+        """beta = projection @ (all 10 n inertial parameters)."""
+        matrix = np.zeros((len(self.independent), len(self.independent) + len(self.dependent)))
+        matrix[np.arange(len(self.independent)), self.independent] = 1.0
+        matrix[:, self.dependent] = self.mixing
+        return matrix
+
+
+def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
+    """The base parameters of a chain under its gravity (Gautier & Khalil 1990), from QR of torques at random states.
+
+    A column that depends on those before it is regrouped into them: links further out into those nearer to the base.
+    """
+    n, count, rng = robot.n, 40 * robot.n, np.random.default_rng(seed)
+    inertial = ca.SX.sym("inertial", 10, n)
+    q, dq, ddq = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
+    torque = rigid_body(robot).inverse_dynamics(q, dq, ddq, inertial, robot.gravity)
+    regressor = ca.Function("regressor", [q, dq, ddq, inertial], [ca.densify(ca.jacobian(torque, inertial))])
+    states = rng.uniform(-np.pi, np.pi, (n, count)), rng.normal(0, 2, (n, count)), rng.normal(0, 5, (n, count))
+    body = np.tile(
+        [[1.0], [0.0], [0.0], [0.0], [1.0], [0.0], [1.0], [0.0], [0.0], [1.0]], n
+    )  # any will do, but for a massless one
+    matrix = np.array(regressor(*states, body)).reshape(n * count, 10 * n)
+    upper = np.asarray(np.linalg.qr(matrix / np.sqrt(n * count), mode="r"))
+    independent: list[int] = []
+    for column in range(10 * n):  # a diagonal of R alone misleads behind a dependent column
+        basis, target = upper[:, independent], upper[:, column]
+        rest = target - basis @ np.linalg.lstsq(basis, target, rcond=None)[0] if independent else target
+        if np.linalg.norm(rest) > 1e-8 * max(1.0, np.linalg.norm(target)):
+            independent.append(column)
+    chosen, dependent = np.array(independent, int), np.setdiff1d(np.arange(10 * n), independent)
+    mixing = np.linalg.lstsq(upper[:, chosen], upper[:, dependent], rcond=None)[0]
+    mixing[np.abs(mixing) < 1e-9] = 0.0
+    names = tuple(_name(robot, int(c), row, dependent) for c, row in zip(chosen, mixing, strict=True))
+    return BaseParameters(chosen, dependent, mixing, names, tuple(UNITS[c % 10] for c in chosen))
+
+
+def _name(robot: Robot, column: int, mixing: np.ndarray, dependent: np.ndarray) -> str:
+    def one(c: int) -> str:
+        return f"{NAMES[c % 10]}[{robot.links[c // 10]}]"
+
+    parts = [one(column)]
+    for coefficient, other in zip(mixing, dependent, strict=True):
+        if coefficient != 0:
+            size = "" if abs(abs(coefficient) - 1) < 1e-9 else f"{abs(coefficient):.4g} "
+            parts.append(f"{'-' if coefficient < 0 else '+'} {size}{one(int(other))}")
+    return " ".join(parts)
+
+
+def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
+    """The 4×4 matrix of a body's second moments, first moments and mass; positive definite for every body there can be.
+
+    Wensing, Kim & Slotine 2018: [[Σ, h], [hᵀ, m]] with Σ = tr(I)/2 − I, from the ten numbers of `Robot.inertial`.
+    """
+    mass, first, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4], parameters[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.trace(inertia) / 2 * np.eye(3) - inertia
+    return np.block([[moments, first[:, None]], [first[None, :], np.array([[mass]])]])
+
+
+def is_physical(parameters: np.ndarray) -> bool:
+    """Whether a body with these ten numbers exists: mass above 0 and a positive definite pseudo-inertia."""
+    return bool(np.all(np.isfinite(parameters)) and np.linalg.eigvalsh(pseudo_inertia(parameters))[0] > 0)
+
+
+@cache
+def from_log_cholesky() -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """xi (10,) -> (the ten inertial parameters, their derivatives by xi (10, 10)).
+
+    Rucker & Wensing 2022: pseudo-inertia = U Uᵀ with U = exp(alpha) [[exp d1, s12, s13, t1], [0, exp d2, s23, t2],
+    [0, 0, exp d3, t3], [0, 0, 0, 1]], so that every xi is a body, t its centre of mass [m] and exp(2 alpha) its mass [kg].
+    """
+    xi = ca.SX.sym("xi", 10)
+    alpha, d, s, t = xi[0], xi[1:4], xi[4:7], xi[7:10]
+    upper = ca.vertcat(
+        ca.horzcat(ca.exp(d[0]), s[0], s[2], t[0]),
+        ca.horzcat(0, ca.exp(d[1]), s[1], t[1]),
+        ca.horzcat(0, 0, ca.exp(d[2]), t[2]),
+        ca.horzcat(0, 0, 0, 1),
+    )
+    p = ca.exp(2 * alpha) * upper @ upper.T
+    xx, yy, zz = p[1, 1] + p[2, 2], p[0, 0] + p[2, 2], p[0, 0] + p[1, 1]
+    parameters = ca.vertcat(p[3, 3], p[0, 3], p[1, 3], p[2, 3], xx, -p[0, 1], yy, -p[0, 2], -p[1, 2], zz)
+    function = ca.Function("from_log_cholesky", [xi], [parameters, ca.densify(ca.jacobian(parameters, xi))])
+
+    def evaluate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found, jacobian = function(values)
+        return np.array(found).ravel(), np.array(jacobian)
+
+    return evaluate
+
+
+def to_log_cholesky(parameters: np.ndarray) -> np.ndarray:
+    """xi (10,) of a physical body; the inverse of `from_log_cholesky`."""
+    flipped = np.linalg.cholesky(pseudo_inertia(parameters)[::-1, ::-1])
+    upper = flipped[::-1, ::-1]  # U Uᵀ with U upper triangular
+    alpha = np.log(upper[3, 3])
+    u = upper / upper[3, 3]
+    return np.array([alpha, *np.log(np.diag(u)[:3]), u[0, 1], u[1, 2], u[0, 2], *u[:3, 3]])
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of the links before a recording is looked at, in log-Cholesky coordinates, link by link.
+
+    Attributes:
+        centre: (10 n,).
+        std: (10 n,): a factor of e² in mass and of e in the radii of gyration, a link's length in its centre.
+    """
+
+    centre: np.ndarray
+    std: np.ndarray
+
+
+def precision(guess: Prior, inertial: np.ndarray) -> np.ndarray:
+    """Of the prior in inertial parameters (10 n, 10 n), to first order about physical bodies (10, n)."""
+    result = np.zeros((guess.std.size,) * 2)
+    for i, parameters in enumerate(inertial.T):
+        own = slice(10 * i, 10 * i + 10)
+        turn = np.linalg.inv(from_log_cholesky()(to_log_cholesky(parameters))[1])
+        result[own, own] = turn.T @ np.diag(guess.std[own] ** -2) @ turn
+    return result
+
+
+def prior(robot: Robot) -> Prior:
+    """Centred at the URDF's values where they make a body, else at 1 kg spread about the link's middle."""
+    centres, stds = [], []
+    for i in range(robot.n):
+        reach = robot.placements[i + 1, :3, 3] if i + 1 < robot.n else _tip(robot)
+        length = max(float(np.linalg.norm(reach)), SMALLEST_LENGTH)
+        parameters = robot.inertial[:, i]
+        centres.append(to_log_cholesky(parameters if is_physical(parameters) else _guess(reach, length)))
+        stds.append([1.0, 1.0, 1.0, 1.0, *[length] * 6])
+    return Prior(np.concatenate(centres), np.concatenate(stds))
+
+
+def _tip(robot: Robot) -> np.ndarray:
+    return robot.tool.position if robot.tool.joint == robot.n - 1 else np.zeros(3)
+
+
+def _guess(reach: np.ndarray, length: float) -> np.ndarray:
+    """1 kg about the middle of the link, with a radius of gyration of 0.3 lengths about every axis."""
+    centre = reach / 2
+    inertia = (0.3 * length) ** 2 * np.eye(3) + centre @ centre * np.eye(3) - np.outer(centre, centre)
+    return np.array([1.0, *centre, *(inertia[a, b] for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))])

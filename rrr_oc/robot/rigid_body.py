@@ -1,0 +1,134 @@
+"""Rigid-body dynamics as casadi Functions, made by Pinocchio's own algorithms on casadi.SX.
+
+`pinocchio.casadi` serves where it can be imported (conda-forge); PyPI's wheel lacks it, and the extension `_rigid_body`,
+built against the wheel's headers, runs the same algorithms on the same chain.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """M, C, G of Eq. 1 and what follows from them, for a chain's kinematics.
+
+    Every Function takes casadi or numpy arguments. `q`, `dq`, `ddq`, `tau` are (n,); `inertial` is (10, n) as in
+    `Robot.inertial`; `gravity` is (3,) [m/s²].
+
+    Attributes:
+        mass_matrix: (q, inertial) -> M (n, n) [kg m²].
+        coriolis_matrix: (q, dq, inertial) -> C (n, n) [kg m²/s], the one for which dM/dt - 2 C is skew.
+        gravity_torque: (q, inertial, gravity) -> G (n,) [Nm].
+        inverse_dynamics: (q, dq, ddq, inertial, gravity) -> M ddq + C dq + G (n,) [Nm].
+        forward_dynamics: (q, dq, tau, inertial, gravity) -> ddq (n,) [rad/s²].
+        joint_frames: q -> (12, n), each joint's rotation (column-major) and origin [m] in the base frame.
+    """
+
+    n: int
+    mass_matrix: ca.Function
+    coriolis_matrix: ca.Function
+    gravity_torque: ca.Function
+    inverse_dynamics: ca.Function
+    forward_dynamics: ca.Function
+    joint_frames: ca.Function
+
+    @cached_property
+    def tool_position(self) -> ca.Function:
+        """(q, tool) -> position [m] of the point `tool` (3,) of the last joint's frame, in the base frame, (3,)."""
+        q, tool = ca.SX.sym("q", self.n), ca.SX.sym("tool", 3)
+        return ca.Function("tool_position", [q, tool], [self._point(q, tool, self.n - 1)], ["q", "tool"], ["position"])
+
+    @cached_property
+    def tool_jacobian(self) -> ca.Function:
+        """(q, tool) -> d position / d q (3, n) [m/rad]."""
+        q, tool = ca.SX.sym("q", self.n), ca.SX.sym("tool", 3)
+        jacobian = ca.jacobian(self._point(q, tool, self.n - 1), q)
+        return ca.Function("tool_jacobian", [q, tool], [jacobian], ["q", "tool"], ["jacobian"])
+
+    def free_inertia(self, inertial: np.ndarray) -> np.ndarray:
+        """Each joint's inertia at q = 0 with the other joints free, 1/(M⁻¹)_ii: the least there, (n,) [kg m²]."""
+        return 1 / np.diag(np.linalg.inv(np.asarray(self.mass_matrix(np.zeros(self.n), inertial))))
+
+    def _point(self, q: ca.SX, tool: ca.SX, joint: int) -> ca.SX:
+        frame = self.joint_frames(q)[:, joint]
+        return ca.reshape(frame[:9], 3, 3) @ tool + frame[9:]
+
+
+def rigid_body(robot: Robot) -> RigidBody:
+    """The chain's dynamics; inertial parameters, payload and gravity stay inputs of the Functions."""
+    try:
+        import pinocchio.casadi as symbolic  # type: ignore[import-not-found]
+    except ImportError:
+        return RigidBody(robot.n, **_from_extension(robot))
+    return RigidBody(robot.n, **_from_pinocchio(robot, symbolic))
+
+
+def with_payload(inertial, joint: int, mass, position):
+    """Add a point mass to one link's dynamic parameters.
+
+    Args:
+        inertial: (10, n) numpy array or casadi matrix.
+        joint: Joint whose link carries the payload.
+        mass: Payload [kg].
+        position: Its point in the joint's frame [m], (3,).
+
+    Returns:
+        (10, n) of the casadi type of the arguments.
+    """
+    x, y, z = position[0], position[1], position[2]
+    point = ca.vertcat(1, x, y, z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+    columns = ca.horzsplit(ca.SX(inertial) if isinstance(inertial, np.ndarray) else inertial)
+    return ca.horzcat(*[c + mass * point if i == joint else c for i, c in enumerate(columns)])
+
+
+def _from_extension(robot: Robot) -> dict[str, ca.Function]:
+    import rrr_oc.robot._rigid_body as extension
+
+    placements = robot.placements[:, :3, :].reshape(-1).tolist()
+    texts = extension.chain_functions(placements, robot.axes.reshape(-1).tolist())
+    return {name: ca.Function.deserialize(text) for name, text in texts.items()}
+
+
+def _from_pinocchio(robot: Robot, symbolic) -> dict[str, ca.Function]:
+    """The same Functions from `pinocchio.casadi`, the twin of `_rigid_body.cpp`."""
+    n = robot.n
+    q, dq, ddq, tau = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq", "tau"))
+    inertial, gravity = ca.SX.sym("inertial", 10, n), ca.SX.sym("gravity", 3)
+    model = symbolic.Model()
+    for i in range(n):
+        placement = symbolic.SE3(ca.SX(robot.placements[i, :3, :3]), ca.SX(robot.placements[i, :3, 3]))
+        joint = symbolic.JointModelRevoluteUnaligned(ca.SX(robot.axes[i]))
+        model.addJoint(i, joint, placement, f"joint{i}")
+        model.inertias[i + 1] = symbolic.Inertia.FromDynamicParameters(inertial[:, i])
+    model.gravity.linear = gravity
+    data = model.createData()
+    mass = symbolic.crba(model, data, q)
+    mass = ca.triu(mass) + ca.triu(mass, False).T
+    inverse = symbolic.rnea(model, model.createData(), q, dq, ddq)
+    symbolic.forwardKinematics(model, data, q)
+    frames = [ca.vertcat(ca.vec(data.oMi[i + 1].rotation), data.oMi[i + 1].translation) for i in range(n)]
+    outputs = {
+        "mass_matrix": ({"q": q, "inertial": inertial}, mass),
+        "coriolis_matrix": (
+            {"q": q, "dq": dq, "inertial": inertial},
+            symbolic.computeCoriolisMatrix(model, model.createData(), q, dq),
+        ),
+        "gravity_torque": (
+            {"q": q, "inertial": inertial, "gravity": gravity},
+            symbolic.computeGeneralizedGravity(model, model.createData(), q),
+        ),
+        "inverse_dynamics": ({"q": q, "dq": dq, "ddq": ddq, "inertial": inertial, "gravity": gravity}, inverse),
+        "forward_dynamics": (
+            {"q": q, "dq": dq, "tau": tau, "inertial": inertial, "gravity": gravity},
+            symbolic.aba(model, model.createData(), q, dq, tau),
+        ),
+        "joint_frames": ({"q": q}, ca.horzcat(*frames)),
+    }
+    return {
+        name: ca.Function(name, list(inputs.values()), [out], list(inputs), ["out"]) for name, (inputs, out) in outputs.items()
+    }

@@ -1,0 +1,3 @@
+"""The model in MuJoCo: effects as generated C, joint controllers, tracking of motions.
+
+Imports `numerics`, `robot`, `effects` and `model`."""

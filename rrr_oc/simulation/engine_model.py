@@ -1,0 +1,343 @@
+"""A model in the physics engine: robot, effects, payload and controllers compiled for MuJoCo."""
+
+# pyright: reportAttributeAccessIssue=false
+# (mujoco's wheel has no stubs)
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, get_args
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from rrr_oc.effects import Body
+from rrr_oc.errors import UserError
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.robot import Robot, ToolPoint
+from rrr_oc.simulation import generated_c as native
+from rrr_oc.simulation.generated_c import PAYLOAD, Native
+
+Form = Literal["generated", "native"]
+Integrator = Literal["rk4", "implicitfast", "implicit", "euler"]
+Start = Literal["continue", "reference"]
+
+K_P = 572.96  # Nm/rad, the prototype's P-controllers: 10 Nm a degree
+LIGHTEST = 0.01  # of the link's inertia, that a drive's armature has where its gear gives: a drive has inertia
+INERTIA_FLOOR = 1e-12  # kg m²; MuJoCo refuses a body without rotational inertia, so a point mass gets this much
+
+if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT where the user stands, from every thread
+    mujoco.set_mju_user_warning(lambda text: None)  # what diverges is counted in mjData, and seen in its states
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a motion is simulated.
+
+    Attributes:
+        effects: Those on the links: "generated": the smoothed law as C generated from the effects' expressions; "native": MuJoCo's
+            own tendons, which follow the exact law, for those that have such a form.
+        timestep: Longest step [s]; a phase is cut into equal steps no longer than this.
+        integrator: "rk4" evaluates controller and effects at every stage; the others are first order in `timestep`.
+        start: "continue": a phase starts in the state in which the one before ended; "reference": at its own first point.
+        damping: Viscous friction of the joints [Nm s/rad], scalar or (n,).
+        armature: Reflected inertia of the motors [kg m²], scalar or (n,).
+        frictionloss: Dry friction of the joints [Nm], scalar or (n,).
+    """
+
+    effects: Form = "generated"
+    timestep: float = 1e-3
+    integrator: Integrator = "rk4"
+    start: Start = "continue"
+    damping: float | np.ndarray = 0.0
+    armature: float | np.ndarray = 0.0
+    frictionloss: float | np.ndarray = 0.0
+
+    def __post_init__(self) -> None:
+        for name, kind in (("effects", Form), ("integrator", Integrator), ("start", Start)):
+            if getattr(self, name) not in get_args(kind):
+                raise UserError(f"simulation: {name} is {getattr(self, name)!r}; allowed are {', '.join(get_args(kind))}")
+        if not 0 < self.timestep < np.inf:
+            raise UserError(f"simulation: timestep {self.timestep} s must be positive and finite")
+        for name in ("damping", "armature", "frictionloss"):
+            if not np.all((np.asarray(getattr(self, name)) >= 0) & np.isfinite(getattr(self, name))):
+                raise UserError(f"simulation: {name} {getattr(self, name)} must be finite and not negative")
+
+
+DEFAULT = Settings()
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Joint controllers: tau = k_p (q_ref − q) + k_d (dq_ref − dq) + tau_ff, cut off at ±limit.
+
+    Attributes:
+        k_p: [Nm/rad], shape (n,).
+        k_d: [Nm s/rad], shape (n,).
+        limit: Torque limits [Nm], shape (n,); infinite where there is none.
+    """
+
+    k_p: np.ndarray
+    k_d: np.ndarray
+    limit: np.ndarray
+
+
+def controller(model: Model, k_p: float | np.ndarray = K_P, damping_ratio: float = 1.0) -> Controller:
+    """The paper's P-controllers with a derivative part, limited to the robot's efforts.
+
+    The paper's gain k_p acts on an arm whose gears damp it (the authors' calibrated joints have 40 and 23 Nm s/rad). On the
+    frictionless arm k_p alone leaves every disturbance ringing for good, so k_d = 2 ζ sqrt(k_p I) stands in for the gears,
+    but on the error of speed, so that it costs no torque on the reference. I is each joint's inertia at q = 0 with the
+    other joints free and no payload (`RigidBody.free_inertia`), so that no joint is stiffer than the step can follow.
+    """
+    n = model.robot.n
+    gain = np.broadcast_to(np.asarray(k_p, float), (n,)).copy()
+    inertia = model.body.free_inertia(model.robot.inertial)
+    return Controller(gain, 2 * damping_ratio * np.sqrt(gain * inertia), model.robot.effort.copy())
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A model in the engine.
+
+    Attributes:
+        mj: The mjModel. Joint i of the robot is coordinate `seats[i]`, as its encoder sees it, and actuator i is its controller: the
+            activation is u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within
+            limits. Then follow actuators without torque whose activations are the effects' internal states. Where a gear gives, the
+            coordinate that follows is by how much the link is ahead of its drive.
+        library: The compiled effects; None where MuJoCo's own do the work, or there are none.
+        generated: Which of the effects it has.
+        held: What is held beyond the payload that is listed [kg], as an effect says.
+    """
+
+    model: Model
+    theta: np.ndarray
+    widths: np.ndarray
+    mj: mujoco.MjModel
+    library: Native | None
+    generated: tuple[bool, ...] = ()
+    held: float = 0.0
+
+    @cached_property
+    def seats(self) -> np.ndarray:
+        """Coordinates of the joints in the engine, (n,)."""
+        return np.array([self.mj.joint(joint).dofadr[0] for joint in self.model.robot.joints])
+
+    @cached_property
+    def gears(self) -> tuple[int, ...]:
+        """Joints whose gears give."""
+        return tuple(sorted({e.joints[0] for e in self.model.effects if e.simulated}))
+
+    def effects(self) -> AbstractContextManager[None]:
+        """The context within which `mj` feels the compiled effects: step, forward and roll out inside it."""
+        return nullcontext() if self.library is None else native.installed(self.library)
+
+    def grip(self, payload: float) -> None:
+        """Set the payload's listed mass [kg], 0 to let go. Nothing is compiled anew; states keep their meaning."""
+        self.mj.body(PAYLOAD).mass[0] = payload + self.held
+        mujoco.mj_setConst(self.mj, mujoco.MjData(self.mj))  # what follows from masses: invweights, subtree masses
+
+    def with_theta(self, theta: Sequence[float] | np.ndarray, widths: np.ndarray | None = None) -> "Twin":
+        """A copy with other parameters (and widths) of its generated effects; the compiled library is shared.
+
+        Raises `UserError` where there is none, or another effect, which is the engine's own, is to change.
+        """
+        if self.library is None:
+            raise UserError("only generated effects take new parameters in a compiled model; build another twin")
+        theta, widths = _checked(self.model, theta, self.widths if widths is None else widths)
+        free = [inside or e.side == "sensor" for e, inside in zip(self.model.effects, self.generated, strict=True)]
+        fixed = ~np.repeat(free, [len(e.parameters) for e in self.model.effects])
+        if not np.array_equal(self.theta[fixed], theta[fixed]):
+            raise UserError("effects in the drives, or of the body, that are the engine's own change only in another twin")
+        mj = copy(self.mj)
+        mj.numeric(self.library.marker).data[:] = native.values(theta, widths, self.held, self.model.robot.inertial)
+        return replace(self, theta=theta, widths=widths, mj=mj)
+
+
+def twin(
+    model: Model,
+    theta: Sequence[float] | np.ndarray = (),
+    control: Controller | None = None,
+    settings: Settings = DEFAULT,
+    widths: np.ndarray | None = None,
+) -> Twin:
+    """A model compiled for the engine.
+
+    What effects become, by their side: "body": masses, gravity and the payload's point of the compiled model. "link": as
+    `settings.effects` says. "drive": MuJoCo's own form where there is one (dry and viscous friction, armature), else generated; the
+    generated laws do not hold a joint at rest, as dry friction of MuJoCo's does, and what varies with the plain dry friction varies
+    with its smoothed law. "sensor": nothing; recorded torques differ, not the motion. "motion": an offset of an encoder turns
+    the joint's zero; a gear that gives makes two coordinates of one, the drive's with the armature and what the link is ahead. There
+    the load torque that friction grows with is that of one step ago.
+
+    Args:
+        theta: Parameters of the effects, as in `Model.theta`.
+        control: Joint controllers. Default: `controller(model)`.
+        settings: Which form the effects on the links take, the step, and friction and armature of the joints beside those
+            among the effects.
+        widths: Smoothing widths of generated effects; 0 is the exact law. Default: `Model.widths`.
+
+    Raises:
+        UserError: A gear that gives has play, too; there is no C compiler where one is needed; the engine refuses the robot.
+    """
+    theta, widths = _checked(model, theta, widths)
+    offset = np.array(ca.evalf(native.shift(model, theta))).reshape(-1)
+    body = _body(model, theta)
+    robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
+    tool = replace(model.tool, position=body.position)
+    spec = build_spec(robot, tool, controller(model) if control is None else control, settings)
+    gives = any(effect.simulated for effect in model.effects)
+    generated = _add_effects(spec, model, theta, settings.effects == "native" and not (gives or offset.any()))
+    _add_gears(spec, model, theta, robot.inertial, settings.timestep)
+    for joint, zero in zip(robot.joints, offset, strict=True):
+        spec.joint(joint).ref = -zero
+    library = None
+    if any(generated):
+        library = native.compile_effects(model, generated)
+        data = native.values(theta, widths, body.payload, model.robot.inertial)
+        spec.add_numeric(name=library.marker, data=data, size=data.size)
+    try:
+        mj = _compiled(spec, robot, estimated=not np.array_equal(robot.inertial, model.robot.inertial))
+    except ValueError as error:
+        raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {str(error).strip()}") from None
+    engine = Twin(model, theta, widths, mj, library, generated, body.payload)
+    engine.grip(0.0)
+    return engine
+
+
+def _body(model: Model, theta: np.ndarray) -> Body:
+    """The rigid body as the effects of the side "body" make it, in numbers; `payload` is what is held beyond the payload."""
+    robot, numbers = model.robot, iter(theta.tolist())
+    body = Body(robot.inertial, robot.gravity, 0.0, model.tool.position.tolist())
+    for effect in model.effects:
+        body = effect.change(body, {p.name: next(numbers) for p in effect.parameters})
+    inertial = body.inertial if isinstance(body.inertial, np.ndarray) else np.array(ca.evalf(body.inertial))
+    return Body(inertial, np.array(body.gravity, float), float(body.payload), np.array(body.position, float))
+
+
+def _checked(model: Model, theta, widths) -> tuple[np.ndarray, np.ndarray]:
+    theta = np.asarray(theta, float).reshape(-1)
+    widths = model.widths if widths is None else np.asarray(widths, float).reshape(-1)
+    if theta.size != len(model.parameters) or widths.size != len(model.widths):
+        sizes = f"{len(model.parameters)} parameters and {len(model.widths)} widths"
+        raise UserError(f"the effects have {sizes}, got {theta.size} and {widths.size}")
+    return theta, widths
+
+
+def build_spec(robot: Robot, tool: ToolPoint, control: Controller, settings: Settings) -> mujoco.MjSpec:
+    """A robot in MuJoCo, without contacts and joint limits; the massless body `PAYLOAD` at the tool waits for a load."""
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.name
+    spec.compiler.degree = False
+    spec.option.gravity = robot.gravity
+    spec.option.timestep = settings.timestep
+    spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{settings.integrator.upper()}")
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    damping, armature, frictionloss = (
+        np.broadcast_to(np.asarray(v, float), (robot.n,)) for v in (settings.damping, settings.armature, settings.frictionloss)
+    )
+    body = spec.worldbody
+    for i in range(robot.n):
+        body = body.add_body(name=f"{robot.links[i]}", **_pose(robot.placements[i]), **_inertial(robot.inertial[:, i]))
+        joint = body.add_joint(name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=robot.axes[i])
+        joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.damping[0], joint.armature, joint.frictionloss = damping[i], armature[i], frictionloss[i]
+        if i == tool.joint:
+            body.add_body(name=PAYLOAD, pos=tool.position, mass=0.0, ipos=np.zeros(3), explicitinertial=True)
+        _add_actuator(spec, robot.joints[i], control.k_p[i], control.k_d[i], control.limit[i])
+    return spec
+
+
+def _pose(placement: np.ndarray) -> dict[str, np.ndarray]:
+    return {"pos": placement[:3, 3], "quat": _quaternion(placement[:3, :3])}
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).reshape(9))
+    return quaternion
+
+
+def _inertial(parameters: np.ndarray) -> dict:
+    """Mass, centre of mass, principal axes and moments about it, from `Robot.inertial`'s ten numbers."""
+    mass = parameters[0]
+    if not mass > 0:
+        raise UserError(f"a link has mass {mass:g} kg; the simulation needs a mass above 0 (load_robot with inertial=True)")
+    com, axes, moments = _principal(parameters)
+    moments = np.maximum(moments, INERTIA_FLOOR)
+    return {"mass": mass, "ipos": com, "iquat": _quaternion(axes), "inertia": moments, "explicitinertial": True}
+
+
+def _principal(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre of mass [m], principal axes (3, 3) and moments about it [kg m²] of a link's ten numbers."""
+    mass, com, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4] / parameters[0], parameters[4:]
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments, axes = np.linalg.eigh(about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+    return com, axes * np.sign(np.linalg.det(axes)), moments
+
+
+def _compiled(spec: mujoco.MjSpec, robot: Robot, estimated: bool) -> mujoco.MjModel:
+    """The spec compiled; the compiler refuses moments of inertia that no body has, but estimates may be of that kind.
+
+    Recordings tell only some combinations of inertial parameters; the rest of an estimate means nothing and shows in no motion.
+    """
+    if estimated:
+        for link, parameters in zip(robot.links, robot.inertial.T, strict=True):
+            spec.body(link).inertia = np.full(3, max(np.mean(_principal(parameters)[2]), INERTIA_FLOOR))
+    mj = spec.compile()
+    if estimated:
+        for link, parameters in zip(robot.links, robot.inertial.T, strict=True):
+            mj.body(link).inertia[:] = _principal(parameters)[2]
+    return mj
+
+
+def _add_actuator(spec: mujoco.MjSpec, joint: str, k_p: float, k_d: float, limit: float) -> None:
+    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.dyntype, actuator.biastype = mujoco.mjtDyn.mjDYN_INTEGRATOR, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.biasprm[1:3] = -k_p, -k_d
+    if np.isfinite(limit):
+        actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
+
+
+def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: bool) -> tuple[bool, ...]:
+    """Put MuJoCo's own forms, and actuators for internal states, into a spec; which effects are left to generated code."""
+    numbers, generated = iter(theta.tolist()), []
+    for i, effect in enumerate(model.effects):
+        named = {p.name: next(numbers) for p in effect.parameters}
+        known = len(spec.tendons)
+        wanted = effect.side == "drive" or (effect.side == "link" and tendons)
+        own = wanted and effect.native(spec, model.robot.joints, named)
+        for tendon in spec.tendons[known:]:
+            tendon.name = f"{i}_{tendon.name}"  # two springs on one joint would get the same name
+        generated.append(effect.side in ("link", "drive") and not own)
+        for k in range(len(effect.states)):
+            _add_state(spec, f"{i}_{effect.states[k].name}", model.robot.joints[effect.joints[0]])
+    return tuple(generated)
+
+
+def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: np.ndarray, timestep: float) -> None:
+    """A second hinge beside that of each joint whose gear gives, by which the link is ahead of its drive."""
+    robot, numbers, seen, least = model.robot, iter(theta.tolist()), set(), model.body.free_inertia(inertial)
+    for effect in model.effects:
+        named = {p.name: next(numbers) for p in effect.parameters}
+        if not effect.simulated:
+            continue
+        (j,) = effect.joints
+        if j in seen:
+            raise UserError(
+                f"{model.label(effect)}: the simulation has gears that twist and gears with play, but not both at one joint"
+            )
+        seen.add(j)
+        drive, body = spec.joint(robot.joints[j]), spec.body(robot.links[j])
+        twist = body.add_joint(name=f"{robot.joints[j]}_twist", type=mujoco.mjtJoint.mjJNT_HINGE, axis=robot.axes[j])
+        drive.armature = max(float(drive.armature), LIGHTEST * least[j])
+        effect.gear(twist, named, least[j] * drive.armature / (least[j] + drive.armature) / timestep**2)
+
+
+def _add_state(spec: mujoco.MjSpec, name: str, joint: str) -> None:
+    """An activation whose rate is its control, and which gives no torque."""
+    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.dyntype, actuator.gainprm[0] = mujoco.mjtDyn.mjDYN_INTEGRATOR, 0.0

@@ -1,0 +1,263 @@
+"""Effects as C inside MuJoCo: code that casadi generates from the effects' own expressions, run as its passive callback.
+
+One library serves every model with the same effects on the same joints. The values (theta, widths, …) stand in the mjModel
+itself, in a custom numeric field whose name is the library's marker, and the payload is the mass of its body `PAYLOAD`; so
+models with different values run side by side, in any number of threads. A model without the marker is left alone.
+
+The callback runs at every evaluation of the dynamics, so at every stage of RK4, before the engine knows accelerations. What
+depends on the load torque needs them: the code solves the equations of motion for them, with the actuators' torque, and the
+friction and armature of the joints, as the engine will have them; behind a gear that gives it takes those of one step ago.
+Internal states are activations of actuators without force, whose controls, the states' rates, the callback sets.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (mujoco's wheel has no stubs)
+
+import ctypes
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from rrr_oc.compiler import digest, library
+from rrr_oc.effects import Signals
+from rrr_oc.errors import UserError
+from rrr_oc.model.symbolic_model import Model
+
+PAYLOAD = "rrr_oc:payload"
+STIFF = 0.5  # of itself, that a state loses in a step, from which an explicit step is too coarse
+STEPS = 4  # of Newton's method for the load torque
+_WRAPPER = """
+#include <string.h>
+#include <mujoco/mjdata.h>
+#include <mujoco/mjmodel.h>
+
+typedef void (*passive)(const mjModel*, mjData*);
+__attribute__((visibility("default"))) passive rrr_oc_next = 0;  /* written only under native.py's lock */
+
+static int find(const mjModel* m, const int* address, int count, const char* name) {{
+  for (int i = 0; i < count; i++)
+    if (!strcmp(m->names + address[i], name)) return i;
+  return -1;
+}}
+
+static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
+  const mjtNum *widths = values + {n_theta}, *held = widths + {n_widths}, *inertial = held + 1;
+  int body = find(m, m->name_bodyadr, (int)m->nbody, "{payload}");
+  mjtNum payload = body < 0 ? 0 : m->body_mass[body] - *held, motor[{n}], link[{n}], drive[{n}], rate[{n_states} + 1], w[{sz_w}];
+  mjtNum q[{n}], dq[{n}], twist[2 * {n}], before[{n}], damping[{n}], armature[{n}], dry[{n}];
+  long long iw[{sz_iw}];
+  int at[{n}], gear[{n}];
+  for (int i = 0; i < {n}; i++) {{  /* twin.py's actuators: activation, position and speed feedback, limits */
+    int joint = m->actuator_trnid[2 * i], k = at[i] = m->jnt_dofadr[joint];
+    gear[i] = joint + 1 < m->njnt && m->jnt_bodyid[joint + 1] == m->jnt_bodyid[joint];  /* the joint's twist comes next */
+    q[i] = d->qpos[k], dq[i] = d->qvel[k], before[i] = d->qacc_warmstart[k];
+    twist[i] = gear[i] ? d->qpos[k + 1] : 0, twist[{n} + i] = gear[i] ? d->qvel[k + 1] : 0;
+    if (gear[i]) before[i] += d->qacc_warmstart[k + 1];
+    damping[i] = m->dof_damping[k], armature[i] = m->dof_armature[k], dry[i] = m->dof_frictionloss[k];
+    const mjtNum *bias = m->actuator_biasprm + i * mjNBIAS, *range = m->actuator_forcerange + 2 * i;
+    motor[i] = d->act[i] + bias[1] * q[i] + bias[2] * dq[i];
+    if (m->actuator_forcelimited[i]) motor[i] = motor[i] < range[0] ? range[0] : motor[i] > range[1] ? range[1] : motor[i];
+  }}
+  const mjtNum* arg[{sz_arg}] = {{q, dq, &d->time, &m->opt.timestep, &payload, motor, d->act + {n}, damping, armature, dry,
+                                twist, before, values, widths, inertial}};
+  mjtNum* res[{sz_res}] = {{link, drive, rate}};
+  effects(arg, res, iw, w, 0);
+  for (int i = 0; i < {n}; i++) {{
+    d->qfrc_damper[at[i]] += drive[i];
+    d->qfrc_passive[at[i]] += drive[i];
+    for (int k = at[i]; k <= at[i] + gear[i]; k++) {{
+      d->qfrc_spring[k] += link[i];
+      d->qfrc_passive[k] += link[i];
+    }}
+  }}
+  for (int i = 0; i < {n_states}; i++) d->ctrl[{n} + i] = rate[i];
+}}
+
+__attribute__((visibility("default"))) void rrr_oc_passive(const mjModel* m, mjData* d) {{
+  int i = find(m, m->name_numericadr, (int)m->nnumeric, "{marker}");
+  if (i >= 0) add_effects(m, d, m->numeric_data + m->numeric_adr[i]);
+  if (rrr_oc_next) rrr_oc_next(m, d);
+}}
+"""
+
+
+@dataclass(frozen=True)
+class Native:
+    """The compiled effects of a model.
+
+    Attributes:
+        marker: Name of the custom numeric field that holds (theta, widths) in models that want these effects.
+        library: The loaded library; it stays loaded.
+    """
+
+    marker: str
+    library: ctypes.CDLL
+
+
+def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> Native:
+    """Effects of a model as a library, from the cache where it has been compiled before.
+
+    The smoothed laws, with q, dq and time from mjData. Torques on the links are added to qfrc_passive and qfrc_spring, those in
+    the drives to qfrc_passive and qfrc_damper.
+
+    Args:
+        inside: Which of the effects, of the sides "link" and "drive", the library has. Default: those on the links.
+
+    Raises:
+        UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written.
+    """
+    function = law(model, [e.side == "link" for e in model.effects] if inside is None else inside)
+    generator = ca.CodeGenerator("effects", {"with_header": False})
+    generator.add(function)
+    code = generator.dump()
+    flags = ("-O2", f"-I{Path(str(mujoco.__file__)).parent / 'include'}")
+    name = digest(code, _WRAPPER, mujoco.__version__, *flags)
+    marker = f"rrr_oc:{name}"
+    sizes = {k: max(1, getattr(function, k)()) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+    sizes |= {"n_theta": len(model.parameters), "n_widths": len(model.widths), "n_states": len(model.states)}
+    wrapper = _WRAPPER.format(marker=marker, payload=PAYLOAD, n=model.robot.n, **sizes)
+    return Native(marker, _load(library(f"effects-{name}", code + wrapper, flags, " or use effects='native'")))
+
+
+@contextmanager
+def installed(*libraries: Native) -> Iterator[None]:
+    """MuJoCo's passive callback runs the libraries within this context, and is what it was before after it.
+
+    Contexts nest, and libraries of different models run beside each other and beside a C callback that was there before.
+
+    Raises:
+        UserError: A Python callback is installed: C code cannot pass a model on to it.
+    """
+    with _lock:
+        _add(libraries)
+    try:
+        yield
+    finally:
+        with _lock:
+            for library in libraries:
+                _active.remove(library)
+            _link()
+            for library in set(libraries).difference(_active):
+                _set_next(library, None)
+
+
+_lock = threading.Lock()
+_active: list[Native] = []
+_before: list[Any] = [None]
+
+
+def _add(libraries: tuple[Native, ...]) -> None:
+    if not _active:
+        before = mujoco.get_mjcb_passive()
+        if before is not None and not isinstance(before, ctypes._CFuncPtr):
+            raise UserError(
+                f"MuJoCo's passive callback is a Python function, {before!r}; remove it with set_mjcb_passive(None)"
+            )
+        _before[0] = before
+    _active.extend(libraries)
+    _link()
+
+
+def _link() -> None:
+    """Each active library calls the next one, the last one the callback that was there before."""
+    chain = list(dict.fromkeys(_active))
+    functions = [*(native.library.rrr_oc_passive for native in chain), _before[0]]
+    for native, following in zip(chain, functions[1:], strict=True):
+        _set_next(native, following)
+    mujoco.set_mjcb_passive(functions[0])
+
+
+def _set_next(native: Native, function: Any) -> None:
+    address = None if function is None else ctypes.cast(function, ctypes.c_void_p).value
+    ctypes.c_void_p.in_dll(native.library, "rrr_oc_next").value = address
+
+
+def law(model: Model, inside: Sequence[bool]) -> ca.Function:
+    """What the library works out, dense.
+
+    (q, dq, time, step, payload, motor, states, damping, armature, frictionloss, twist, before, theta, widths, inertial) -> (link, drive,
+    rates): torque of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is
+    the actuators' torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,), `twist` (2 n,)
+    what gears that give add to the links' positions and speeds, `before` (n,) the links' accelerations one step ago: behind such a
+    gear those of now are not the drive's, and the load torque is that of one step ago. A state that falls off
+    at a rate s of its own does so as exp(−s step) over the engine's `step` [s] where that is fast: its explicit step would diverge.
+    """
+    n = model.robot.n
+    q, dq, motor, damping, armature, dry = (
+        ca.SX.sym(k, n) for k in ("q", "dq", "motor", "damping", "armature", "frictionloss")
+    )
+    time, step, payload = ca.SX.sym("time"), ca.SX.sym("step"), ca.SX.sym("payload")
+    states = ca.SX.sym("states", len(model.states))
+    theta, widths = ca.SX.sym("theta", len(model.parameters)), ca.SX.sym("widths", len(model.widths))
+    inertial, ddq, load = ca.SX.sym("inertial", 10, n), ca.SX.sym("ddq", n), ca.SX.sym("load", n)
+    twist, before = ca.SX.sym("twist", 2 * n), ca.SX.sym("before", n)
+    signals = Signals(q, dq, ddq, load=load, time=time, payload=payload, states=states)
+    links = replace(signals, q=q + shift(model, theta) + twist[:n], dq=dq + twist[n:])
+
+    def total(side: str, at: Signals, chosen: Sequence[bool]) -> ca.SX:
+        torques = zip(model.effects, chosen, model.effect_torques(at, theta, widths), strict=True)
+        return sum((t for e, yes, t in torques if yes and e.side == side), ca.SX.zeros(n))
+
+    link, drive = total("link", links, inside), total("drive", signals, inside)
+    rates = ca.vertcat(
+        *(r for e, s, named, width in model.with_signals(signals, theta, widths) for r in e.rate(s, named, width))
+    )
+    if model.states:
+        fading = ca.fmax(-step * ca.diag(ca.jacobian(rates, states)), 1e-9)
+        rates = ca.if_else(fading > STIFF, rates * (1 - ca.exp(-fading)) / fading, rates)
+    if any(chosen and e.load_dependent for e, chosen in zip(model.effects, inside, strict=True)):
+        carried, gravity = model.rigid(inertial, payload, theta, widths)
+        bias = model.body.inverse_dynamics(links.q, links.dq, ca.SX.zeros(n), carried, gravity)
+        own = -damping * dq - dry * ca.sign(dq) - armature * ddq
+        mass = model.body.mass_matrix(links.q, carried)
+        extra = bias - total("link", links, [True] * len(inside))  # the engine's own springs too
+        needed = mass @ ddq + extra
+        residual = needed - motor - ca.substitute(drive + own, load, needed)
+        gives = any(e.simulated for e in model.effects)
+        found = mass @ (before if gives else _root(residual, ddq)) + extra
+        drive, rates = (ca.substitute(x, load, found) for x in (drive, rates))
+    arguments = [q, dq, time, step, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
+    return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(rates)])
+
+
+def _root(residual: ca.SX, x: ca.SX) -> ca.SX:
+    """The x where a residual vanishes, by Newton's method: in one step for friction in |load| once the load's signs are right."""
+    step, found = x - ca.solve(ca.jacobian(residual, x), residual), ca.SX.zeros(x.shape)
+    for _ in range(STEPS):
+        found = ca.substitute(step, x, found)
+    return found
+
+
+def shift(model: Model, theta) -> ca.SX:
+    """By how much the links stand otherwise than their encoders say, (n,) [rad], but for what gears give."""
+    result, i = ca.SX.zeros(model.robot.n), 0
+    for effect in model.effects:
+        named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
+        i += len(effect.parameters)
+        if effect.side == "motion" and not effect.simulated:
+            for j, value in zip(effect.joints, effect.shift(Signals(ca.SX.zeros(model.robot.n)), named, None), strict=True):
+                result[j] += value
+    return result
+
+
+@cache
+def _load(path: Path) -> ctypes.CDLL:
+    try:
+        library = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise UserError(f"{path} is not a usable library ({error}); delete it and it will be compiled anew") from None
+    library.rrr_oc_passive.restype = None
+    return library
+
+
+def values(theta: np.ndarray, widths: np.ndarray, held: float, inertial: np.ndarray) -> np.ndarray:
+    """What the marker's numeric field holds: `held` is what `PAYLOAD` weighs beyond the payload [kg], `inertial` (10, n)."""
+    return np.concatenate([theta, widths, [held], np.asarray(inertial).reshape(-1, order="F")])
