@@ -1,4 +1,4 @@
-"""Each effect that was found against all others in its place: the better ones take it, the equal ones are named."""
+"""Comparison of each selected effect with all alternatives in its place: better ones replace it, equal ones are its rivals."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,9 +10,9 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_t
 from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, scope_cost
 from rrr_oc.diagnosis.fitting import Fitted, refit
 from rrr_oc.diagnosis.selection import (
+    EXACT_FITS,
     FEWER_LEFT,
     SAME,
-    TRIED,
     Found,
     extended,
     fit_of,
@@ -33,24 +33,24 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 
-CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of two models does better
-MANY = 3  # parameters, beyond which two effects may be the simpler explanation
-NEAR = 0.6  # of the likelihood of what is in place, for others to be fitted there
-PAIRS = 6  # of them that are tried
-RIPPLES = 4  # at one joint, that may explain what a series over its position does
-STILL = 0.5  # of the squared error while a joint stands, that a model must leave to be preferred to its equal
+EXACT_WITHIN = 10.0  # multiple of `SAME` within which two models are compared by exact fits; twice as much costs time
+MANY_PARAMETERS = 3  # number above which an effect may be replaced by two simpler ones
+NEAR = 0.6  # share of the present likelihood that an alternative needs for a fit; a larger share tries fewer
+PAIRS = 6  # pairs of effects that are fitted; more cost time
+RIPPLES = 4  # ripples of one joint above which a series over position describes them; twice as many lists more ripples
+AT_REST = 0.5  # ratio of squared errors at rest below which a model is preferred to its equal; a smaller one decides less often
 
 
 @dataclass(frozen=True)
 class Finding:
-    """An effect that the model lacked.
+    """An effect that the plain model lacks.
 
     Attributes:
-        term: In the model.
-        likelihood: What twice the log-likelihood falls by without it.
-        dimensions: Coefficients.
-        tests: Effects at their joints that competed.
-        rivals: Names and joints of effects that do as well in its place.
+        term: The effect as a term of the extended model.
+        likelihood: Fall of twice the log-likelihood when the term is removed.
+        dimensions: Number of its linear coefficients.
+        tests: Number of effects at their joints that competed.
+        rivals: Names and joints of effects that explain the recordings as well in its place.
     """
 
     term: Term
@@ -61,18 +61,22 @@ class Finding:
 
     @property
     def p_value(self) -> float:
-        """Of the likelihood, all trials together."""
+        """P-value of the likelihood ratio, corrected for all tests (Bonferroni)."""
         return float(min(1.0, self.tests * chi2.sf(self.likelihood, self.dimensions)))
 
 
 def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda _: None) -> tuple[Fitted, list[Finding]]:
-    """The model in which each effect holds against all others in its place, and what speaks for each, most important first.
+    """The model after each effect was compared with all alternatives in its place, and the findings, largest likelihood first.
 
-    Simpler effects may take the place of one, too, and a series that of many ripples.
+    An effect may be replaced by one or two simpler ones, and many ripples by a series.
     """
     plain, fitted = found.plain, found.fitted
     base = len(plain.model.terms)
-    findings, i, muddled = [], base, bool(noisy(bench, fitted))  # far from the noise, small effects take up what others lack
+    findings, i, muddled = (
+        [],
+        base,
+        bool(noisy(bench, fitted)),
+    )  # far above the noise, small effects absorb the errors of others
     while i < len(fitted.model.terms):
         fitted = _widened(bench, fitted, i, report)
         spring = _as_spring(bench, fitted, i)
@@ -86,15 +90,15 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         rivals, best = [] if spring is None or own.groups else [("parallel_spring", own.effect.joints)], None
         for candidate in (*_rivals(evidence, less.model, own), *_slow_ripples(bench, less, own)):
             tried = fit_of(bench, evidence, less, candidate)
-            if tried.better_than(fitted) > -CALL * SAME:
+            if tried.better_than(fitted) > -EXACT_WITHIN * SAME:
                 tried = refit(bench, tried.model)
                 if own.effect.width is not None or candidate.trial.effect.width is not None:
-                    tried = rewidened(bench, tried)  # it may show another width of dry friction
+                    tried = rewidened(bench, tried)  # it may imply another width of dry friction
             better = tried.better_than(fitted)
             simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
             likelier = 0 if candidate.scope is None or muddled else _put_on(candidate.trial.effect) - _put_on(own.effect)
             lead = better + (simpler + 2 * likelier) * SAME
-            if simpler <= 0:  # the simplest of equals needs no excuse
+            if simpler <= 0:  # an effect with fewer parameters keeps its full evidence
                 lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
             lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
             if abs(better) < SAME:
@@ -112,7 +116,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             names = " and ".join(t.effect.name for t in several.model.terms[-count:])
             report(f"{names} take the place of {own.effect.name}")
             fitted = _in_place(bench, i, several.model, count)
-            continue  # with these in its place
+            continue  # compare the new effects in turn
         if best is not None:
             ousted = (own.effect.name, own.effect.joints)
             taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
@@ -120,7 +124,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             rivals = [r for r in rivals if r != taker] + ([ousted] if equal else [])
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
             fitted = _in_place(bench, i, best[1].model, 1)
-        if fitted.better_than(less) < least(fitted, i, evidence.tests):  # beside what the others have become
+        if fitted.better_than(less) < least(fitted, i, evidence.tests):  # with the present estimates of the others
             report(f"{fitted.model.terms[i].effect.name} is superfluous")
             fitted = less
             continue
@@ -144,30 +148,30 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
 
 
 def _nearer_at_rest(bench: Bench, one: CalibratedModel, other: CalibratedModel) -> int:
-    """1 where one of two equal models errs much less while a joint stands, -1 where the other does, else 0.
+    """1 if the first of two equal models has a much smaller squared error at rest, -1 if the second has, else 0.
 
-    Those samples count for nothing in a fit, as dry friction is anything below its level there; but it may well be none.
+    Fits ignore samples at rest, where dry friction may take any value below its level; they can still separate equal models.
     """
     squares = [np.full(bench.n, 1e-300), np.full(bench.n, 1e-300)]
     for p in bench.prepared:
         for left, model in zip(squares, (one, other), strict=True):
             left += np.sum(np.where(p.moving, 0.0, p.measured - model.output_torque(p.recording)) ** 2, axis=1)
     fall = float(np.sum(np.log(squares[0] / squares[1])))
-    return int(fall < np.log(STILL)) - int(-fall < np.log(STILL))
+    return int(fall < np.log(AT_REST)) - int(-fall < np.log(AT_REST))
 
 
 def _by_noise(parameters: int) -> float:
-    """What so many parameters more, as one if none, gain where there is but noise, as seldom as one gains `SAME`."""
+    """Gain in twice the log-likelihood that so many parameters (at least one) reach by noise as rarely as one reaches `SAME`."""
     return float(chi2.isf(chi2.sf(SAME, 1), max(parameters, 1)))
 
 
 def _put_on(effect: Effect) -> bool:
-    """Whether it is, or comes with, what is put on and taken off between recordings."""
+    """Whether the effect is, or belongs to, something that is mounted and taken off between recordings."""
     return effect.mounted or effect.of_spring
 
 
 def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]) -> Fitted:
-    """The model with an effect of some groups in all of them, where the effects that were found later leave no reason for less."""
+    """The model with an effect of some groups extended to all, unless that makes the fit significantly worse."""
     own = fitted.model.terms[i]
     if not own.groups or own.effect.mounted or own.effect.partial:
         return fitted
@@ -176,14 +180,14 @@ def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]
     tried = refit(bench, replace(fitted.model, terms=terms))
     if tried.better_than(fitted) < -scope_cost(len(bench.labels), len(own.groups)):
         return fitted
-    report(f"{own.effect.name} is everywhere")
+    report(f"{own.effect.name} is in all recordings")
     return tried
 
 
 def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
-    """The model with a spring in the place of a harness, where that explains as much: both are one law where it always pulls.
+    """The model with a spring in place of a cable harness if it fits as well; None otherwise.
 
-    What some recordings have and others have not is likelier a spring.
+    Both are the same law where the spring is always taut; what only some recordings have is more probably a spring.
     """
     own = fitted.model.terms[i]
     if not isinstance(own.effect, CableHarness):
@@ -199,7 +203,7 @@ def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
 
 
 def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
-    """The best ripple of few cycles in the place of a series over a joint's own position."""
+    """The best ripple with less than two recorded cycles, as an alternative to a series over the joint's position."""
     if not _over_position(own.effect):
         return []
     slow = TorqueRipple.slow(view(bench.whole, less.model), own.effect.joints[0])
@@ -207,7 +211,7 @@ def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
 
 
 def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
-    """The model with one series over a joint's position where there are more than a few ripples: any shape is a sum of these."""
+    """The model with one series over a joint's position in place of more than `RIPPLES` ripples, which can describe any shape."""
     for j in range(bench.n):
         own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,)]
         shapes = [t for t in own if isinstance(t.effect, TorqueRipple) or _over_position(t.effect)]
@@ -215,7 +219,7 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
             continue
         less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
         evidence = unnamed(bench, less.model, j)
-        every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:TRIED]
+        every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:EXACT_FITS]
         best = min((refit(bench, fit_of(bench, evidence, less, c).model) for c in every), key=lambda f: f.misfit, default=less)
         if best.misfit < fitted.misfit + np.log(FEWER_LEFT):
             report("a series over position takes the place of ripples")
@@ -224,9 +228,9 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
 
 
 def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
-    """The model with one or two laws in the place of several effects of a joint that have more parameters, if they do as well.
+    """The model with one or two laws in place of several effects of a joint that have more parameters, if they fit as well.
 
-    One that was found first, as it looks most like the sum of two, leaves a rest that looks like others.
+    An effect selected first because it resembles the sum of two leaves a residual that resembles further effects.
     """
     for j in range(bench.n):
         own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,) and not t.groups]
@@ -237,7 +241,7 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
         evidence, best = gathered(bench, less.model).under(fitted.rows), None
         alone = [(c,) for c in evidence.candidates() if c.trial.effect.joints == (j,) and c.scope is None]
         simpler = [laws for laws in alone if len(laws[0].trial.effect.parameters) < number]
-        for laws in (*simpler[:TRIED], *evidence.pairs(number, PAIRS, j)):
+        for laws in (*simpler[:EXACT_FITS], *evidence.pairs(number, PAIRS, j)):
             if any(present(c, less.model) for c in laws):
                 continue
             model = less.model
@@ -256,12 +260,12 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
 
 
 def _over_position(effect: Effect) -> bool:
-    """Whether it is a torque of a joint's own position that no law stands behind."""
+    """Whether it is a black-box term over the joint's own position."""
     return effect.lawless and effect.depends_on == (("q", effect.joints[0]),)
 
 
 def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
-    """The model with a few ripples about some mean in the place of a series over a joint's own position, if they do as well."""
+    """The model with a few ripples and an offset in place of a series over position, if they fit as well; None otherwise."""
     if not _over_position(own.effect):
         return None
     j, seen, there = own.effect.joints[0], view(bench.whole, less.model), less
@@ -275,21 +279,21 @@ def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted
             return None
         there = refit(bench, fit_of(bench, evidence, there, best).model)
         simpler = len(fitted.model.values) - len(there.model.values)
-        if simpler > 0 and there.better_than(fitted) > -SAME - simpler:  # each coefficient fits noise, too
+        if simpler > 0 and there.better_than(fitted) > -SAME - simpler:  # each coefficient fits noise by 1 on average
             return there
     return None
 
 
 def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:
-    """The model with two effects in the place of one with more parameters that explains no more; None without such.
+    """The model with two effects in place of one that has more parameters and explains no more; None without such a pair.
 
-    Two laws of the catalogue must explain more than a term that is none, if need be with more parameters.
+    In place of a black-box term, two laws may have more parameters but must explain significantly more.
     """
     number, unnamed_ = len(own.estimates), own.effect.lawless
-    if number <= MANY and not unnamed_:
+    if number <= MANY_PARAMETERS and not unnamed_:
         return None
     tried = []
-    for pair in evidence.pairs(max(number, 2 * MANY + 1) if unnamed_ else number, PAIRS):
+    for pair in evidence.pairs(max(number, 2 * MANY_PARAMETERS + 1) if unnamed_ else number, PAIRS):
         foreseen = Fitted(less.model, replace(less.rows, residual=evidence.left_by(*pair)))
         if foreseen.better_than(less) > NEAR * fitted.better_than(less):
             tried.append(refit(bench, extended(extended(less.model, pair[0]), pair[1])))
@@ -301,23 +305,25 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
 
 
 def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitted:
-    """The model with its last terms moved to number i, fitted."""
+    """The model with its last `count` terms moved to place i, fitted."""
     terms = list(model.terms)
     terms[i:i] = terms[-count:]
     return refit(bench, replace(model, terms=tuple(terms[: len(model.terms)])))
 
 
 def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candidate]:
-    """The best candidates in an effect's place other than itself, one for each effect at its joints."""
+    """The best alternatives in an effect's place, one for each effect at its joints."""
     result: list[Candidate] = []
     every = evidence.candidates()
     itself = [key(c) == (own.effect.name, own.effect.joints) for c in every]
-    most = max((c.likelihood for c in every), default=0.0)  # what is not linear is foreseen too low, as its rivals are
+    most = max(
+        (c.likelihood for c in every), default=0.0
+    )  # the linear prediction is too low for a nonlinear effect and its alternatives alike
     most = max((c.likelihood for c, own_ in zip(every, itself, strict=True) if own_), default=most)
     for candidate, own_ in zip(every, itself, strict=True):
         if own_ or any(key(c) == key(candidate) for c in result) or present(candidate, model):
             continue
-        if candidate.likelihood < NEAR * most or len(result) >= TRIED:
+        if candidate.likelihood < NEAR * most or len(result) >= EXACT_FITS:
             break
         result.append(candidate)
     return result

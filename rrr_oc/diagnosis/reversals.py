@@ -1,6 +1,6 @@
-"""What happens when a joint reverses, where plain dry friction is only nearly the law and what is missing may be its own course.
+"""Reversals of a joint: where smoothed dry friction is inexact, and which smoothed sign describes a joint best.
 
-How a real joint changes direction no model knows: for which of them that spoils a diagnosis, and in which way the sign changes.
+Near a reversal the recorded speed does not resolve the direction of motion, and errors there can look like further effects.
 """
 
 from collections import Counter
@@ -20,22 +20,22 @@ from rrr_oc.effects.friction.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.numerics.smooth import TURNS
 
-LEAST = 7  # samples of a smooth motion, from which positions are told
-BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
+LEAST_SAMPLES = 7  # in the window of a smooth motion
+VARIANCE_RATIO = 1.2  # with reversals over without, above which reversals are left out; twice as much keeps nearly all
 
 
 def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
-    """The joints of which no law of the catalogue explains what happens when they reverse, (n,).
+    """Joints whose reversals no law of the catalogue explains, (n,).
 
-    Abrupt dry friction may hold a joint for a moment then, and may be anything below its level; a term that no law stands behind
-    may take up even that, so that it is asked without such, too. Where hardly more than noise was to be explained, bristles that bend
-    by less than recorded positions tell are none.
+    At a reversal dry friction may take any value below its level. A black-box term may fit that, so the variance is also compared
+    without black-box terms. Where little more than noise is to be explained, bristles that bend by less than the resolution of the
+    recorded positions do not count as an explanation.
     """
     clear, model = without_reversals(bench.prepared), found.fitted.model
     lawful = replace(model, terms=tuple(t for t in model.terms if not t.effect.lawless))
     result = np.zeros(bench.n, bool)
     for one in (model,) if len(lawful.terms) == len(model.terms) else (model, refit(bench, lawful).model):
-        result |= variance(bench.prepared, one) > BLURRED * variance(clear, one)
+        result |= variance(bench.prepared, one) > VARIANCE_RATIO * variance(clear, one)
     bristles = [(t.effect.joints[0], t.named) for t in lawful.terms if isinstance(t.effect, PreslidingHysteresis)]
     much = noisy(bench, found.plain)
     for j, theta in bristles:
@@ -44,19 +44,19 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
 
 
 def _resolution(bench: Bench, j: int) -> float:
-    """Deviation of a joint's recorded positions from a smooth motion [rad]."""
+    """Standard deviation of a joint's recorded positions about a smooth motion [rad], from the median absolute deviation."""
     off = []
     for r in (p.recording for p in bench.prepared):
-        window = max(SPEED_WINDOW, LEAST * float(np.median(np.diff(r.t))))
+        window = max(SPEED_WINDOW, LEAST_SAMPLES * float(np.median(np.diff(r.t))))
         off.append(r.q[j] - smooth(r.t, r.q[j : j + 1], r.segments, window)[0])
     return float(median_abs_deviation(np.concatenate(off), scale="normal"))  # pyright: ignore[reportArgumentType] (stubs)
 
 
 def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
-    """Dry friction, by joint, that changes sign in another way than tanh and so explains what laws of speed were found for.
+    """Dry friction, by joint, with a smoothed sign other than tanh that makes selected laws of speed superfluous.
 
-    All of them or some: with the fewer parameters the model must do as well (Akaike's criterion). Joints of an arm are alike, so that
-    the others follow where they do not fit worse.
+    The model with fewer laws must fit as well by Akaike's criterion. The joints of an arm are alike: the others take the most common
+    sign where they do not fit worse with it.
     """
     plain, fitted, result = found.plain.model.terms, found.fitted, {}
     tanh = [i for i, term in enumerate(plain) if term.effect == DryFriction(term.effect.joints)]
@@ -78,7 +78,7 @@ def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
 
 
 def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: str, laws: Sequence[Term]) -> tuple[int, Fitted]:
-    """How many laws leave where a joint's dry friction has this turn and the fit does as well, and the fit."""
+    """Number of laws that can be removed if a joint's dry friction has this smoothed sign, and the fit without them."""
     terms, fewer, left, dropped = with_turn(fitted.model.terms, number, turn), fitted, list(laws), 0
     while left:
         tried = []
@@ -95,7 +95,7 @@ def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: str, laws: Sequ
 
 
 def with_turns(model: CalibratedModel, turned: Mapping[int, Term]) -> CalibratedModel:
-    """The model with dry friction that changes sign as these terms do."""
+    """The model whose dry friction has the smoothed sign of these terms, by joint."""
 
     def alike(term: Term) -> Term:
         other = turned.get(term.effect.joints[0]) if isinstance(term.effect, DryFriction) else None
