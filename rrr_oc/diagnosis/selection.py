@@ -248,7 +248,8 @@ def _next(
 ) -> tuple[Best | None, list[Key]]:
     """The best further effect, or a black-box term where no law comes near it; None where all is chance.
 
-    `fits` are the plain model and the present one. The second result lists the effects that must precede any black-box term in later rounds; `planned` is that list for this round.
+    `fits` are the plain model and the present one. The second result lists the effects that must precede any black-box term in later
+    rounds; `planned` is that list for this round.
     """
     plain, fitted = fits
     named = _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
