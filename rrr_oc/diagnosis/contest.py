@@ -27,11 +27,7 @@ from rrr_oc.diagnosis.selection import (
     without,
 )
 from rrr_oc.diagnosis.signatures import view
-from rrr_oc.effects import Effect
-from rrr_oc.effects.elastic.cable_harness import CableHarness
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
-from rrr_oc.effects.sensor.torque_offset import TorqueOffset
-from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
+from rrr_oc.effects import CATALOGUE, Effect
 
 CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of two models does better
 MANY = 3  # parameters, beyond which two effects may be the simpler explanation
@@ -75,16 +71,16 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     findings, i, muddled = [], base, bool(noisy(bench, fitted))  # far from the noise, small effects take up what others lack
     while i < len(fitted.model.terms):
         fitted = _widened(bench, fitted, i, report)
-        spring = _as_spring(bench, fitted, i)
-        if spring is not None and fitted.model.terms[i].groups:
-            report("parallel_spring takes the place of cable_harness")
-            fitted = spring
+        equal = _equivalent(bench, fitted, i)
+        if equal is not None and fitted.model.terms[i].groups:
+            report(f"{equal.model.terms[i].effect.name} takes the place of {fitted.model.terms[i].effect.name}")
+            fitted = equal
         alone = [t.width for t in without(fitted.model, i).terms] == [t.width for t in plain.model.terms]
         less = plain if alone else refit(bench, without(fitted.model, i))
         evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
         own = fitted.model.terms[i]
-        rivals, best = [] if spring is None or own.groups else [("parallel_spring", own.effect.joints)], None
-        for candidate in (*_rivals(evidence, less.model, own), *_slow_ripples(bench, less, own)):
+        rivals, best = [] if equal is None or own.groups else [(equal.model.terms[i].effect.name, own.effect.joints)], None
+        for candidate in (*_rivals(evidence, less.model, own), *_sparse(bench, less, own)):
             tried = fit_of(bench, evidence, less, candidate)
             if tried.better_than(fitted) > -CALL * SAME:
                 tried = refit(bench, tried.model)
@@ -99,7 +95,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
             lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
             if abs(better) < SAME:
                 lead += 2 * SAME * _nearer_at_rest(bench, tried.model, fitted.model)
-            worse = SAME * max(simpler, 1) if own.effect.lawless else _by_noise(simpler)
+            worse = SAME * max(simpler, 1) if own.effect.black_box else _by_noise(simpler)
             if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
@@ -116,7 +112,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
         if best is not None:
             ousted = (own.effect.name, own.effect.joints)
             taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
-            equal = fitted.better_than(best[1]) > -SAME and not own.effect.lawless
+            equal = fitted.better_than(best[1]) > -SAME and not own.effect.black_box
             rivals = [r for r in rivals if r != taker] + ([ousted] if equal else [])
             report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
             fitted = _in_place(bench, i, best[1].model, 1)
@@ -163,13 +159,13 @@ def _by_noise(parameters: int) -> float:
 
 def _put_on(effect: Effect) -> bool:
     """Whether it is, or comes with, what is put on and taken off between recordings."""
-    return effect.mounted or effect.of_spring
+    return effect.scope == "mounted" or "springs" in effect.inputs
 
 
 def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]) -> Fitted:
     """The model with an effect of some groups in all of them, where the effects that were found later leave no reason for less."""
     own = fitted.model.terms[i]
-    if not own.groups or own.effect.mounted or own.effect.partial:
+    if not own.groups or own.effect.scope in ("mounted", "some"):
         return fitted
     everywhere = replace(own, recordings="all", groups=())
     terms = (*fitted.model.terms[:i], everywhere, *fitted.model.terms[i + 1 :])
@@ -180,37 +176,32 @@ def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]
     return tried
 
 
-def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
-    """The model with a spring in the place of a harness, where that explains as much: both are one law where it always pulls.
-
-    What some recordings have and others have not is likelier a spring.
-    """
-    own = fitted.model.terms[i]
-    if not isinstance(own.effect, CableHarness):
-        return None
-    tried = []
-    for active in ("below", "above"):
-        spring = nominal_term(ParallelSpring(own.effect.joints, active)).with_values(own.values)
-        spring = replace(spring, recordings=own.recordings, groups=own.groups)
-        terms = (*fitted.model.terms[:i], spring, *fitted.model.terms[i + 1 :])
+def _equivalent(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
+    """The model with the best of an effect's equivalents in its place, where that explains as much; None without such."""
+    own, tried = fitted.model.terms[i], []
+    for effect, theta in own.effect.equivalents(own.named):
+        other = nominal_term(effect).with_values(np.array(list(theta.values())))
+        other = replace(other, recordings=own.recordings, groups=own.groups)
+        terms = (*fitted.model.terms[:i], other, *fitted.model.terms[i + 1 :])
         tried.append(refit(bench, replace(fitted.model, terms=terms)))
-    best = min(tried, key=lambda f: f.misfit)
-    return best if best.better_than(fitted) > -SAME else None
+    best = min(tried, key=lambda f: f.misfit, default=None)
+    return best if best is not None and best.better_than(fitted) > -SAME else None
 
 
-def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
-    """The best ripple of few cycles in the place of a series over a joint's own position."""
+def _sparse(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
+    """The best law of which recordings see little, such as a ripple of few cycles, in the place of a series over position."""
     if not _over_position(own.effect):
         return []
-    slow = TorqueRipple.slow(view(bench.whole, less.model), own.effect.joints[0])
-    return Evidence.gather(bench, less.model, list(slow)).candidates()[:1]
+    seen, j = view(bench.whole, less.model), own.effect.joints[0]
+    sparse = [trial for kind in CATALOGUE.values() for trial in kind.sparse_trials(seen, j)]
+    return Evidence.gather(bench, less.model, sparse).candidates()[:1]
 
 
 def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
     """The model with one series over a joint's position where there are more than a few ripples: any shape is a sum of these."""
     for j in range(bench.n):
         own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,)]
-        shapes = [t for t in own if isinstance(t.effect, TorqueRipple) or _over_position(t.effect)]
+        shapes = [t for t in own if t.effect.resembles == "position_harmonic" or _over_position(t.effect)]
         if len(shapes) <= RIPPLES:
             continue
         less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
@@ -257,7 +248,7 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
 
 def _over_position(effect: Effect) -> bool:
     """Whether it is a torque of a joint's own position that no law stands behind."""
-    return effect.lawless and effect.depends_on == (("q", effect.joints[0]),)
+    return effect.black_box and effect.depends_on == (("q", effect.joints[0]),)
 
 
 def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
@@ -265,12 +256,13 @@ def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted
     if not _over_position(own.effect):
         return None
     j, seen, there = own.effect.joints[0], view(bench.whole, less.model), less
-    every = [trial for kind in (TorqueRipple, TorqueOffset) for trial in kind.trials(seen) if trial.effect.joints == (j,)]
-    ripples = sum(t.effect == TorqueRipple((j,)) for t in less.model.terms)
+    kinds = [kind for part in ("position_harmonic", "constant") for kind in CATALOGUE.values() if kind.resembles == part]
+    every = [trial for kind in kinds for trial in kind.trials(seen) if trial.effect.joints == (j,)]
+    ripples = sum(t.effect.resembles == "position_harmonic" and t.effect.joints == (j,) for t in less.model.terms)
     for _ in range(RIPPLES + 1):
         evidence = Evidence.gather(bench, there.model, every)
         best = next(iter(evidence.candidates()), None)
-        ripples += best is not None and isinstance(best.trial.effect, TorqueRipple)
+        ripples += best is not None and best.trial.effect.resembles == "position_harmonic"
         if best is None or ripples > RIPPLES:
             return None
         there = refit(bench, fit_of(bench, evidence, there, best).model)
@@ -285,7 +277,7 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
 
     Two laws of the catalogue must explain more than a term that is none, if need be with more parameters.
     """
-    number, unnamed_ = len(own.estimates), own.effect.lawless
+    number, unnamed_ = len(own.estimates), own.effect.black_box
     if number <= MANY and not unnamed_:
         return None
     tried = []
