@@ -14,6 +14,7 @@ from rrr_oc.diagnosis.selection import (
     FEWER_LEFT,
     SAME,
     Found,
+    Key,
     extended,
     fit_of,
     gathered,
@@ -27,11 +28,7 @@ from rrr_oc.diagnosis.selection import (
     without,
 )
 from rrr_oc.diagnosis.signatures import view
-from rrr_oc.effects import Effect
-from rrr_oc.effects.elastic.cable_harness import CableHarness
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
-from rrr_oc.effects.sensor.torque_offset import TorqueOffset
-from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
+from rrr_oc.effects import CATALOGUE, Effect
 
 EXACT_WITHIN = 10.0  # multiple of `SAME` within which two models are compared by exact fits; twice as much costs time
 MANY_PARAMETERS = 3  # number above which an effect may be replaced by two simpler ones
@@ -65,86 +62,133 @@ class Finding:
         return float(min(1.0, self.tests * chi2.sf(self.likelihood, self.dimensions)))
 
 
+@dataclass(frozen=True)
+class _Place:
+    """The place of one selected effect in a model, where alternatives are compared with it.
+
+    Attributes:
+        bench: The recordings.
+        fitted: The model with the effect, fitted.
+        less: The model without it, fitted.
+        i: Index of its term.
+        evidence: Evidence at `less`, under the noise of `fitted`.
+        muddled: Whether the selection ended far above the noise, where small effects absorb the errors of others.
+    """
+
+    bench: Bench
+    fitted: Fitted
+    less: Fitted
+    i: int
+    evidence: Evidence
+    muddled: bool
+
+    @property
+    def own(self) -> Term:
+        """The effect's term."""
+        return self.fitted.model.terms[self.i]
+
+    def fit(self, candidate: Candidate) -> Fitted:
+        """The model with an alternative in place of the effect; fitted exactly where the comparison is close."""
+        tried = fit_of(self.bench, self.evidence, self.less, candidate)
+        if tried.better_than(self.fitted) > -EXACT_WITHIN * SAME:
+            tried = refit(self.bench, tried.model)
+            if self.own.effect.width is not None or candidate.trial.effect.width is not None:
+                tried = rewidened(self.bench, tried)  # it may imply another width of dry friction
+        return tried
+
+    def lead(self, candidate: Candidate, tried: Fitted) -> float:
+        """By how much an alternative is preferred: twice the log-likelihood ratio, fewer parameters, prior, error at rest."""
+        own, effect = self.own, candidate.trial.effect
+        better, simpler = tried.better_than(self.fitted), self.simpler(candidate)
+        mounted = 0 if candidate.scope is None or self.muddled else _mountable(effect) - _mountable(own.effect)
+        lead = better + (simpler + 2 * mounted) * SAME
+        if simpler <= 0:  # an effect with fewer parameters keeps its full evidence
+            lead -= rarity(self.bench, tried, effect, candidate.scope is None) * tried.better_than(self.less)
+        lead += rarity(self.bench, self.fitted, own.effect, own.recordings == "all") * self.fitted.better_than(self.less)
+        if abs(better) < SAME:
+            lead += 2 * SAME * _nearer_at_rest(self.bench, tried.model, self.fitted.model)
+        return lead
+
+    def simpler(self, candidate: Candidate) -> int:
+        """Number of parameters that an alternative saves."""
+        return len(self.own.estimates) - len(candidate.trial.effect.parameters)
+
+    def alternatives(self) -> tuple[tuple[float, Fitted, Candidate] | None, list[Key]]:
+        """The best alternative that is preferred to the effect, with its lead and fit, and the effects that fit as well."""
+        best, rivals = None, []
+        for candidate in (*_rivals(self.evidence, self.less.model, self.own), *_sparse(self.bench, self.less, self.own)):
+            tried, simpler = self.fit(candidate), self.simpler(candidate)
+            better, lead = tried.better_than(self.fitted), self.lead(candidate, tried)
+            worse = SAME * max(simpler, 1) if self.own.effect.black_box else _by_noise(simpler)
+            if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
+                best = (lead, tried, candidate)
+            if better > -SAME:
+                rivals.append(key(candidate))
+        return best, rivals
+
+
 def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda _: None) -> tuple[Fitted, list[Finding]]:
     """The model after each effect was compared with all alternatives in its place, and the findings, largest likelihood first.
 
     An effect may be replaced by one or two simpler ones, and many ripples by a series.
     """
-    plain, fitted = found.plain, found.fitted
-    base = len(plain.model.terms)
-    findings, i, muddled = (
-        [],
-        base,
-        bool(noisy(bench, fitted)),
-    )  # far above the noise, small effects absorb the errors of others
+    fitted, base = found.fitted, len(found.plain.model.terms)
+    findings, i, muddled = [], base, bool(noisy(bench, fitted))
     while i < len(fitted.model.terms):
-        fitted = _widened(bench, fitted, i, report)
-        spring = _as_spring(bench, fitted, i)
-        if spring is not None and fitted.model.terms[i].groups:
-            report("parallel_spring takes the place of cable_harness")
-            fitted = spring
-        alone = [t.width for t in without(fitted.model, i).terms] == [t.width for t in plain.model.terms]
-        less = plain if alone else refit(bench, without(fitted.model, i))
-        evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
-        own = fitted.model.terms[i]
-        rivals, best = [] if spring is None or own.groups else [("parallel_spring", own.effect.joints)], None
-        for candidate in (*_rivals(evidence, less.model, own), *_slow_ripples(bench, less, own)):
-            tried = fit_of(bench, evidence, less, candidate)
-            if tried.better_than(fitted) > -EXACT_WITHIN * SAME:
-                tried = refit(bench, tried.model)
-                if own.effect.width is not None or candidate.trial.effect.width is not None:
-                    tried = rewidened(bench, tried)  # it may imply another width of dry friction
-            better = tried.better_than(fitted)
-            simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
-            likelier = 0 if candidate.scope is None or muddled else _put_on(candidate.trial.effect) - _put_on(own.effect)
-            lead = better + (simpler + 2 * likelier) * SAME
-            if simpler <= 0:  # an effect with fewer parameters keeps its full evidence
-                lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
-            lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
-            if abs(better) < SAME:
-                lead += 2 * SAME * _nearer_at_rest(bench, tried.model, fitted.model)
-            worse = SAME * max(simpler, 1) if own.effect.lawless else _by_noise(simpler)
-            if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
-                best = (lead, tried, candidate)
-            if better > -SAME:
-                rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
-        several = None
-        if best is None:
-            several = _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, evidence)
-        if several is not None:
-            count = len(several.model.terms) - len(less.model.terms)
-            names = " and ".join(t.effect.name for t in several.model.terms[-count:])
-            report(f"{names} take the place of {own.effect.name}")
-            fitted = _in_place(bench, i, several.model, count)
-            continue  # compare the new effects in turn
-        if best is not None:
-            ousted = (own.effect.name, own.effect.joints)
-            taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
-            equal = fitted.better_than(best[1]) > -SAME and not own.effect.lawless
-            rivals = [r for r in rivals if r != taker] + ([ousted] if equal else [])
-            report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
-            fitted = _in_place(bench, i, best[1].model, 1)
-        if fitted.better_than(less) < least(fitted, i, evidence.tests):  # with the present estimates of the others
-            report(f"{fitted.model.terms[i].effect.name} is superfluous")
-            fitted = less
-            continue
-        dimensions = len(fitted.model.terms[i].effect.amplitudes)
-        findings.append(
-            Finding(
-                fitted.model.terms[i],
-                fitted.better_than(less),
-                dimensions,
-                evidence.tests,
-                tuple(dict.fromkeys(rivals)),
-            )
-        )
-        i += 1
+        fitted, equal = _widened(bench, fitted, i, report), None
+        if (equivalent := _equivalent(bench, fitted, i)) is not None:
+            equal = equivalent.model.terms[i].effect.name, fitted.model.terms[i].effect.joints
+            if fitted.model.terms[i].groups:
+                report(f"{equal[0]} takes the place of {fitted.model.terms[i].effect.name}")
+                fitted, equal = equivalent, None
+        place = _place(bench, found, fitted, i, muddled)
+        fitted, finding = _settled_in_place(place, [] if equal is None else [equal], report)
+        if finding is not None:
+            findings.append(finding)
+            i += 1
     for shortened in (_as_series, _as_fewer):
         shorter = shortened(bench, fitted, base, report)
         if shorter is not fitted:
             return contested(bench, replace(found, fitted=shorter), report)
     order = sorted(range(len(findings)), key=lambda k: -findings[k].likelihood)
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
+
+
+def _place(bench: Bench, found: Found, fitted: Fitted, i: int, muddled: bool) -> _Place:
+    """The place of term i, with the fit and the evidence without it."""
+    rest = without(fitted.model, i)
+    alone = [t.width for t in rest.terms] == [t.width for t in found.plain.model.terms]
+    less = found.plain if alone else refit(bench, rest)
+    evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
+    return _Place(bench, fitted, less, i, evidence, muddled)
+
+
+def _settled_in_place(place: _Place, rivals: list[Key], report: Callable[[str], None]) -> tuple[Fitted, Finding | None]:
+    """The model with the best of an effect and its alternatives in place, and the finding.
+
+    The finding is None where several effects took the place, which are compared in turn, or where none is needed.
+    """
+    bench, fitted, less, own, i = place.bench, place.fitted, place.less, place.own, place.i
+    best, equals = place.alternatives()
+    rivals = [*rivals, *equals]
+    several = None
+    if best is None:
+        several = _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, place.evidence)
+    if several is not None:
+        count = len(several.model.terms) - len(less.model.terms)
+        names = " and ".join(t.effect.name for t in several.model.terms[-count:])
+        report(f"{names} take the place of {own.effect.name}")
+        return _in_place(bench, i, several.model, count), None
+    if best is not None:
+        equal = fitted.better_than(best[1]) > -SAME and not own.effect.black_box
+        rivals = [r for r in rivals if r != key(best[2])] + ([(own.effect.name, own.effect.joints)] if equal else [])
+        report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
+        fitted = _in_place(bench, i, best[1].model, 1)
+    term, likelihood, tests = fitted.model.terms[i], fitted.better_than(less), place.evidence.tests
+    if likelihood < least(fitted, i, tests):  # with the present estimates of the others
+        report(f"{term.effect.name} is superfluous")
+        return less, None
+    return fitted, Finding(term, likelihood, len(term.effect.amplitudes), tests, tuple(dict.fromkeys(rivals)))
 
 
 def _nearer_at_rest(bench: Bench, one: CalibratedModel, other: CalibratedModel) -> int:
@@ -165,15 +209,15 @@ def _by_noise(parameters: int) -> float:
     return float(chi2.isf(chi2.sf(SAME, 1), max(parameters, 1)))
 
 
-def _put_on(effect: Effect) -> bool:
+def _mountable(effect: Effect) -> bool:
     """Whether the effect is, or belongs to, something that is mounted and taken off between recordings."""
-    return effect.mounted or effect.of_spring
+    return effect.scope == "mounted" or "springs" in effect.inputs
 
 
 def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]) -> Fitted:
     """The model with an effect of some groups extended to all, unless that makes the fit significantly worse."""
     own = fitted.model.terms[i]
-    if not own.groups or own.effect.mounted or own.effect.partial:
+    if not own.groups or own.effect.scope in ("mounted", "some"):
         return fitted
     everywhere = replace(own, recordings="all", groups=())
     terms = (*fitted.model.terms[:i], everywhere, *fitted.model.terms[i + 1 :])
@@ -184,37 +228,32 @@ def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]
     return tried
 
 
-def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
-    """The model with a spring in place of a cable harness if it fits as well; None otherwise.
-
-    Both are the same law where the spring is always taut; what only some recordings have is more probably a spring.
-    """
-    own = fitted.model.terms[i]
-    if not isinstance(own.effect, CableHarness):
-        return None
-    tried = []
-    for active in ("below", "above"):
-        spring = nominal_term(ParallelSpring(own.effect.joints, active)).with_values(own.values)
-        spring = replace(spring, recordings=own.recordings, groups=own.groups)
-        terms = (*fitted.model.terms[:i], spring, *fitted.model.terms[i + 1 :])
+def _equivalent(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
+    """The model with the best of an effect's equivalents in its place, where that explains as much; None without such."""
+    own, tried = fitted.model.terms[i], []
+    for effect, theta in own.effect.equivalents(own.named):
+        other = nominal_term(effect).with_values(np.array(list(theta.values())))
+        other = replace(other, recordings=own.recordings, groups=own.groups)
+        terms = (*fitted.model.terms[:i], other, *fitted.model.terms[i + 1 :])
         tried.append(refit(bench, replace(fitted.model, terms=terms)))
-    best = min(tried, key=lambda f: f.misfit)
-    return best if best.better_than(fitted) > -SAME else None
+    best = min(tried, key=lambda f: f.misfit, default=None)
+    return best if best is not None and best.better_than(fitted) > -SAME else None
 
 
-def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
-    """The best ripple with less than two recorded cycles, as an alternative to a series over the joint's position."""
+def _sparse(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
+    """The best law of which recordings see little, such as a ripple of few cycles, in the place of a series over position."""
     if not _over_position(own.effect):
         return []
-    slow = TorqueRipple.slow(view(bench.whole, less.model), own.effect.joints[0])
-    return Evidence.gather(bench, less.model, list(slow)).candidates()[:1]
+    seen, j = view(bench.whole, less.model), own.effect.joints[0]
+    sparse = [trial for kind in CATALOGUE.values() for trial in kind.sparse_trials(seen, j)]
+    return Evidence.gather(bench, less.model, sparse).candidates()[:1]
 
 
 def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
     """The model with one series over a joint's position in place of more than `RIPPLES` ripples, which can describe any shape."""
     for j in range(bench.n):
         own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,)]
-        shapes = [t for t in own if isinstance(t.effect, TorqueRipple) or _over_position(t.effect)]
+        shapes = [t for t in own if t.effect.resembles == "position_harmonic" or _over_position(t.effect)]
         if len(shapes) <= RIPPLES:
             continue
         less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
@@ -261,7 +300,7 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
 
 def _over_position(effect: Effect) -> bool:
     """Whether it is a black-box term over the joint's own position."""
-    return effect.lawless and effect.depends_on == (("q", effect.joints[0]),)
+    return effect.black_box and effect.depends_on == (("q", effect.joints[0]),)
 
 
 def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
@@ -269,12 +308,13 @@ def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted
     if not _over_position(own.effect):
         return None
     j, seen, there = own.effect.joints[0], view(bench.whole, less.model), less
-    every = [trial for kind in (TorqueRipple, TorqueOffset) for trial in kind.trials(seen) if trial.effect.joints == (j,)]
-    ripples = sum(t.effect == TorqueRipple((j,)) for t in less.model.terms)
+    kinds = [kind for part in ("position_harmonic", "constant") for kind in CATALOGUE.values() if kind.resembles == part]
+    every = [trial for kind in kinds for trial in kind.trials(seen) if trial.effect.joints == (j,)]
+    ripples = sum(t.effect.resembles == "position_harmonic" and t.effect.joints == (j,) for t in less.model.terms)
     for _ in range(RIPPLES + 1):
         evidence = Evidence.gather(bench, there.model, every)
         best = next(iter(evidence.candidates()), None)
-        ripples += best is not None and isinstance(best.trial.effect, TorqueRipple)
+        ripples += best is not None and best.trial.effect.resembles == "position_harmonic"
         if best is None or ripples > RIPPLES:
             return None
         there = refit(bench, fit_of(bench, evidence, there, best).model)
@@ -289,7 +329,7 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
 
     In place of a black-box term, two laws may have more parameters but must explain significantly more.
     """
-    number, unnamed_ = len(own.estimates), own.effect.lawless
+    number, unnamed_ = len(own.estimates), own.effect.black_box
     if number <= MANY_PARAMETERS and not unnamed_:
         return None
     tried = []

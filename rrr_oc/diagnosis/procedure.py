@@ -22,7 +22,6 @@ from rrr_oc.diagnosis.reversals import blurred_joints, other_turns, with_turns
 from rrr_oc.diagnosis.selection import SAME, Found, Lawless, above_noise, as_seen, select_effects, worth
 from rrr_oc.diagnosis.signatures import view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
-from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.inertial_parameters import precision, prior
 
@@ -109,8 +108,8 @@ class Diagnosis:
         """One of `VERDICTS`."""
         if not self.findings:
             return "cannot_tell" if max(self.above_noise, default=0.0) > FAR else "nothing_missing"
-        undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.lawless)
-        named = any(not f.term.effect.lawless for f in self.findings)
+        undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
+        named = any(not f.term.effect.black_box for f in self.findings)
         return "cannot_tell" if named and undecided else "missing_physics"
 
 
@@ -219,7 +218,7 @@ def _without_each(
     jobs: int,
 ) -> list[Fold]:
     """Selection and fit without each fold of the recordings."""
-    empirical = any(f.term.effect.lawless for f in findings)
+    empirical = any(f.term.effect.black_box for f in findings)
     lawless = "beside" if empirical or _few_cycles(at.bench, at.plain, findings) else "never"
     every = [fold for _, fold in folds]
     held = [(bench, at.begin, every, k, bool(findings), lawless) for k, (bench, _) in enumerate(folds)]
@@ -236,7 +235,7 @@ def _claimed(
 ) -> tuple[Fitted, CalibratedModel, list[Finding], Shares]:
     """The findings that contribute on held-out recordings and differ significantly from 0, and the model with them."""
     kept, shares = _weighed(folds, at.begin, fitted, findings)
-    if not kept and any(f.term.effect.lawless for f in findings):
+    if not kept and any(f.term.effect.black_box for f in findings):
         report("looking for effects of the catalogue first")
         fitted, findings = contested(at.bench, select_effects(at.bench, at.begin, report, "after"), report)
         kept, shares = _weighed(folds, at.begin, fitted, findings)
@@ -252,9 +251,9 @@ def _claimed(
 
 
 def _few_cycles(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> bool:
-    """Whether one finding is a ripple with less than two recorded cycles, which only stands for a series."""
+    """Whether one is among them that only takes the place of a series, such as a ripple of less than two cycles."""
     seen, terms = view(bench.prepared, plain), [f.term for f in findings]
-    return any(isinstance(t.effect, TorqueRipple) and t.effect.is_slow(seen, t.named) for t in terms)
+    return any(t.effect.is_sparse(seen, t.named) for t in terms)
 
 
 def _refuted(findings: Sequence[Finding], fitted: Fitted, held_out: tuple[np.ndarray, np.ndarray]) -> bool:
@@ -326,7 +325,7 @@ def _held_out(
         after = select_effects(train, plain.model, lawless=lawless).fitted
         inner = [(train, [rest.index(i) for i in other]) for k, other in enumerate(folds) if k != number]
         found = after.model.terms[len(start.terms) :]
-        doubtful = [k for k, t in enumerate(found) if t.effect.lawless] if len(inner) > 1 else []
+        doubtful = [k for k, t in enumerate(found) if t.effect.black_box] if len(inner) > 1 else []
         if doubtful and not set(doubtful) <= set(_worth_keeping(inner, plain.model, found)[0]):
             after = select_effects(train, plain.model, lawless="never").fitted
     before, then = (_errors(bench.part(fold), fitted.model) for fitted in (plain, after))
@@ -414,7 +413,7 @@ def _worth_keeping(
         shares = _shares(folds, start, [terms[k] for k in kept])
         poor, lawless = [], False
         for k, value, least in zip(kept, shares.worth, shares.least, strict=True):
-            unnamed = terms[k].effect.lawless and not terms[k].groups
+            unnamed = terms[k].effect.black_box and not terms[k].groups
             if value <= LEAST_WORTH or (unnamed and least < -HARM):
                 poor.append(k)
                 lawless |= unnamed

@@ -20,11 +20,6 @@ from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, chance, pseudo
 from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, steadily_better, with_turn
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.effects import CATALOGUE, Effect
-from rrr_oc.effects.black_box.empirical import Empirical
-from rrr_oc.effects.friction.dry_friction import DryFriction
-from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
-from rrr_oc.effects.friction.position_dependent_friction import PositionDependentFriction
-from rrr_oc.numerics.smooth import TURNS
 
 MOST_EFFECTS = 12  # at which the selection stops; more would only cost time
 EXACT_FITS = 5  # candidates fitted on the exact equations in each round; twice as many cost twice the time
@@ -46,7 +41,7 @@ EXACT = 3e-4  # share of a joint's torque (standard deviation) below which a cha
 NOISE_RATIO = 1.1  # residual over noise above which a joint still lacks something; twice as much calls more fits complete
 MARGIN = 1.1  # factor in the score by which a black-box term must beat a law of the catalogue; twice as much: hardly ever
 UNLISTED = 0.25  # share of its evidence that a mounted effect loses if all recordings have it and none lists it
-BY_LOAD = 0.7  # share of the evidence for friction over position above which friction over load, nearly equal in slow motion, is taken
+PRECEDENCE = 0.7  # of the evidence for an effect: a law of its `precedence` with more goes before it where there is noise
 TOGETHER = 4  # effects tried in place of one black-box term; more cost time
 HOPELESS = 0.25  # share of its score that two effects must reach for a third to be tried
 NEARLY = 0.8  # share of the best score from which the edge of a piecewise torque is refined
@@ -95,7 +90,7 @@ def select_effects(
         report(f"{described(best[2], fitted.model)}: evidence {best[0]:.0f}")
         chosen = _each_its_own(bench, _exactly_fitted(bench, best), report)
         fitted = rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
-        terms = frozenset(Counter((_whatever_range(t.effect), t.groups) for t in fitted.model.terms[base:]).items())
+        terms = frozenset(Counter((t.effect.without_range(), t.groups) for t in fitted.model.terms[base:]).items())
         if terms in seen:
             break  # two equivalent sets of effects would replace each other for ever
         seen.add(terms)
@@ -110,7 +105,9 @@ def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -
     the set-up.
     """
     *others, newest = fitted.model.terms
-    if len(newest.groups) < 2 or not (newest.effect.mounted or newest.effect.side == "sensor" or newest.effect.lawless):
+    if len(newest.groups) < 2 or not (
+        newest.effect.scope == "mounted" or newest.effect.side == "sensor" or newest.effect.black_box
+    ):
         return fitted
     each = [replace(newest, groups=(g,)) for g in newest.groups]
     tried = refit(bench, replace(fitted.model, terms=(*others, *each)))
@@ -122,11 +119,6 @@ def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -
         return fitted
     report(f"{newest.effect.name} has its own parameters in each group")
     return tried
-
-
-def _whatever_range(effect: Effect) -> Effect:
-    """The effect; a series without its range, which varies a little with the rest of the model."""
-    return replace(effect, low=(), high=(), largest=0.0) if isinstance(effect, Empirical) else effect
 
 
 def rewidened(bench: Bench, fitted: Fitted) -> Fitted:
@@ -174,11 +166,11 @@ def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best |
 def _at_its_edge(evidence: Evidence) -> Evidence | None:
     """Evidence for the best piecewise torque with its edge refined from the coarse grid to where it explains most."""
     every, step, there = evidence.candidates(), EDGE_STEP, None
-    best = next((c for c in every if isinstance(c.trial.effect, Empirical) and c.trial.effect.edges), None)
+    best = next((c for c in every if c.trial.effect.has_edges), None)
     if best is None or best.score < NEARLY * every[0].score:
         return None
     effect, seen = best.trial.effect, view(evidence.bench.whole, evidence.model)
-    while step > LEAST_STEP and isinstance(effect, Empirical):
+    while step > LEAST_STEP:
         there = Evidence.gather(evidence.bench, evidence.model, [e.trial(seen) for e in (effect, *effect.near(step))])
         scores = {c.trial.effect: c.score for c in there.candidates()}
         nearest = max(scores, key=lambda e: (scores[e], e == effect), default=effect)  # of equal scores, the present edge
@@ -199,7 +191,12 @@ def _size(*candidates: Candidate) -> int:
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """Evidence for black-box terms on a joint."""
     seen, ranges = view(bench.whole, model), _ranges(bench, model)
-    every = [trial for kind in CATALOGUE.values() if kind.lawless for trial in kind.unnamed(seen, j, ranges, model.torque)]
+    every = [
+        trial
+        for kind in CATALOGUE.values()
+        if kind.role == "black_box"
+        for trial in kind.black_box_trials(seen, j, ranges, model.torque)
+    ]
     return Evidence.gather(bench, model, every)
 
 
@@ -223,17 +220,12 @@ def _ranges(bench: Bench, model: CalibratedModel) -> dict[tuple[str, int], tuple
 
 def as_seen(bench: Bench, model: CalibratedModel, terms: Sequence[Term]) -> tuple[Term, ...]:
     """The terms for a fit to other recordings: series start at 0, over the part of their range that these recordings cover."""
-    series = [isinstance(t.effect, Empirical) and not t.effect.edges for t in terms]
-    if not any(series):
+    if all(t.effect.has_edges or not t.effect.validity for t in terms):
         return tuple(terms)
     result, ranges = [], _ranges(bench, model)
-    for term, anew in zip(terms, series, strict=True):
-        if anew and isinstance(term.effect, Empirical):
-            low, high = np.array([ranges[v] for v in term.effect.variables]).T
-            low, high = np.maximum(low, term.effect.low), np.minimum(high, term.effect.high)
-            effect = replace(term.effect, low=tuple(low.tolist()), high=tuple(np.maximum(high, low + 1e-6).tolist()))
-            term = replace(term, effect=effect).with_values(0 * term.values)
-        result.append(term)
+    for term in terms:
+        effect = term.effect.renewed(ranges)
+        result.append(term if effect is None else replace(term, effect=effect).with_values(0 * term.values))
     return tuple(result)
 
 
@@ -274,7 +266,7 @@ def _next(
 
 def _exactly_fitted(bench: Bench, best: Best) -> Fitted:
     """The fit of a choice on the exact equations, from several starts where the prediction is not smooth."""
-    if best[2].trial.effect.abrupt:
+    if best[2].trial.effect.dynamics == "impact":
         return _best_start(bench, best[1].model, (0.8, 1.0, 1.2))
     return refit(bench, best[1].model)
 
@@ -298,7 +290,7 @@ def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, other: Be
         cost += best[2].penalty
         there = rewidened(bench, refit(bench, best[1].model))
         reached = there.better_than(fitted) - cost
-        if reached < goal and len(found) == 1 and series.of_speed:  # it may stand for another smoothed sign of friction
+        if reached < goal and len(found) == 1 and series.resembles == "friction_over_speed":  # or say how its sign changes
             reached = max(reached, _turned(bench, there, series.joints[0]).better_than(fitted) - cost)
         if reached >= goal:
             return found[1:]
@@ -311,11 +303,12 @@ def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, other: Be
 
 def _turned(bench: Bench, fitted: Fitted, j: int) -> Fitted:
     """The fit with that smoothed sign of a joint's dry friction which gives the smallest residual."""
-    terms, tanh = fitted.model.terms, DryFriction((j,))
-    number = next((i for i, t in enumerate(terms) if t.effect == tanh), None)
+    terms = fitted.model.terms
+    number = next((i for i, t in enumerate(terms) if t.effect in t.effect.sign_forms[:1] and t.effect.joints == (j,)), None)
     if number is None:
         return fitted
-    tried = [as_abrupt(bench, replace(fitted.model, terms=with_turn(terms, number, turn))) for turn in TURNS if turn != "tanh"]
+    others = range(1, len(terms[number].effect.sign_forms))
+    tried = [as_abrupt(bench, replace(fitted.model, terms=with_turn(terms, number, turn))) for turn in others]
     return min([fitted, *tried], key=lambda f: f.misfit)
 
 
@@ -328,7 +321,7 @@ def _beside(bench: Bench, j: int, plain: Fitted, named: Best, other: Best) -> bo
 def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> Fitted:
     """The model with a candidate, fitted; for a linear effect the fit that the evidence holds already."""
     model, effect = extended(fitted.model, candidate), candidate.trial.effect
-    if effect.abrupt:
+    if effect.dynamics == "impact":
         return _best_start(bench, model, (1.0,), fitted.rows)
     if not effect.linear:
         return refit(bench, model, without_last=fitted.rows)
@@ -359,9 +352,9 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
         there = [rewidened(bench, refit(bench, tried.model)) for _, tried, _ in equal]
         equal = [(b[0] + f.better_than(b[1]), f, b[2]) for b, f in zip(equal, there, strict=True)]
         best = max(equal, key=lambda b: b[0])
-    if best is not None and isinstance(best[2].trial.effect, PositionDependentFriction) and noisy(bench, best[1]):
-        by_load = [b for b in found if b[2].trial.effect == LoadDependentFriction(best[2].trial.effect.joints)]
-        best = max((b for b in by_load if b[0] > BY_LOAD * best[0]), key=lambda b: b[0], default=best)
+    if best is not None and best[2].trial.effect.precedence and noisy(bench, best[1]):
+        first = [b for b in found if b[2].trial.effect in best[2].trial.effect.precedence]
+        best = max((b for b in first if b[0] > PRECEDENCE * best[0]), key=lambda b: b[0], default=best)
     if best is not None:  # a residual that still holds another effect is correlated, so its effective sample size is small
         fewer = [b for b in found if _size(b[2]) <= _size(best[2]) and b[1].misfit < best[1].misfit - np.log(FEWER_LEFT)]
         best = min(fewer, key=lambda b: b[1].misfit, default=best)
@@ -386,12 +379,12 @@ def worth(plain, less, more):
 
 def _by_amplitude(effect: Effect) -> bool:
     """Whether its signature is proportional to its amplitude, so that the score test is exact."""
-    return effect.linear or effect.lawless
+    return effect.linear or effect.black_box
 
 
 def _bent(effect: Effect) -> bool:
     """Whether it has parameters of shape, which its signature keeps at the values of the trial."""
-    return not effect.lawless and len(effect.parameters) > len(effect.amplitudes)
+    return not effect.black_box and len(effect.parameters) > len(effect.amplitudes)
 
 
 def _most_of_some(candidate: Candidate, share: float) -> bool:
@@ -401,7 +394,7 @@ def _most_of_some(candidate: Candidate, share: float) -> bool:
 
 def _settled(evidence: Evidence, candidate: Candidate) -> bool:
     """Whether a candidate that acts in few places passes the robust score test."""
-    return not candidate.trial.effect.abrupt and robust_p(evidence, candidate) * evidence.tests < ROBUST_P
+    return candidate.trial.effect.dynamics != "impact" and robust_p(evidence, candidate) * evidence.tests < ROBUST_P
 
 
 def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> float:
@@ -410,7 +403,7 @@ def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> fl
     It applies while the residual is far above the noise: all models are wrong there, and the likelihood also rewards what a law
     absorbs of other effects.
     """
-    return UNLISTED if effect.mounted and everywhere and noisy(bench, fitted) else 0.0
+    return UNLISTED if effect.scope == "mounted" and everywhere and noisy(bench, fitted) else 0.0
 
 
 def noisy(bench: Bench, fitted: Fitted) -> list[int]:
@@ -460,11 +453,11 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
 
 def _confirmed_as_abrupt(evidence: Evidence, candidate: Candidate, model: CalibratedModel) -> bool:
     """Whether a law of speed is confirmed once the width of friction is the one estimated beside that law."""
-    if not candidate.trial.effect.of_speed:
+    if candidate.trial.effect.resembles != "friction_over_speed":
         return False
     bench = evidence.bench
     beside = rewidened(bench, refit(bench, extended(model, candidate))).model.terms[: len(model.terms)]
-    widths = {t.effect.joints: t.width for t in beside if isinstance(t.effect, DryFriction) and t.width}
+    widths = {t.effect.joints: t.width for t in beside if t.effect.sign_forms and t.width}
     there = refit(bench, replace(model, terms=tuple(widened(t, widths) for t in model.terms))).model
     anew = Evidence.gather(bench, there, [candidate.trial])
     return any(anew.confirmed(c) > CONFIRMED for c in anew.candidates() if c.scope == candidate.scope)
@@ -490,7 +483,7 @@ def key(candidate: Candidate) -> Key:
 def present(candidate: Candidate, model: CalibratedModel) -> bool:
     """Whether the model has the effect there already."""
     effect, scope = candidate.trial.effect, candidate.scope
-    return not effect.many and any(
+    return effect.placement != "many" and any(
         t.effect.name == effect.name
         and t.effect.joints == effect.joints
         and (not t.groups or scope is None or set(scope) & set(t.groups))

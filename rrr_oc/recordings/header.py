@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from rrr_oc.effects import Effect
-from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring, reduced
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects import Effect, listed_springs
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.csv_table import read_text
 
@@ -71,26 +69,21 @@ def read_header(path: Path) -> Header:
 
 
 def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, Any]:
-    """The `springs` of a recording as they stand in the file; a spring across two joints is written with r_2 = 1 m."""
+    """The `springs` of a recording as they stand in the file: by joint, or in a list where they span two."""
     result: dict[str, Any] = {}
     for effect, theta in springs:
         names = [joints[j] for j in effect.joints]
-        if isinstance(effect, ParallelSpring):
-            spring = {
-                "stiffness_Nm_per_rad": theta["stiffness"],
-                "equilibrium_rad": theta["equilibrium"],
-                "active": effect.active,
-            }
-            result.setdefault("pea", {}).setdefault(names[0], []).append(spring)
-        elif isinstance(effect, BiarticularSpring):
-            r = effect.pulleys  # Eq. 5 decides κ, ρ and φ only, and a change of q_0 the ratio r_1/r_2
-            radii = {"radius1_m": r, "radius2_m": 1.0, "radius3_m": theta["rho"]}
-            spring = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
-            result.setdefault("bpea", []).append({**spring, "joints": names, "winding": list(effect.winding)})
+        if effect.listing is None:
+            allowed = " and ".join(kind.name for kind in listed_springs().values())
+            raise UserError(f"a recording cannot list {effect.name!r}; allowed are {allowed}")
+        key, spring = effect.listing.key, effect.entry(theta)
+        if effect.placement == "pair":
+            result.setdefault(key, []).append({**spring, "joints": names})
         else:
-            raise UserError(f"a recording cannot list {effect.name!r}; allowed are parallel_spring and biarticular_spring")
-    if "pea" in result:
-        result["pea"] = {joint: pea[0] if len(pea) == 1 else pea for joint, pea in result["pea"].items()}
+            result.setdefault(key, {}).setdefault(names[0], []).append(spring)
+    for key, by_joint in result.items():
+        if isinstance(by_joint, dict):
+            result[key] = {joint: each[0] if len(each) == 1 else each for joint, each in by_joint.items()}
     return result
 
 
@@ -114,31 +107,55 @@ def _entry(node: "_Node", joints: tuple[str, ...]) -> Entry:
 
 
 def _springs(node: "_Node", joints: tuple[str, ...]) -> tuple[Spring, ...]:
-    data, springs = node.table(("pea", "bpea")), []
-    if "pea" in data:
-        for joint, pea in data["pea"].table(joints, what="joint").items():
-            springs += [_pea(item, joints.index(joint)) for item in pea.one_or_list()]
-    if "bpea" in data:
-        springs += [_bpea(item, joints) for item in data["bpea"].one_or_list()]
+    kinds = listed_springs()
+    data, springs = node.table(tuple(kinds)), []
+    for key, kind in kinds.items():
+        if key not in data:
+            continue
+        if kind.placement == "pair":
+            springs += [_spring(item, kind, joints) for item in data[key].one_or_list()]
+            continue
+        for joint, each in data[key].table(joints, what="joint").items():
+            springs += [_spring(item, kind, joints, joint) for item in each.one_or_list()]
     return tuple(springs)
 
 
-def _pea(node: "_Node", joint: int) -> Spring:
-    required = ("stiffness_Nm_per_rad", "equilibrium_rad")
-    data = node.table((*required, "active"), required)
-    active = data["active"].choice(("below", "above")) if "active" in data else "below"
-    theta = {"stiffness": data[required[0]].number(at_least=0.0), "equilibrium": data[required[1]].angle()}
-    return ParallelSpring((joint,), active=active), theta
+def _spring(node: "_Node", kind: type[Effect], joints: tuple[str, ...], joint: str | None = None) -> Spring:
+    """One spring, on the joint that its entry stands under, or on the two that it names."""
+    listing = kind.listing
+    assert listing is not None
+    own = () if joint is not None else ("joints",)
+    data = node.table((*listing.quantities, *own, *listing.options), listing.quantities)
+    entry: dict[str, Any] = {key: _quantity(data[key], key in listing.zero) for key in listing.quantities}
+    for key, allowed in listing.options.items():
+        if key in data:
+            entry[key] = _option(data[key], allowed, listing.counts.get(key))
+    pair = _pair(node, data, joints) if joint is None else (joint,)
+    try:
+        return kind.from_entry(tuple(map(joints.index, pair)), entry)
+    except UserError as error:
+        raise UserError(f"{node.where}: {error}") from None
 
 
-def _bpea(node: "_Node", joints: tuple[str, ...]) -> Spring:
-    """A spring across two joints; those not named are the last two of the three, or the two there are."""
-    required = ("stiffness_Nm_per_rad", "equilibrium_rad", "radius1_m", "radius2_m", "radius3_m")
-    data = node.table((*required, "joints", "winding"), required)
-    radii = [data[key].radius(zero=key == "radius3_m") for key in required[2:]]
-    kappa, rho, phi = reduced(data[required[0]].number(at_least=0.0), data[required[1]].angle(), *radii)
-    if not all(math.isfinite(value) for value in (kappa, rho, phi)):
-        raise UserError(f"{node.where}: radii {radii} m give no finite torque; check the unit")
+def _quantity(node: "_Node", zero: bool) -> float:
+    """A number whose unit is the ending of its key."""
+    if node.where.endswith("_m"):
+        return node.radius(zero)
+    return node.angle() if node.where.endswith("_rad") and not node.where.endswith("_per_rad") else node.number(at_least=0.0)
+
+
+def _option(node: "_Node", allowed: tuple[Any, ...], count: int | None) -> Any:
+    """One of the values allowed, or a list of so many."""
+    if count is None:
+        return node.choice(allowed)
+    values = node.numbers(count)
+    if any(v not in allowed for v in values):
+        raise node.fail(f"{count} numbers, each {' or '.join(map(str, allowed))}, are required")
+    return values
+
+
+def _pair(node: "_Node", data: dict[str, "_Node"], joints: tuple[str, ...]) -> tuple[str, ...]:
+    """The joints that a spring spans; those not named are the last two of three, or the two there are."""
     if "joints" in data:
         pair = tuple(item.choice(joints) for item in data["joints"].entries())
     elif len(joints) in (2, 3):
@@ -149,15 +166,7 @@ def _bpea(node: "_Node", joints: tuple[str, ...]) -> Spring:
         )
     if len(pair) != 2 or pair[0] == pair[1]:
         raise UserError(f"{node.where}.joints: found {', '.join(pair)}; two different joints are required")
-    winding = (1, 1)
-    if "winding" in data:
-        winding = data["winding"].numbers(2)
-        if any(w not in (-1, 1) for w in winding):
-            raise UserError(f"{data['winding'].where}: found {list(winding)}; two numbers, each 1 or -1, are required")
-    effect = BiarticularSpring(
-        (joints.index(pair[0]), joints.index(pair[1])), winding=(int(winding[0]), int(winding[1])), pulleys=radii[0] / radii[1]
-    )
-    return effect, {"kappa": kappa, "rho": rho, "phi": phi}
+    return pair
 
 
 def _tool(node: "_Node") -> tuple[str, tuple[float, ...]]:
