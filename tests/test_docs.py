@@ -117,6 +117,13 @@ def test_paths_exist(page):
     assert not missing_paths(page.read_text())
 
 
+def test_the_tour_names_modules_that_exist():
+    """Modules in docs/architecture.md are named from `rrr_oc/` on."""
+    named = set(re.findall(r"`([\w/]+\.py)`", (ROOT / "docs" / "architecture.md").read_text()))
+    assert len(named) > 20
+    assert not [path for path in sorted(named) if not (ROOT / "rrr_oc" / path).exists() and not (ROOT / path).exists()]
+
+
 @each_page
 def test_links_lead_somewhere(page):
     assert not missing_links(page, page.read_text())
