@@ -27,7 +27,8 @@ from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibra
 from rrr_oc.codesign.design_problem import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split
-from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.design_report import wide_console
 from rrr_oc.report.figures import save_figure
 from rrr_oc.robot.drives import Actuators, load_actuators

@@ -43,7 +43,9 @@ from rrr_oc.model.metrics import measure
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.solver import Refinement
 from rrr_oc.recordings.header import Spring, spring_json
-from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings, write_set
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.writer import write_set
 from rrr_oc.report.design_report import markdown, wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.figures import save_figure

@@ -23,7 +23,8 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.importers import import_prototype
-from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import base_parameters, from_log_cholesky, is_physical, pseudo_inertia, to_log_cholesky
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import load_robot

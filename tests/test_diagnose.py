@@ -39,7 +39,8 @@ from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
-from rrr_oc.recordings.recording import Recording, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording
 from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.robot.inertial_parameters import precision, prior
 from rrr_oc.simulation.replay import pieces

@@ -11,7 +11,7 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.importers import import_mcap, import_prototype
-from rrr_oc.recordings.recording import load_recordings
+from rrr_oc.recordings.reader import load_recordings
 
 JOINTS = ("joint1", "joint2", "joint3")
 

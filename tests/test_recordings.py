@@ -15,7 +15,8 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import differentiate, local_polynomial, smooth, split
 from rrr_oc.recordings import plausibility
-from rrr_oc.recordings.recording import load_recordings, save_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.storage import check_file, check_folder, new_folder, write_json, write_npz, write_text
 
 JOINTS = ("joint1", "joint2", "joint3")

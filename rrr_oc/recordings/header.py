@@ -14,6 +14,7 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.csv_table import read_text
 
+HEADER = "recordings.json"
 FORMAT = "rrr_oc-recordings/1"
 FREE = ("comment", "description", "license", "source")  # text for people, allowed everywhere and not read
 KEYS = ("format", "robot", "joints", "torque", "inertial", "gravity", "tool", "actuators", "recordings")

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.recording import RecordingSet, write_set
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.recordings.writer import write_set
 from rrr_oc.robot.robot import load_robot
 
 SCHEMAS = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
