@@ -1,4 +1,4 @@
-"""Files and folders that are written whole or not at all: under a temporary name, then renamed."""
+"""Text files read as UTF-8; files and folders written whole or not at all: under a temporary name, then renamed."""
 
 import json
 import os
@@ -12,6 +12,19 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from rrr_oc.errors import UserError
+
+
+def read_text(path: Path) -> str:
+    """A text file in UTF-8, with or without a byte-order mark; raises `UserError` where it is missing or something else."""
+    try:
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise UserError(f"{path}, line {line}: found byte 0x{data[error.start]:02x}; text in UTF-8 is required") from None
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -1,13 +1,13 @@
 """Purchasable hardware: the best springs and pulleys of a catalogue, searched over all of it, the rest re-optimised."""
 
-import importlib.resources
 import itertools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta, field
 from scipy.interpolate import RegularGridInterpolator
 
 from rrr_oc.codesign.design_problem import CoDesign
@@ -16,7 +16,7 @@ from rrr_oc.effects.elastic.biarticular_spring import reduced
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.parallel import unordered
-from rrr_oc.robot.parameters import check_names, read_object
+from rrr_oc.schema import Positive, Schema, Text, read_preset
 
 METHODS = ("exhaustive", "screened")
 
@@ -36,36 +36,41 @@ class Catalogue:
     biarticular: Mapping[str, tuple[float, ...]]
 
 
+Sizes = Annotated[list[Positive], Meta(min_length=1)]
+
+
+class Pulleys(Schema):
+    """Hardware of springs across two joints; radii with the cable."""
+
+    k_b_Nm_per_rad: Sizes
+    r_1_mm: Sizes
+    r_2_mm: Sizes
+    r_3_mm: Sizes
+
+
+class CatalogueFile(Schema):
+    """The content of a catalogue's file; springs across one joint by its name."""
+
+    format: Literal["rrr_oc-catalogue/1"]
+    name: Text | None = None
+    parallel_springs_Nm_per_rad: dict[str, Sizes] = field(default_factory=dict)
+    biarticular_spring: Pulleys | None = None
+
+
 def load_catalogue(source: str | Path = "prototype") -> Catalogue:
     """The bundled catalogue of the prototype, or a JSON file of the same form; raises `UserError`."""
-    if str(source) == "prototype":
-        text, where = importlib.resources.files("rrr_oc.data").joinpath("catalogue.json").read_text(), "catalogue 'prototype'"
-    elif Path(source).is_file():
-        text, where = Path(source).read_bytes(), str(source)
-    else:
-        raise UserError(f"no catalogue at {str(source)!r}; give a JSON file or 'prototype'")
-    try:
-        content = json.loads(text)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{where}: not valid JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("format") != "rrr_oc-catalogue/1":
-        raise UserError(f'{where}: expected an object with "format": "rrr_oc-catalogue/1"')
-    check_names(content, ("format", "name", "parallel_springs_Nm_per_rad", "biarticular_spring"), where)
-    pulleys = content.get("biarticular_spring", {})
-    keys = ("k_b_Nm_per_rad", "r_1_mm", "r_2_mm", "r_3_mm")
-    pulleys = read_object(where, "biarticular_spring", pulleys, keys, keys if pulleys else ())
-    lists = content.get("parallel_springs_Nm_per_rad", {})
-    lists = read_object(where, "parallel_springs_Nm_per_rad", lists, tuple(lists) if isinstance(lists, dict) else ("joints",))
-    parallel = {j: _list(where, j, v, 1.0) for j, v in lists.items()}
-    units = {"k_b": ("k_b_Nm_per_rad", 1.0), "r_1": ("r_1_mm", 1e-3), "r_2": ("r_2_mm", 1e-3), "r_3": ("r_3_mm", 1e-3)}
-    biarticular = {h: _list(where, key, pulleys[key], unit) for h, (key, unit) in units.items()} if pulleys else {}
-    return Catalogue(str(content.get("name", source)), parallel, biarticular)
+    _, given = read_preset("catalogue", source, {"prototype": "catalogue.json"}, CatalogueFile)
+    parallel = {joint: _distinct(sizes) for joint, sizes in given.parallel_springs_Nm_per_rad.items()}
+    biarticular = {}
+    if given.biarticular_spring is not None:
+        biarticular["k_b"] = _distinct(given.biarticular_spring.k_b_Nm_per_rad)
+        for radius in ("r_1", "r_2", "r_3"):
+            biarticular[radius] = _distinct(getattr(given.biarticular_spring, f"{radius}_mm"), 1e-3)
+    return Catalogue(given.name or str(source), parallel, biarticular)
 
 
-def _list(where: str, key: str, values: object, unit: float) -> tuple[float, ...]:
-    if not isinstance(values, list) or not values or not all(isinstance(v, int | float) and v > 0 for v in values):
-        raise UserError(f"{where}: {key} must be a list of numbers above 0, got {values!r}")
-    return tuple(sorted({float(v) * unit for v in values}))
+def _distinct(sizes: Sequence[float], unit: float = 1.0) -> tuple[float, ...]:
+    return tuple(sorted({size * unit for size in sizes}))
 
 
 @dataclass(frozen=True)

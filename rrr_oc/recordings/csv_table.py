@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rrr_oc.errors import UserError
+from rrr_oc.storage import read_text
 
 
 @dataclass(frozen=True)
@@ -84,19 +85,6 @@ class Table:
             raise UserError(
                 f"{self.path}, line {number}, column {self.names[column]!r}: found {found!r}; a number{comma} or nan is allowed"
             ) from None
-
-
-def read_text(path: Path) -> str:
-    """A text file in UTF-8, with or without a byte-order mark; raises `UserError` where it is missing or something else."""
-    try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise UserError(f"{path}, line {line}: found byte 0x{data[error.start]:02x}; text in UTF-8 is required") from None
 
 
 def read_table(path: Path) -> Table:

@@ -12,7 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
-from rrr_oc.recordings.header import HEADER, Entry, Header, read_header
+from rrr_oc.recordings.header import HEADER, Entry, Header, mounted_springs, read_header
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 
@@ -37,14 +37,17 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     if robot is None and header.robot not in BUNDLED:
         source = folder / header.robot
     arm, tool = _robot(file, source, header)
-    loaded = tuple(_recording(folder / entry.file, entry, header, arm) for entry in header.entries)
-    return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)  # pyright: ignore[reportArgumentType]
+    loaded = []
+    for i, entry in enumerate(header.recordings):
+        springs = mounted_springs(f"{file}: recordings[{i}].springs", entry.springs, header.joints)
+        loaded.append(replace(_recording(folder / entry.file, entry, header, arm), springs=springs))
+    return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, tuple(loaded), folder)
 
 
 def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolPoint]:
     try:
         robot = load_robot(source, header.joints, header.inertial == "nominal", header.gravity)
-        return robot, robot.tool if header.tool is None else robot.point(*header.tool)
+        return robot, robot.tool if header.tool is None else robot.point(header.tool.link, header.tool.position)
     except UserError as error:
         raise UserError(f"{file}: {error}") from None
     except OSError as error:  # such as a name that is too long
@@ -67,7 +70,7 @@ def _recording(path: Path, entry: Entry, header: Header, robot: Robot) -> Record
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = np.array([columns[name] for name in recorded])
         result = Recording(
-            entry.file, entry.group, columns["t"], q, dq, ddq, tau, columns["payload"], entry.springs, segments, computed,
+            entry.file, entry.group or entry.file, columns["t"], q, dq, ddq, tau, columns["payload"], (), segments, computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned,
         )  # fmt: skip
         result = _without_short_segments(path, result)
