@@ -1,6 +1,7 @@
 """Text files read as UTF-8; files and folders written whole or not at all: under a temporary name, then renamed."""
 
 import json
+import math
 import os
 import secrets
 import shutil
@@ -36,6 +37,11 @@ def write_text(path: str | Path, text: str) -> None:
 def write_json(path: str | Path, data: Any) -> None:
     """Write plain data; a NaN or infinity, which JSON lacks, raises ValueError."""
     write_text(path, json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def number(value: float | None) -> float | None:
+    """A number for JSON, which has neither NaN nor infinity: None in their place."""
+    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:

@@ -20,8 +20,9 @@ import typer
 from rich.markdown import Markdown
 from scipy.spatial import KDTree
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.inverse_dynamics import labels
+from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.codesign.design_problem import CONFIGURATIONS

@@ -23,7 +23,8 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import __version__
-from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, search

@@ -13,10 +13,11 @@ from chains import random_chain
 from recorded import Plant, as_set, behind_gear, multisine, real, record
 from scipy.optimize import lsq_linear
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, load_model, nominal_term, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
 from rrr_oc.calibration.covariance import box_step, covariance, normal_equations, undetermined
 from rrr_oc.calibration.friction_width import widened, with_widths
 from rrr_oc.calibration.inverse_dynamics import calibrate, fit_terms, labels, plain_model, with_parameter_values
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.regression import Rows, is_linear, prepare, rows, with_residuals
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.simulation.replay import replay, tracking_controller
-from rrr_oc.storage import write_text
+from rrr_oc.storage import number, write_text
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load")
 Errors = dict[str, dict[str, Any]]  # by file, joint and, in simulation, signal: {"nrmse": …, "rmse": …}

@@ -143,12 +143,8 @@ class Rig:
         rows, high = [torque[int(i)] for i in bounded], [*self.limits.torque[bounded]]
         low, names = [-limit for limit in high], ["torque"] * len(high)
         if math.isfinite(self.limits.floor):
-            rows, low, high, names = (
-                [*rows, self.model.tool_height(q)],
-                [*low, self.limits.floor],
-                [*high, math.inf],
-                [*names, "floor"],
-            )
+            height = self.model.tool_height(q)
+            rows, low, high, names = [*rows, height], [*low, self.limits.floor], [*high, math.inf], [*names, "floor"]
         return PathLimits(ca.Function("path", [q, dq, ddq], [ca.vertcat(*rows)]), np.array(low), np.array(high), tuple(names))
 
     def excess(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> dict[str, float]:
