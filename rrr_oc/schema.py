@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Meta
 
 from rrr_oc.errors import UserError
-from rrr_oc.storage import read_text
+from rrr_oc.storage import read_utf8
 
 T = TypeVar("T")
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
@@ -33,7 +33,7 @@ class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def read_json(path: str | Path, schema: type[T]) -> T:
     """Read a file. Raises `UserError` where it is missing, no JSON, or not as `schema` describes it."""
-    return validated(path, parsed(path, read_text(Path(path))), schema)
+    return validated(path, parsed(path, read_utf8(path).decode()), schema)
 
 
 def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schema: type[T]) -> tuple[str, T]:
@@ -49,7 +49,7 @@ def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schem
             importlib.resources.files("rrr_oc.data").joinpath(presets[str(source)]).read_text(),
         )
     elif Path(source).is_file():
-        where, text = str(source), read_text(Path(source))
+        where, text = str(source), read_utf8(source).decode()
     else:
         raise UserError(f"no {what} at {str(source)!r}; give the path of a JSON file or a preset: {', '.join(presets)}")
     return where, validated(where, parsed(where, text), schema)

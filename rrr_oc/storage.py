@@ -15,17 +15,20 @@ import numpy as np
 from rrr_oc.errors import UserError
 
 
-def read_text(path: Path) -> str:
-    """A text file in UTF-8, with or without a byte-order mark; raises `UserError` where it is missing or something else."""
+def read_utf8(path: str | Path) -> bytes:
+    """A text file in UTF-8, less a byte-order mark; raises `UserError` where it is missing or something else."""
+    path = Path(path)
     try:
-        data = path.read_bytes()
+        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     try:
-        return data.decode("utf-8-sig")
+        if not data.isascii():
+            data.decode()
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise UserError(f"{path}, line {line}: found byte 0x{data[error.start]:02x}; text in UTF-8 is required") from None
+    return data
 
 
 def write_text(path: str | Path, text: str) -> None:

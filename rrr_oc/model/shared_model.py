@@ -9,7 +9,7 @@ from rrr_oc.effects import Effect
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, ToolPoint
 
-KEPT = 500  # models; the one that was asked for longest ago goes first; doubled, long searches take more memory and derive less anew
+KEPT = 100  # models; the one asked for longest ago goes first; a diagnosis uses fewer than ten, so doubled it changes nothing there
 
 
 class _Parts:

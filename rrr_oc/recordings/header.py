@@ -12,7 +12,7 @@ from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring, reduced
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.schema import NonNegative, Schema, Text, Vector, check_names, parsed, validated
-from rrr_oc.storage import read_text
+from rrr_oc.storage import read_utf8
 
 HEADER = "recordings.json"
 FORMAT = "rrr_oc-recordings/1"
@@ -129,7 +129,7 @@ class Header(Schema):
 
 def read_header(path: Path) -> Header:
     """Read and check `recordings.json`; raises `UserError` that names the key, what was found and what is allowed."""
-    header = validated(path, _without_free_text(parsed(path, read_text(path))), Header)
+    header = validated(path, _without_free_text(parsed(path, read_utf8(path).decode())), Header)
     check_names(header.actuators, header.joints, f"{path}: actuators", "joint")
     return header
 
