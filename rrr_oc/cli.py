@@ -20,7 +20,7 @@ from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.parallel import check_jobs
-from rrr_oc.recordings.importers import import_mcap, import_prototype
+from rrr_oc.recordings.importers import JointStates, import_mcap, import_prototype
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
@@ -159,8 +159,8 @@ def mcap(
 ) -> None:
     """ROS 2 bags in MCAP files."""
     names = None if joints is None else [name.strip() for name in joints.split(",")]
-    constants = _constants(torque_constant)
-    _show_set(import_mcap(files, robot, out, names, topic, torque, inertial=inertial, torque_constant=constants))
+    states = JointStates(names, topic, torque, inertial, _constants(torque_constant))
+    _show_set(import_mcap(files, robot, out, states))
 
 
 main = entry_point(app)
