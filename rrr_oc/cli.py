@@ -182,9 +182,9 @@ def _check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
             raise UserError(f"{path}: is read by this command and would be overwritten; another place is required")
 
 
-def _constants(text: str | None) -> dict[str, float] | None:
+def _constants(text: str | None) -> dict[str, float]:
     if text is None:
-        return None
+        return {}
     try:
         return {name.strip(): float(value) for name, value in (pair.split("=") for pair in text.split(","))}
     except ValueError:

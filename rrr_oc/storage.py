@@ -42,6 +42,13 @@ def write_json(path: str | Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
+def write_csv(path: str | Path, columns: Mapping[str, Any]) -> None:
+    """Write columns (K,) under a header; `repr` of a float is the shortest text that reads back as the same number."""
+    rows = np.column_stack(list(columns.values())).tolist()
+    lines = (",".join(map(repr, row)) for row in rows)
+    write_text(path, "\n".join([",".join(columns), *lines]) + "\n")
+
+
 def number(value: float | None) -> float | None:
     """A number for JSON, which has neither NaN nor infinity: None in their place."""
     return None if value is None or not math.isfinite(value) else float(value)
@@ -54,7 +61,7 @@ def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def check_file(path: str | Path) -> None:
-    """Raise `UserError` where no file of this name could be written; for use before hours of work."""
+    """Raise `UserError` where no file of this name could be written; for checks before a long computation."""
     path = Path(path).absolute()
     with _as_user_error(path):
         if path.is_dir():
@@ -63,7 +70,7 @@ def check_file(path: str | Path) -> None:
 
 
 def check_folder(path: str | Path) -> None:
-    """Raise `UserError` where no files could be written into a folder of this name, there or to be made."""
+    """Raise `UserError` where no files could be written into a folder of this name, existing or new."""
     path = Path(path).absolute()
     with _as_user_error(path):
         if path.exists() and not path.is_dir():
@@ -116,7 +123,7 @@ def new_folder(folder: str | Path) -> Iterator[Path]:
 
 
 def _beside(path: Path) -> Path:
-    """A fresh hidden name in the same folder, so that renaming stays within one file system."""
+    """An unused hidden name in the same folder, so that renaming stays within one file system."""
     path = path.absolute()
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
 

@@ -18,7 +18,7 @@ class Recording:
     """One motion of n joints in K samples.
 
     Attributes:
-        file: Its CSV file, as listed: its name in reports.
+        file: Its CSV file, as listed in `recordings.json`; also its name in reports.
         group: Label of the physical set-up.
         t: Time [s], strictly increasing, shape (K,).
         q, dq, ddq: Positions [rad], speeds [rad/s], accelerations [rad/s²], shape (n, K).
@@ -29,8 +29,8 @@ class Recording:
         computed: Names of the columns that the file lacks and Savitzky–Golay derivatives fill.
         dropped: Number of rows dropped for a NaN.
         short: Number of rows dropped because their segment is too short for a derivative that had to be computed.
-        ignored: Columns of the file that mean nothing here.
-        turned: Columns of positions that jumped by a turn and were made to go on.
+        ignored: Columns of the file that are not read.
+        turned: Columns of positions that jumped by a whole turn and were unwrapped.
         start: When the motion began [s]; None: with the first sample.
     """
 
@@ -84,7 +84,7 @@ class RecordingSet:
     Attributes:
         robot: The chain of the joints recorded, under the set's gravity.
         source: Where the robot comes from: the name of a bundled model or the path of a URDF.
-        torque: What `Recording.tau` holds: "motor" torque at the joint's output k_t I [Nm], "load" torque of Eq. 1 [Nm], or
+        torque: The signal in `Recording.tau`: "motor" torque at the joint's output k_t I [Nm], "load" torque of Eq. 1 [Nm], or
             motor "current" [A].
         inertial: "nominal": the URDF's inertial parameters are trusted; "identify": only its kinematics are.
         tool: Where a payload is held.
@@ -122,33 +122,34 @@ class RecordingSet:
     def notes(self) -> tuple[str, ...]:
         """What a user should know of how the set was read, a sentence each."""
         notes: list[str] = []
-        ignored: dict[tuple[str, ...], list[Recording]] = {}
-        torn = [r for r in self.recordings if r.dropped + r.short]
-        if torn:
-            nan, short = sum(r.dropped for r in torn), sum(r.short for r in torn)
-            rows = sum(len(r.t) for r in torn) + nan + short
+        incomplete = [r for r in self.recordings if r.dropped + r.short]
+        if incomplete:
+            nan, short = sum(r.dropped for r in incomplete), sum(r.short for r in incomplete)
+            rows = sum(len(r.t) for r in incomplete) + nan + short
             notes.append(
-                f"{_named(torn)}: {nan + short} of {rows} rows are left out ({nan} with a NaN, {short} in pieces too short for a "
-                "derivative)"
+                f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN, {short} in pieces too short "
+                "for a derivative)"
             )
-        turned: dict[tuple[str, ...], list[Recording]] = {}
-        for r in self.recordings:
-            if r.turned:
-                turned.setdefault(r.turned, []).append(r)
-            if r.ignored:
-                ignored.setdefault(r.ignored, []).append(r)
-        for names, found in turned.items():
+        for names, found in self._by("turned").items():
             notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
-        for names, found in ignored.items():
+        for names, found in self._by("ignored").items():
             locked = "; joints that are not listed are taken to stay at 0" * any(name.startswith("q_") for name in names)
             notes.append(f"{_named(found)}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
-        same = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
-        if same and any(np.any(r.payload > 0) for r in self.recordings):
+        default = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
+        if default and any(np.any(r.payload > 0) for r in self.recordings):
             notes.append(
                 f"the payload is held at the frame of link {self.robot.tool_link!r}, "
                 f"{np.linalg.norm(self.tool.position):.3g} m from {self.joints[self.tool.joint]}; 'tool' says where else it may be"
             )
         return tuple(notes)
+
+    def _by(self, names: str) -> dict[tuple[str, ...], list[Recording]]:
+        """Recordings by one of their tuples of columns, where it is not empty."""
+        result: dict[tuple[str, ...], list[Recording]] = {}
+        for r in self.recordings:
+            if getattr(r, names):
+                result.setdefault(getattr(r, names), []).append(r)
+        return result
 
     def output_torque(self, recording: Recording) -> np.ndarray:
         """Recorded torque at the joints' output [Nm], shape (n, K): k_t I for currents."""

@@ -1,6 +1,5 @@
 """Recording sets written as a folder with `recordings.json` and CSV files."""
 
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ from rrr_oc.recordings.header import FORMAT, HEADER, spring_json
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import BUNDLED
-from rrr_oc.storage import new_folder
+from rrr_oc.storage import new_folder, write_csv, write_json
 
 
 def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
@@ -48,9 +47,18 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
 def write_set(
     folder: str | Path, source: str | Path, header: Mapping[str, Any], tables: Mapping[str, Mapping[str, np.ndarray]]
 ) -> RecordingSet:
-    """Write a new set from the content of `recordings.json` but for format and robot, and columns by file; read it again.
+    """Write a new set and read it again.
 
     A URDF is copied into the folder. Nothing is left behind where the set could not be read.
+
+    Args:
+        folder: Folder to make.
+        source: Bundled model or path of a URDF.
+        header: Content of `recordings.json` except its keys `format` and `robot`.
+        tables: By file, its columns (K,) by name.
+
+    Raises:
+        UserError: `folder` has something in it, the URDF is missing, or the set is not what `load_recordings` accepts.
     """
     folder = Path(folder)
     bundled = str(source) in BUNDLED
@@ -64,10 +72,9 @@ def write_set(
                     f"{source}: cannot be read: {error.strerror}; a URDF or one of {', '.join(BUNDLED)} is needed"
                 ) from None
         content = {"format": FORMAT, "robot": robot, **header}
-        (temporary / HEADER).write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_json(temporary / HEADER, content)
         for file, columns in tables.items():
-            (temporary / file).parent.mkdir(parents=True, exist_ok=True)
-            _write_csv(temporary / file, columns)
+            write_csv(temporary / file, columns)
         try:
             written = load_recordings(temporary)
         except UserError as error:
@@ -85,11 +92,3 @@ def _table(recording: Recording, joints: Sequence[str], torque: str) -> dict[str
     if np.ptp(recording.payload) > 0:
         columns["payload"] = recording.payload
     return columns
-
-
-def _write_csv(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns; `repr` of a float is the shortest text that reads back as the same number."""
-    rows = np.column_stack(list(columns.values())).tolist()
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(",".join(columns) + "\n")
-        file.writelines(",".join(map(repr, row)) + "\n" for row in rows)

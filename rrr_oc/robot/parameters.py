@@ -13,9 +13,9 @@ class Parameter:
     Attributes:
         name: Key in files and tables.
         unit: Unit of `nominal`, `lower` and `upper` (SI and radians; "1" for a ratio).
-        nominal: Value where nothing is known of it.
+        nominal: Value used where no other is known.
         lower, upper: Bounds that physics or the law's derivation imposes; a task may narrow them.
-        factor: By which it changes at most in one step of a fit; for positive ones whose inverse the law is nearly linear in.
+        factor: Largest ratio by which one step of a fit may change it; for positive parameters whose inverse enters nearly linearly.
     """
 
     name: str

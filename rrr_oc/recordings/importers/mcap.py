@@ -81,14 +81,14 @@ def _samples(file: Path, topic: str | None, joints: Sequence[str]) -> list[tuple
             missing = next(joint for joint in joints if joint not in present)
             raise UserError(f"{where}: joint {missing!r} is missing; found {', '.join(message.name)}")
         values = []
-        for field in ("position", "velocity", "effort"):
-            array = getattr(message, field)
-            if len(array) == 0 and field == "velocity":
+        for kind in ("position", "velocity", "effort"):
+            array = getattr(message, kind)
+            if len(array) == 0 and kind == "velocity":
                 values += [np.nan] * len(joints)
                 continue
             if len(array) != len(message.name):
                 raise UserError(
-                    f"{where}: {len(array)} values of {field} for {len(message.name)} joints; one per joint is required"
+                    f"{where}: {len(array)} values of {kind} for {len(message.name)} joints; one per joint is required"
                 )
             values += [float(array[message.name.index(joint)]) for joint in joints]
         samples.append((message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec, tuple(values)))
