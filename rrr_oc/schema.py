@@ -77,12 +77,17 @@ def parsed(where: str | Path, text: str) -> Any:
     return data
 
 
-def validated(where: str | Path, data: Any, schema: type[T]) -> T:
-    """Plain data as `schema` describes it; raises `UserError` that says what was found and what is allowed."""
+def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> T:
+    """Plain data as `schema` describes it; raises `UserError` that says what was found and what is allowed.
+
+    Args:
+        where: The file.
+        path: Place of the data in it.
+    """
     try:
         return msgspec.convert(data, schema)
     except msgspec.ValidationError:
-        path, said = _fault("", data, schema)
+        path, said = _fault(path, data, schema)
         raise UserError(f"{_place(where, path)}: {said}") from None
 
 

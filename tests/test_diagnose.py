@@ -725,7 +725,7 @@ def test_recorded_load_torque_may_hold_what_no_law_explains(planar, tmp_path):
     made = [record(plant, f"{i}.csv", rng, 12.0, 0.01, load=True) for i in range(4)]
     made = [replace(r, tau=r.tau + 1.5 * np.exp(-((r.q / 0.25) ** 2))) for r in made]
     found = diagnose(as_set(plant, made, torque="load"), jobs=1)
-    (term,) = (f.term for f in found.findings if f.term.effect.lawless)
+    (term,) = (f.term for f in found.findings if f.term.effect.black_box)
     assert term.effect.side == "link"
     assert term.effect.depends_on == (("q", 0),)
     assert found.held_out[1][0] < 0.3 * found.held_out[0][0]

@@ -54,7 +54,7 @@ class Term:
 
     def holds_for(self, recording: Recording) -> bool:
         """Whether the effect is at work in a recording."""
-        if self.effect.of_spring and self.effect.joints not in [spring.joints for spring, _ in recording.springs]:
+        if "springs" in self.effect.inputs and self.effect.joints not in [spring.joints for spring, _ in recording.springs]:
             return False
         return self.recordings == "all" or recording.file in self.recordings or recording.group in self.groups
 

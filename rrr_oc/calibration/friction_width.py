@@ -12,7 +12,6 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_t
 from rrr_oc.calibration.covariance import box_step, normal_equations, scales
 from rrr_oc.calibration.regression import CORRELATION, STRIDE, Prepared, Rows, filtered, rows, with_residuals
 from rrr_oc.effects import Signals
-from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.recordings.recording import Recording
 
 WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], between which the best is looked for
@@ -38,7 +37,7 @@ def with_widths(
         doubt: 0 for the best width, beyond doubt or not.
     """
     columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
-    chosen = [i for i, t in enumerate(model.terms) if isinstance(t.effect, DryFriction) and t.width is not None]
+    chosen = [i for i, t in enumerate(model.terms) if t.effect.sign_forms and t.width is not None]
     if not chosen:
         return model
     found = rows(prepared, model, inertial=model.inertial == "identify")
@@ -87,7 +86,8 @@ def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:
 def _unit_laws(term: Term, recording: Recording, width: float, speeds: np.ndarray) -> np.ndarray:
     """Dry friction of level 1, constant and falling off beyond each of the speeds (m,), (1 + m, K)."""
     (j,), dq = term.effect.joints, recording.dq
-    (torque,) = term.effect.torque(Signals(recording.q, dq), {"level": 1.0}, width)
+    (parameter,) = term.effect.parameters
+    (torque,) = term.effect.torque(Signals(recording.q, dq), {parameter.name: 1.0}, width)
     constant = np.array(torque).reshape(-1)
     return np.array([constant, *(constant * np.exp(-((dq[j] / speed) ** 2)) for speed in speeds)])
 
@@ -117,7 +117,7 @@ def clear_of_widths(found: Rows, prepared: Sequence[Prepared], model: Calibrated
 
 def _by_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[dict[tuple[int, ...], float], Rows]:
     """Widths of friction that were fitted, by joint, and the rows with derivatives by their logarithms after all others."""
-    friction = [t for t in model.terms if isinstance(t.effect, DryFriction)]
+    friction = [t for t in model.terms if t.effect.sign_forms]
     widths = {t.effect.joints: cast(float, t.width) for t in friction if t.width not in (None, nominal_term(t.effect).width)}
     columns = [found.jacobian]
     for joints, width in widths.items():

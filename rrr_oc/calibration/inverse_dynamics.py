@@ -1,8 +1,8 @@
 """Calibration on inverse dynamics: the parameters of a model's terms, and the links' inertial ones where the URDF lacks them.
 
-The plain model has dry friction, viscous friction and armature in every joint. Its residuals (`regression`) are linear in the
-parameters, so that one Gauss–Newton step solves them; other effects take more. Standard errors are those of `inference`.
-How abruptly dry friction changes sign is a property of the joint too, and is chosen first (`with_widths`).
+The plain model has the effects of the role "plain" in every joint: dry friction, viscous friction and armature. Its residuals
+(`regression`) are linear in the parameters, so that one Gauss–Newton step solves them; other effects take more. Standard errors are
+those of `inference`. How abruptly dry friction changes sign is a property of the joint too, and is chosen first (`with_widths`).
 """
 
 import platform
@@ -40,15 +40,12 @@ from rrr_oc.calibration.regression import (
     with_residuals,
     without_spikes,
 )
-from rrr_oc.effects.friction.dry_friction import DryFriction
-from rrr_oc.effects.friction.viscous_friction import ViscousFriction
-from rrr_oc.effects.transmission.armature import Armature
+from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import BaseParameters, Prior, base_parameters, from_log_cholesky, prior, pseudo_inertia
 from rrr_oc.robot.robot import BUNDLED, urdf_text
 
-PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
 SHARPENED = 2  # times that widths are moved together with all else
 STEPS = 30  # of Gauss–Newton, at most
@@ -81,7 +78,7 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
     robot, n = recordings.robot, recordings.robot.n
     if recordings.inertial == "identify":
         robot = replace(robot, inertial=_inertial(prior(robot).centre)[0])
-    kinds = () if recordings.torque == "load" else PLAIN
+    kinds = () if recordings.torque == "load" else plain_effects()
     return CalibratedModel(
         robot=robot,
         source=str(recordings.source) if str(recordings.source) in BUNDLED else "urdf",

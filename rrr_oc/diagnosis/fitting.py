@@ -13,7 +13,6 @@ from rrr_oc.calibration.inverse_dynamics import reach, with_parameter_values
 from rrr_oc.calibration.regression import Rows, rows, with_residuals
 from rrr_oc.diagnosis.evidence import Bench, independent
 from rrr_oc.effects import Effect
-from rrr_oc.effects.friction.dry_friction import DryFriction
 
 STEADY, SELDOM = 3.0, 2.0  # standard errors by which a fit must be better; of what acts only as a joint reverses, and so seldom
 STEPS, TOLERANCE = 12, 1e-5  # of Gauss–Newton; of the squared residual
@@ -115,7 +114,7 @@ def _shape_of_last(model: CalibratedModel) -> list[int]:
 
 def _straight(effect: Effect) -> bool:
     """Whether the prediction stays linear in all parameters with this effect; gain and load multiply what others do."""
-    return effect.plain or (effect.linear and effect.side != "sensor" and not effect.load_dependent)
+    return effect.role == "plain" or (effect.linear and effect.side != "sensor" and "load" not in effect.inputs)
 
 
 def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[str] | None = None) -> bool:
@@ -131,7 +130,7 @@ def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[st
     if scope is not None:
         inside = np.repeat([float(g in scope) for g in bench.groups], np.diff(bench.edges))
         blocks = blocks[bench.by_block(inside) > 0]
-    errors = SELDOM if one.model.terms[-1].effect.abrupt else STEADY
+    errors = SELDOM if one.model.terms[-1].effect.dynamics == "impact" else STEADY
     return bool(blocks.sum() > errors * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
 
 
@@ -140,10 +139,10 @@ def as_abrupt(bench: Bench, model: CalibratedModel) -> Fitted:
     return refit(bench, with_widths(bench.prepared, model, doubt=0.0))
 
 
-def with_turn(terms: Sequence[Term], number: int, turn: str) -> tuple[Term, ...]:
-    """The terms with the dry friction of that number changing sign in another way (`smooth.TURNS`)."""
+def with_turn(terms: Sequence[Term], number: int, turn: int) -> tuple[Term, ...]:
+    """The terms with the dry friction of that number changing sign in another way, numbered as its `sign_forms`."""
     term = terms[number]
-    return (*terms[:number], replace(term, effect=DryFriction(term.effect.joints, turn)), *terms[number + 1 :])
+    return (*terms[:number], replace(term, effect=term.effect.sign_forms[turn]), *terms[number + 1 :])
 
 
 def _moved(model: CalibratedModel, values: np.ndarray, inertial: np.ndarray) -> CalibratedModel:

@@ -15,8 +15,6 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import Prepared
 from rrr_oc.effects import CATALOGUE, Body, Effect, Signals, Trial, View
-from rrr_oc.effects.black_box.empirical import Empirical
-from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.model.recorded_physics import Physics, later, moved, states_along
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
@@ -32,7 +30,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
     low, high = np.quantile(q, [0.002, 0.998], axis=1)
     widths = np.full(len(q), 0.05)
     for term in model.terms:
-        if isinstance(term.effect, DryFriction) and term.width is not None:
+        if term.effect.sign_forms and term.width is not None:
             widths[term.effect.joints[0]] = term.width
     springs = {spring.joints for p in prepared for spring, _ in p.recording.springs}
     positions = q[:, :: max(1, q.shape[1] // SAMPLE)]
@@ -48,13 +46,13 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         inertia=np.maximum(np.median(inertia, axis=0), 1e-9),
         springs=tuple(sorted(springs)),
         payload=any(np.any(p.recording.payload > 0) for p in prepared)
-        or any(term.effect.name == "payload_mass" for term in model.terms),
+        or any(term.effect.alters == "payload" for term in model.terms),
     )
 
 
 def trials(seen: View, torque: str) -> list[Trial]:
     """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive."""
-    kinds = [kind for kind in CATALOGUE.values() if not kind.plain and not (torque == "load" and kind.side == "drive")]
+    kinds = [kind for kind in CATALOGUE.values() if kind.role != "plain" and not (torque == "load" and kind.side == "drive")]
     return [trial for kind in kinds for trial in kind.trials(seen)]
 
 
@@ -104,7 +102,7 @@ class Context:
     @cached_property
     def gain(self) -> np.ndarray | None:
         """Recorded over true change of each joint's torque (n,), as the model's sensors have it; None where they delay it."""
-        if any(effect.side == "sensor" and effect.of_arm for effect in self.physics.model.effects):
+        if any(effect.dynamics == "delay" for effect in self.physics.model.effects):
             return None
         return self.physics.passed_on(self.recording, np.ones_like(self.load))[:, 0]
 
@@ -119,17 +117,17 @@ class Context:
         load = of("link", "body", "motion")
         return {
             "load": load,
-            "body": load if any(effect.simulated for effect, *_ in named) else of("body", "motion"),
-            "through": tuple(one for one in named if one[0].load_dependent and self.torque != "load"),
+            "body": load if any(effect.moves_link for effect, *_ in named) else of("body", "motion"),
+            "through": tuple(one for one in named if "load" in one[0].inputs and self.torque != "load"),
         }
 
     def behind(self, effect: Effect) -> Hashable | None:
         """What of the model the signature of an effect follows from, before sensors; None where from nearly all of it."""
-        if effect.side == "sensor" or effect.of_friction:
+        if effect.side == "sensor" or "friction" in effect.inputs:
             return None
         felt = range(len(self.load)) if effect.side != "link" else effect.joints
         through = [one for one in self._at_work["through"] if effect.side != "drive" and one[0].joints[0] in felt]
-        if effect.load_dependent or effect.side == "motion" or through:
+        if "load" in effect.inputs or effect.side == "motion" or through:
             return *through, self._at_work["load"]
         return self._at_work["body"] if effect.side == "body" else ()
 
@@ -160,11 +158,11 @@ def context(prepared: Prepared, model: CalibratedModel) -> Context:
     through = np.ones_like(load)
     plain = Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload)
     for effect, theta, width in named:
-        if effect.plain and effect.name != "armature":
+        if effect.provides == "friction":
             friction[effect.joints[0]] += np.array(effect.torque(plain, theta, width)[0]).reshape(-1)
     plain = replace(plain, friction=friction)
     for effect, theta, width in named:
-        if effect.load_dependent and model.torque != "load":
+        if "load" in effect.inputs and model.torque != "load":
             more, now = (
                 np.array(effect.torque(replace(plain, load=x), theta, width)[0]).reshape(-1) for x in (load + 1e-6, load)
             )
@@ -184,13 +182,13 @@ def _before_sensors(at: Context, trial: Trial) -> np.ndarray:
     """Change of the predicted torque as no sensor distorts it, or of what one records, where the effect is one of sensors."""
     effect, r = trial.effect, at.recording
     result = np.zeros((len(trial.points), *r.q.shape))
-    if effect.of_spring and effect.joints not in (at.signals.springs or {}):
+    if "springs" in effect.inputs and effect.joints not in (at.signals.springs or {}):
         return result
     if effect.side in ("link", "drive"):
-        signals = at.signals if effect.load_dependent or effect.of_spring or effect.of_friction else at.of_motion
-        if isinstance(effect, Empirical):
+        signals = at.signals if effect.inputs else at.of_motion
+        if (basis := effect.basis(signals, trial.width)) is not None:
             coefficients = np.array([[point[a] for a in effect.amplitudes] for point in trial.points])
-            result[:, effect.joints[0]] = -coefficients @ np.array(effect.basis(signals, trial.width))
+            result[:, effect.joints[0]] = -coefficients @ np.array(basis)
         else:
             for k, theta in enumerate(trial.points):
                 _add(
@@ -200,8 +198,8 @@ def _before_sensors(at: Context, trial: Trial) -> np.ndarray:
         for k, theta in enumerate(trial.points):
             if effect.side == "sensor":
                 true = at.load if at.torque == "load" else at.motor
-                if effect.of_arm:
-                    result[k] = later(r, true, theta["delay"]) - true
+                if effect.dynamics == "delay":
+                    result[k] = later(r, true, effect.delay(theta)) - true
                 else:
                     _add(result[k], effect, effect.torque(replace(at.signals, load=true), theta, trial.width))
             else:
@@ -305,7 +303,7 @@ def _passed(at: Context, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
     What the same parts of a model gave before, at first or last, is taken as it was; of series there are too many to keep.
     """
     effect, gain = trial.effect, at.gain
-    behind = None if isinstance(effect, Empirical) or gain is None else at.behind(effect)
+    behind = None if effect.validity or gain is None else at.behind(effect)
     kept = behind is not None
     follows = trial.width, behind
     key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))

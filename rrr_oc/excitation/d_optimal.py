@@ -20,8 +20,6 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.sweeps import STEP, PlannedRecording, times
 from rrr_oc.model.symbolic_model import Model
@@ -130,9 +128,7 @@ class Rig:
     def springs(self) -> tuple[Spring, ...]:
         """The springs among the model's effects."""
         values = self.model.values(self.theta)
-        return tuple(
-            (e, values[self.model.label(e)]) for e in self.model.effects if isinstance(e, ParallelSpring | BiarticularSpring)
-        )
+        return tuple((e, values[self.model.label(e)]) for e in self.model.effects if e.listing is not None)
 
     @cached_property
     def path(self) -> "PathLimits":

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects import listed_springs
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.importers.prototype import PAYLOAD, SPRINGS
@@ -95,11 +95,9 @@ PROTOTYPE_SWEEP = Sweep(
 )
 PROTOTYPE_JOINTS = ("joint1", "joint2", "joint3")
 PROTOTYPE_SPRINGS: tuple[Spring, ...] = tuple(
-    (
-        ParallelSpring((PROTOTYPE_JOINTS.index(joint),), spring["active"]),
-        {"stiffness": spring["stiffness_Nm_per_rad"], "equilibrium": spring["equilibrium_rad"]},
-    )
-    for joint, spring in SPRINGS["pea"].items()
+    listed_springs()[key].from_entry((PROTOTYPE_JOINTS.index(joint),), spring)
+    for key, springs in SPRINGS.items()
+    for joint, spring in springs.items()
 )
 
 

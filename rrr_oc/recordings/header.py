@@ -1,15 +1,14 @@
 """`recordings.json`: what a recording set says about itself, read and checked key by key."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
+import msgspec
 from msgspec import Meta, field
 
-from rrr_oc.effects import Effect
-from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring, reduced
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects import Effect, listed_springs
 from rrr_oc.errors import UserError
 from rrr_oc.schema import NonNegative, Schema, Text, Vector, check_names, parsed, validated
 from rrr_oc.storage import read_utf8
@@ -21,6 +20,23 @@ LARGEST_ANGLE = 20 * math.pi  # [rad], ten turns; an equilibrium beyond it is ta
 LARGEST_RADIUS = 5.0  # [m]; a pulley's radius beyond it is taken for millimetres; doubled, radii of 5 mm to 10 mm would pass
 SMALLEST_RADIUS = 1e-6  # [m]; smaller ones leave no finite torque
 
+Angle = Annotated[
+    float,
+    Meta(
+        ge=-LARGEST_ANGLE,
+        le=LARGEST_ANGLE,
+        description=f"a finite number up to {LARGEST_ANGLE:.3g} is required; the unit is rad; a larger one looks like degrees",
+    ),
+]
+Radius = Annotated[
+    float,
+    Meta(
+        ge=SMALLEST_RADIUS,
+        le=LARGEST_RADIUS,
+        description=f"a number of {SMALLEST_RADIUS:g} or more, up to {LARGEST_RADIUS:g}, is required; the unit is m; "
+        "a larger one looks like millimetres",
+    ),
+]
 Spring = tuple[Effect, dict[str, float]]
 
 
@@ -41,54 +57,13 @@ class Actuator(Schema):
             raise ValueError("torque_constant: found 0; a number of Nm/A other than 0 is required")
 
 
-class Pea(Schema):
-    """A spring across one joint (Eq. 3)."""
-
-    stiffness_Nm_per_rad: NonNegative
-    equilibrium_rad: float
-    active: Literal["below", "above"] = "below"
-
-    def __post_init__(self) -> None:
-        _check_angle("equilibrium_rad", self.equilibrium_rad)
-
-
-class Bpea(Schema):
-    """A spring across two joints (Eq. 5); those not named are the last two of the three, or the two there are."""
-
-    stiffness_Nm_per_rad: NonNegative
-    equilibrium_rad: float
-    radius1_m: NonNegative
-    radius2_m: NonNegative
-    radius3_m: NonNegative
-    joints: tuple[str, str] | None = None
-    winding: tuple[float, float] = (1, 1)
-
-    def __post_init__(self) -> None:
-        _check_angle("equilibrium_rad", self.equilibrium_rad)
-        if any(abs(turn) != 1 for turn in self.winding):
-            raise ValueError(f"winding: found {list(self.winding)}; two numbers, each 1 or -1, are required")
-        for key in ("radius1_m", "radius2_m", "radius3_m"):
-            radius = getattr(self, key)
-            if radius > LARGEST_RADIUS:
-                raise ValueError(f"{key}: found {radius:g}; the unit is m; it looks like millimetres")
-            if radius < SMALLEST_RADIUS and not (key == "radius3_m" and radius == 0):
-                raise ValueError(f"{key}: found {radius:g}; a radius of {SMALLEST_RADIUS:g} m or more is required")
-
-
-class Springs(Schema):
-    """The springs of a recording, by kind; those across one joint by its name."""
-
-    pea: dict[str, Pea | list[Pea]] = field(default_factory=dict)
-    bpea: Bpea | list[Bpea] = field(default_factory=list)
-
-
 class Entry(Schema):
     """One recording as it is listed; `payload` in kg."""
 
     file: Text
     group: Text | None = None
     payload: NonNegative = 0.0
-    springs: Springs = Springs()
+    springs: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if PurePosixPath(self.file).is_absolute() or ".." in PurePosixPath(self.file).parts:
@@ -141,65 +116,98 @@ def _without_free_text(data: Any) -> Any:
     return [_without_free_text(item) for item in data] if isinstance(data, list) else data
 
 
-def mounted_springs(where: str, springs: Springs, joints: Sequence[str]) -> tuple[Spring, ...]:
-    """The springs of a recording as effects with their parameters; `where` names them in errors."""
-    check_names(springs.pea, joints, f"{where}.pea", "joint")
-    found = [_pea(item, joints.index(joint)) for joint, pea in springs.pea.items() for item in _listed(pea)]
-    return (*found, *(_bpea(f"{where}.bpea", item, joints) for item in _listed(springs.bpea)))
+def mounted_springs(path: Path, header: Header) -> list[tuple[Spring, ...]]:
+    """The springs of each recording as effects with their parameters. Raises `UserError` that names the key in the file."""
+    kinds = listed_springs()
+    schemas = {key: _schema_of(kind) for key, kind in kinds.items()}
+    keys = [(key, _one_or_many(kinds[key], schema), None) for key, schema in schemas.items()]
+    schema = msgspec.defstruct("Springs", keys, bases=(Schema,))
+    result = []
+    for i, entry in enumerate(header.recordings):
+        place = f"recordings[{i}].springs"
+        given = msgspec.structs.asdict(validated(path, entry.springs, schema, place))
+        result.append(
+            tuple(s for key, kind in kinds.items() for s in _springs(f"{path}: {place}.{key}", kind, given[key], header.joints))
+        )
+    return result
 
 
-def _listed(one_or_list: Any) -> list[Any]:
-    return one_or_list if isinstance(one_or_list, list) else [one_or_list]
+def _schema_of(kind: type[Effect]) -> type[Schema]:
+    """The entry of a spring, from its `Listing`."""
+    listing = kind.listing
+    assert listing is not None
+    keys: list[Any] = [(key, _quantity(key, key in listing.zero)) for key in listing.quantities]
+    if kind.placement == "pair":
+        keys.append(("joints", tuple[str, str] | None, None))
+    for key, allowed in listing.options.items():
+        count = listing.counts.get(key)
+        keys.append((key, (Literal[allowed] if count is None else tuple[(float,) * count]) | None, None))
+    return msgspec.defstruct(kind.__name__, keys, bases=(Schema,))
 
 
-def _pea(spring: Pea, joint: int) -> Spring:
-    theta = {"stiffness": spring.stiffness_Nm_per_rad, "equilibrium": spring.equilibrium_rad}
-    return ParallelSpring((joint,), active=spring.active), theta
+def _quantity(key: str, zero: bool) -> Any:
+    """The type of a number whose unit is the ending of its key."""
+    if key.endswith("_m"):
+        return Radius | Literal[0] if zero else Radius
+    return Angle if key.endswith("_rad") and not key.endswith("_per_rad") else NonNegative
 
 
-def _bpea(where: str, spring: Bpea, joints: Sequence[str]) -> Spring:
-    radii = spring.radius1_m, spring.radius2_m, spring.radius3_m
-    kappa, rho, phi = reduced(spring.stiffness_Nm_per_rad, spring.equilibrium_rad, *radii)
-    if not all(math.isfinite(value) for value in (kappa, rho, phi)):
-        raise UserError(f"{where}: radii {radii} m give no finite torque; check the unit")
-    if spring.joints is None and len(joints) not in (2, 3):
+def _one_or_many(kind: type[Effect], schema: type[Schema]) -> Any:
+    some = schema | list[schema] | None
+    return some if kind.placement == "pair" else dict[str, some] | None
+
+
+def _springs(where: str, kind: type[Effect], given: Any, joints: tuple[str, ...]) -> Iterator[Spring]:
+    """Springs of one kind: those of one joint by its name, those of two in a list."""
+    if kind.placement != "pair":
+        check_names(given or {}, joints, where, "joint")
+    for joint, some in [(None, given)] if kind.placement == "pair" else (given or {}).items():
+        for spring in some if isinstance(some, list) else [] if some is None else [some]:
+            place = where if joint is None else f"{where}.{joint}"
+            entry = {key: value for key, value in msgspec.structs.asdict(spring).items() if value is not None}
+            _check_options(place, kind, entry)
+            pair = _pair(place, entry.pop("joints", None), joints) if joint is None else (joint,)
+            try:
+                yield kind.from_entry(tuple(map(joints.index, pair)), entry)
+            except UserError as error:
+                raise UserError(f"{place}: {error}") from None
+
+
+def _check_options(where: str, kind: type[Effect], entry: Mapping[str, Any]) -> None:
+    """Raise `UserError` for a list with another value than those allowed."""
+    assert kind.listing is not None
+    for key, count in kind.listing.counts.items():
+        allowed = kind.listing.options[key]
+        if any(value not in allowed for value in entry.get(key, ())):
+            wanted = f"{count} numbers, each {' or '.join(map(str, allowed))}, are required"
+            raise UserError(f"{where}.{key}: found {list(entry[key])}; {wanted}")
+
+
+def _pair(where: str, given: tuple[str, str] | None, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """The joints that a spring spans; those not named are the last two of three, or the two there are."""
+    if given is None and len(joints) not in (2, 3):
         raise UserError(f"{where}: 'joints' is missing; with {len(joints)} joints it must name the two that the spring spans")
-    pair = spring.joints or joints[-2:]
+    pair = given or joints[-2:]
     check_names(pair, joints, f"{where}.joints", "joint")
     if pair[0] == pair[1]:
         raise UserError(f"{where}.joints: found {', '.join(pair)}; two different joints are required")
-    both = joints.index(pair[0]), joints.index(pair[1])
-    return BiarticularSpring(both, winding=spring.winding, pulleys=radii[0] / radii[1]), {
-        "kappa": kappa,
-        "rho": rho,
-        "phi": phi,
-    }
-
-
-def _check_angle(key: str, angle: float) -> None:
-    if abs(angle) > LARGEST_ANGLE:
-        raise ValueError(f"{key}: found {angle:g}; the unit is rad; it looks like degrees")
+    return pair
 
 
 def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, Any]:
-    """The `springs` of a recording as they stand in the file; a spring across two joints is written with r_2 = 1 m."""
+    """The `springs` of a recording as they stand in the file: by joint, or in a list where they span two."""
     result: dict[str, Any] = {}
     for effect, theta in springs:
         names = [joints[j] for j in effect.joints]
-        if isinstance(effect, ParallelSpring):
-            spring = {
-                "stiffness_Nm_per_rad": theta["stiffness"],
-                "equilibrium_rad": theta["equilibrium"],
-                "active": effect.active,
-            }
-            result.setdefault("pea", {}).setdefault(names[0], []).append(spring)
-        elif isinstance(effect, BiarticularSpring):
-            r = effect.pulleys  # Eq. 5 decides κ, ρ and φ only, and a change of q_0 the ratio r_1/r_2
-            radii = {"radius1_m": r, "radius2_m": 1.0, "radius3_m": theta["rho"]}
-            spring = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
-            result.setdefault("bpea", []).append({**spring, "joints": names, "winding": list(effect.winding)})
+        if effect.listing is None:
+            allowed = " and ".join(kind.name for kind in listed_springs().values())
+            raise UserError(f"a recording cannot list {effect.name!r}; allowed are {allowed}")
+        key, spring = effect.listing.key, effect.entry(theta)
+        if effect.placement == "pair":
+            result.setdefault(key, []).append({**spring, "joints": names})
         else:
-            raise UserError(f"a recording cannot list {effect.name!r}; allowed are parallel_spring and biarticular_spring")
-    if "pea" in result:
-        result["pea"] = {joint: pea[0] if len(pea) == 1 else pea for joint, pea in result["pea"].items()}
+            result.setdefault(key, {}).setdefault(names[0], []).append(spring)
+    for key, by_joint in result.items():
+        if isinstance(by_joint, dict):
+            result[key] = {joint: each[0] if len(each) == 1 else each for joint, each in by_joint.items()}
     return result

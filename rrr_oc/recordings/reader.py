@@ -12,7 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
-from rrr_oc.recordings.header import HEADER, Entry, Header, mounted_springs, read_header
+from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, mounted_springs, read_header
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 
@@ -37,11 +37,11 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     if robot is None and header.robot not in BUNDLED:
         source = folder / header.robot
     arm, tool = _robot(file, source, header)
-    loaded = []
-    for i, entry in enumerate(header.recordings):
-        springs = mounted_springs(f"{file}: recordings[{i}].springs", entry.springs, header.joints)
-        loaded.append(replace(_recording(folder / entry.file, entry, header, arm), springs=springs))
-    return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, tuple(loaded), folder)
+    loaded = tuple(
+        _recording(folder / entry.file, entry, springs, header, arm)
+        for entry, springs in zip(header.recordings, mounted_springs(file, header), strict=True)
+    )
+    return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
 
 
 def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolPoint]:
@@ -54,7 +54,7 @@ def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolP
         raise UserError(f"{file}: robot {str(source)!r} cannot be read: {error.strerror}") from None
 
 
-def _recording(path: Path, entry: Entry, header: Header, robot: Robot) -> Recording:
+def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
     table = read_table(path)
     recorded = tuple(f"{'current' if header.torque == 'current' else 'tau'}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
@@ -70,7 +70,7 @@ def _recording(path: Path, entry: Entry, header: Header, robot: Robot) -> Record
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = np.array([columns[name] for name in recorded])
         result = Recording(
-            entry.file, entry.group or entry.file, columns["t"], q, dq, ddq, tau, columns["payload"], (), segments, computed,
+            entry.file, entry.group or entry.file, columns["t"], q, dq, ddq, tau, columns["payload"], springs, segments, computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned,
         )  # fmt: skip
         result = _without_short_segments(path, result)
