@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 LOWEST ?= .venv-lowest
 ARGS ?=
-# Recording which statements run takes about a third more processor time; `make test COVERAGE=` leaves it out.
+# Recording which statements run takes a quarter to a third more processor time; `make test COVERAGE=` leaves it out.
 COVERAGE ?= --cov=rrr_oc --cov-report=term
 BUILT_FROM = pyproject.toml setup.py rrr_oc/robot/_rigid_body.cpp rrr_oc/numerics/_along.cpp
 # A short part of the tests that touches every dependency.
