@@ -17,6 +17,7 @@ class DryFriction(Effect):
     """
 
     name = "dry_friction"
+    equation = "tau = -level sgn(dq)"
     parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"

@@ -11,6 +11,7 @@ class ViscousFriction(Effect):
     """tau = −coefficient dq: nu of Eq. 9."""
 
     name = "viscous_friction"
+    equation = "tau = -coefficient dq"
     parameters = (Parameter("coefficient", "Nm s/rad", 0.0, lower=0.0),)
     side = "drive"
     provides = "friction"
