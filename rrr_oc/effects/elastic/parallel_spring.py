@@ -39,8 +39,8 @@ class ParallelSpring(Effect):
     design = DesignForm(
         "PEA",
         (
-            Quantity("k_p", "stiffness_Nm_per_rad", lowest=0.0),
-            Quantity("q_eq", "equilibrium_deg", np.pi / 180, free=True),
+            Quantity("k_p", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
+            Quantity("q_eq", "equilibrium_deg", "rad", np.pi / 180, free=True),
         ),
         options=("active",),
         shop="parallel_springs_Nm_per_rad",
