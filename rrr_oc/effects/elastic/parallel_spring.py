@@ -12,7 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
 
-FURTHEST = 4 * np.pi  # [rad], of an equilibrium: beyond, a spring is no more than an offset
+FURTHEST = 4 * np.pi  # [rad], largest equilibrium; a spring beyond acts as a constant torque, which is another effect
 SIDES = ("below", "above")
 
 

@@ -1,4 +1,4 @@
-"""Viscous friction of one joint's drive: grease, and what a motor loses in proportion to speed."""
+"""Viscous friction of one joint's drive: grease, and losses of the motor in proportion to speed."""
 
 from dataclasses import dataclass
 
