@@ -31,7 +31,8 @@ from rrr_oc.effects import CATALOGUE, register
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.solver import Solver
-from rrr_oc.recordings.recording import load_recordings, save_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.simulation.engine_model import twin
 
