@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """Effects in files of their own, outside the package: seen wherever those of the package are, without a change elsewhere."""
 
 import ast
