@@ -12,8 +12,9 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
-from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, mounted_springs, read_header
+from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, read_header
 from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.springs import read_springs
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 
 
@@ -39,7 +40,7 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     arm, tool = _robot(file, source, header)
     loaded = tuple(
         _recording(folder / entry.file, entry, springs, header, arm)
-        for entry, springs in zip(header.recordings, mounted_springs(file, header), strict=True)
+        for entry, springs in zip(header.recordings, read_springs(file, header), strict=True)
     )
     return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
 
