@@ -16,14 +16,14 @@ FREE = ("comment", "description", "license", "source")  # text for people, allow
 Spring = tuple[Effect, dict[str, float]]
 
 
-class Tool(Schema):
+class Tool(Schema, frozen=True):
     """Where a payload is held: a point [m] in a link's frame."""
 
     link: Text
     position: Vector
 
 
-class Actuator(Schema):
+class Actuator(Schema, frozen=True):
     """A joint's drive: motor torque at the joint's output by current [Nm/A]."""
 
     torque_constant: float | None = None
@@ -33,7 +33,7 @@ class Actuator(Schema):
             raise ValueError("torque_constant: found 0; a number of Nm/A other than 0 is required")
 
 
-class Entry(Schema):
+class Entry(Schema, frozen=True):
     """One recording as it is listed; `payload` in kg."""
 
     file: Text
@@ -46,7 +46,7 @@ class Entry(Schema):
             raise ValueError(f"file: found {self.file!r}; a recording must lie in the set's own folder")
 
 
-class Header(Schema):
+class Header(Schema, frozen=True):
     """The content of `recordings.json`."""
 
     format: Literal["rrr_oc-recordings/1"]

@@ -52,7 +52,8 @@ def _entry_of(kind: type[Effect]) -> Any:
         keys.append(("joints", tuple[str, str] | None, None))
     for key, allowed in listing.options.items():
         count = listing.counts.get(key)
-        keys.append((key, (Literal[allowed] if count is None else tuple[(float,) * count]) | None, None))
+        values: Any = Literal[allowed] if count is None else tuple[(float,) * count]
+        keys.append((key, values | None, None))
     return msgspec.defstruct(kind.__name__, keys, bases=(Schema,))
 
 
@@ -65,7 +66,7 @@ def _quantity(key: str, zero: bool) -> Any:
 
 def _of_kind(where: str, kind: type[Effect], given: Any, joints: tuple[str, ...]) -> Iterator[Spring]:
     """Springs of one kind: those on one joint stand under its name, those across two joints alone or in a list."""
-    by_joint = {} if given is None else {None: given} if kind.placement == "pair" else given
+    by_joint: dict[Any, Any] = {} if given is None else {None: given} if kind.placement == "pair" else given
     if None not in by_joint:
         check_names(by_joint, joints, where, "joint")
     for joint, some in by_joint.items():
