@@ -56,8 +56,11 @@ def number(value: float | None) -> float | None:
 
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays, compressed; an array of objects, which would need pickle, raises ValueError."""
+    objects = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
+    if objects:  # before numpy 2.3, `savez_compressed` has no `allow_pickle` that would refuse them
+        raise ValueError(f"{', '.join(objects)}: arrays of objects need pickle, which is not used")
     with new_file(path) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        np.savez_compressed(file, **arrays)
 
 
 def check_file(path: str | Path) -> None:
