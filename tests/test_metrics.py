@@ -35,6 +35,10 @@ def test_nothing_is_integrated_between_phases():
     )
 
 
+def test_decrease():
+    np.testing.assert_allclose(metrics.decrease([1.0, 5.0], [4.0, 4.0]), [0.75, -0.25], rtol=1e-15)  # exact in binary
+
+
 @pytest.mark.parametrize(
     ("phases", "message"),
     [

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
@@ -91,13 +92,15 @@ def _rig(recordings: RecordingSet, plain: CalibratedModel, seen: View, springs: 
     torque = np.max([np.abs(recordings.output_torque(r)).max(axis=1) for r in every], axis=0)
     low, high = np.maximum(seen.low, robot.lower), np.minimum(seen.high, robot.upper)
     outside = low >= high  # recorded beyond the range that the robot's description allows
+    q = ca.SX.sym("q", robot.n)
+    height = ca.Function("height", [q], [physics.built.tool_height(q)])
     limits = Limits(
         np.where(outside, seen.low, low),
         np.where(outside, seen.high, high),
         np.minimum(FASTER * seen.speed, np.maximum(known.speed, seen.speed)),
         np.full(robot.n, np.inf),
         np.maximum(known.torque, torque),
-        min(float(np.min(np.asarray(physics.built.tool_height(r.q)))) for r in every),
+        min(float(np.min(np.asarray(height(r.q)))) for r in every),
     )
     return Rig(physics.built, limits, physics.theta, payload)
 

@@ -50,3 +50,8 @@ def measure(phases: Sequence[tuple[np.ndarray, np.ndarray]]) -> Metrics:
     E1 = np.sum([np.trapezoid(np.square(tau), t, axis=-1) for t, tau in phases], axis=0)
     peak = np.max([np.max(np.abs(tau), axis=-1) for _, tau in phases], axis=0)
     return Metrics(E1, np.sqrt(E1 / duration), peak, duration)
+
+
+def decrease(value, reference):
+    """Relative decrease 1 − value/reference [1], against stiff actuation in the paper; scalars or (n,)."""
+    return 1 - np.asarray(value) / np.asarray(reference)
