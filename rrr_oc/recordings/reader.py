@@ -71,7 +71,8 @@ def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: He
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = np.array([columns[name] for name in recorded])
         result = Recording(
-            entry.file, entry.group or entry.file, columns["t"], q, dq, ddq, tau, columns["payload"], springs, segments, computed,
+            columns["t"], q, dq, ddq, columns["payload"], segments,
+            file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned,
         )  # fmt: skip
         result = _without_short_segments(path, result)
