@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from rrr_oc.model.motion import Motion
 from rrr_oc.recordings.header import HEADER, Spring
@@ -45,11 +43,6 @@ class Recording(Motion):
         """A motion that has not been recorded yet: without torque, its group labelled by its name unless given."""
         of_motion = {f.name: getattr(motion, f.name) for f in fields(Motion)}
         return cls(file=name, group=group or name, tau=np.zeros_like(motion.q), springs=springs, **of_motion)
-
-    @cached_property
-    def filters(self) -> dict[tuple[str, float], csr_matrix]:
-        """Filters made for this recording, as matrices, by their kind and window [s]."""
-        return {}
 
 
 @dataclass(frozen=True)
