@@ -17,6 +17,8 @@ from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simul
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
+from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects.base import PLACEMENTS, SIDES
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.parallel import check_jobs
@@ -130,6 +132,19 @@ def evaluate(
     else:
         write_json(out, result)
         _show_errors(result)
+
+
+@app.command()
+def effects() -> None:
+    """List the effects of the catalogue: their laws, parameters and units, and where they act."""
+    table = Table("effect", "law", "parameters", "acts on", "where", show_lines=True)
+    for kind in CATALOGUE.values():
+        fixed = isinstance(kind.parameters, tuple)  # else their number depends on what the term was found to depend on
+        parameters = ", ".join(f"{p.name} \\[{p.unit}]" for p in kind.parameters) if fixed else "coefficients \\[Nm]"
+        table.add_row(kind.name, kind.equation.replace("[", "\\["), parameters, kind.side, PLACEMENTS[kind.placement])
+    console.print(table)
+    for side, meaning in SIDES.items():
+        console.print(f"{side}: {meaning}.", highlight=False, soft_wrap=True)
 
 
 @importers.command()

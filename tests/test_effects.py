@@ -247,6 +247,14 @@ def test_springs_that_are_turned_away(make, message):
         make()
 
 
+@pytest.mark.parametrize(
+    ("stiffness", "equilibrium", "possible"), [(5.0, 1.0, True), (-0.1, 1.0, False), (5.0, 13.0, False), (0.0, -12.0, True)]
+)
+def test_springs_that_push_or_rest_out_of_reach_are_impossible(stiffness, equilibrium, possible):
+    theta = {"stiffness": stiffness, "equilibrium": equilibrium}
+    assert ParallelSpring((0,)).possible(theta, 0.0) == possible
+
+
 def random_hardware(rng) -> dict[str, float]:
     return {name: float(rng.uniform(*bounds)) for name, bounds in BOUNDS.items()}
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, HARDWARE, CoDesign, torque_path
+from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
 from rrr_oc.codesign.multistart import Optimum, SearchResult
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.solver import Solution
@@ -140,13 +140,13 @@ def _parameter_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]
 
 
 def _hardware_bounds(design: CoDesign, kkt: Kkt) -> list[ActiveBound]:
-    """The multipliers of `hardware_exists`, passed on to the bounds of k_b, q_0 and the radii that it depends on."""
+    """The multipliers of `DesignForm.exists`, passed on to the bounds of the hardware that it depends on."""
     found, solution = [], kkt.solution
+    units = {q.symbol: q.si for s in design.springs if s.hardware for q in s.form.quantities}
     gradient = -kkt.data_gradient  # fall of the cost by one unit of each datum
     for name, value, gain in zip(design.data_names, solution.problem.data, gradient, strict=True):
         words = name.split()
-        if words[0] in HARDWARE:
-            unit = {"k_b": "Nm/rad", "q_0": "rad"}.get(words[0], "m")
+        if (unit := units.get(words[0])) is not None:
             outward = gain if words[1] == "upper" else -gain
             found.append(_bound(design, solution, f"the {words[1]} bound of {words[0]}", float(value), unit, float(outward)))
     return found

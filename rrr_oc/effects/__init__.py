@@ -5,7 +5,6 @@ point group `rrr_oc.effects`, and what `register` adds, in the order of the name
 """
 
 import importlib
-import inspect
 import pkgutil
 from collections.abc import Iterator
 from importlib.metadata import entry_points
@@ -51,10 +50,10 @@ def design_forms() -> dict[str, type[Effect]]:
 
 
 def _concrete(kind: type[Effect]) -> Iterator[type[Effect]]:
-    """All concrete subclasses of a kind, however far below it."""
+    """All subclasses of a kind that have a name, however far below it; a family of effects may share a base without one."""
     for below in kind.__subclasses__():
         yield from _concrete(below)
-        if not inspect.isabstract(below):
+        if hasattr(below, "name"):
             yield below
 
 

@@ -3,7 +3,6 @@
 An effect declares what it can do, so that no other folder asks for one by its name or class.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -40,9 +39,9 @@ class Signals:
 
     Attributes:
         q, dq, ddq: Joint positions [rad], speeds [rad/s], accelerations [rad/s²].
-        load: Torque that the drives pass to the links (the load torque of Eq. 1) [Nm]; inverse dynamics knows it, forward
-            dynamics solves for it.
-        time: Since the start of the motion [s], scalar.
+        load: Torque that the drives pass to the links (the load torque of Eq. 1) [Nm]. Inverse dynamics computes it before the
+            effects in the drives; forward dynamics solves for it.
+        time: Time since the start of the motion [s], scalar.
         payload: Mass at the tool [kg], scalar.
         states: The effect's own internal states, (number of states,).
         friction: Torque of the plain dry and viscous friction of each joint's drive [Nm].
@@ -65,8 +64,8 @@ class Body:
     """The rigid body as an effect of the side "body" may change it; casadi or numpy.
 
     Attributes:
-        inertial: Of the links, without payload, (10, n).
-        gravity: In the base frame [m/s²], (3,).
+        inertial: Inertial parameters of the links without payload, as `Robot.inertial`, (10, n).
+        gravity: Gravity in the base frame [m/s²], (3,).
         payload: Mass at the tool [kg].
         position: The payload's point in the frame of the joint that carries it [m], (3,).
     """
@@ -84,10 +83,10 @@ class View:
     Attributes:
         low, high: Least and greatest position of each joint [rad], (n,).
         speed: Largest speed of each joint [rad/s], (n,).
-        duration: Of the longest recording [s].
+        duration: Duration of the longest recording [s].
         widths: Speeds over which each joint's dry friction changes sign [rad/s], (n,).
         positions: A sample of joint positions [rad], (n, K).
-        inertia: What each joint's drive moves at these, the median, without payload [kg m²], (n,).
+        inertia: Median over these positions of the inertia that each joint's drive moves, without payload [kg m²], (n,).
         springs: Joints of the springs that recordings list.
         payload: Whether a recording lists a payload, or the model has found one.
     """
@@ -110,9 +109,15 @@ class View:
 
 @dataclass(frozen=True)
 class Trial:
-    """One way in which an effect might be present, linear in its coefficients c.
+    """One way in which an effect might be present, with a prediction linear in its coefficients c.
 
     The change of the prediction is Σ c_k · change(points[k]) / size.
+
+    Attributes:
+        effect: The effect on its joints.
+        points: For each coefficient the parameters at which the change of the prediction is computed.
+        size: By which these changes are divided: the step of a difference where the prediction is not linear, else 1.
+        width: Smoothing width, in the unit of `Effect.width`.
     """
 
     effect: "Effect"
@@ -122,7 +127,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Effect(ABC):
+class Effect:
     """One piece of physics, placed on its joints.
 
     A subclass in a file of its own under `rrr_oc/effects/` appears in the catalogue by itself; others are added by
@@ -182,13 +187,15 @@ class Effect(ABC):
 
     joints: tuple[int, ...]
 
-    @abstractmethod
     def torque(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
         """Torque on each of `joints` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`.
 
-        Without `Signals.states` the arm has been at rest. Of the side "sensor": what the recorded torque has too much, from the
-        true one, which is `signals.load`.
+        Without `Signals.states` the arm has been at rest. For the side "sensor": the error of the recorded torque; the true one is
+        `signals.load`. An effect that changes the motion, the body or the time of the signals adds none.
         """
+        if self.side not in ("motion", "body") and self.dynamics != "delay":
+            raise NotImplementedError(f"{self.name} acts on the side {self.side!r} and needs a torque")
+        return tuple(0 * signals.q[j] for j in self.joints)
 
     def energy(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> Any:
         """Energy stored [J], with torque = −d energy / d q; 0 where nothing is stored."""

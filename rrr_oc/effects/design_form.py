@@ -17,13 +17,15 @@ class Quantity:
     Attributes:
         symbol: As a designer names it.
         key: In a task's file, with the unit there.
-        unit: That unit in SI units.
+        si: SI unit.
+        unit: The file's unit in that.
         lowest: What its lower bound must not be below, in the file's unit.
         free: Whether it is adjusted, not bought.
     """
 
     symbol: str
     key: str
+    si: str
     unit: float = 1.0
     lowest: float = -np.inf
     free: bool = False

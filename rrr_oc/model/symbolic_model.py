@@ -107,9 +107,9 @@ class Model:
     def motor_inverse(self) -> ca.Function:
         """(q, dq, ddq, time, payload, theta, widths, inertial) -> (tau_motor, tau_load), each (n,) [Nm].
 
-        On the way from the motion to the motor: Eq. 6, tau_load = M ddq + C dq + G − (torque of the effects on the links); then
-        tau_motor = tau_load − (torque of the effects in the drives), which may depend on tau_load. `inertial` is (10, n), without
-        payload; `time` [s] is since the start of the motion. Call it on whole (n, K) arrays.
+        Eq. 6, tau_load = M ddq + C dq + G − (torque of the effects on the links); then tau_motor = tau_load − (torque of the effects
+        in the drives), which may depend on tau_load. `inertial` is (10, n), without payload; `time` [s] is since the start of the
+        motion. Call it on whole (n, K) arrays.
         """
         arguments, motor, load = self._motor_chain()
         return ca.Function("motor_inverse", arguments, [motor, load], list(CHAIN), ["tau_motor", "tau_load"])
@@ -171,22 +171,22 @@ class Model:
 
     @cached_property
     def recorded_inverse(self) -> ca.Function:
-        """As `motor_inverse`, with two more arguments: shift (3 n,) and states, and without effects of the sensors.
+        """As `motor_inverse`, with two more arguments: shift (3 n,) and states; sensors are left out.
 
-        The links move by `shift` otherwise than the drives: positions, speeds, accelerations, one below the other; `states` are
-        those of all effects, in their order.
+        `shift` is the motion of the links less that of the drives: positions, speeds, accelerations, one below the other; `states`
+        are those of all effects, in their order.
         """
         arguments, motor, load = self._motor_chain(moved=True)
         return ca.Function("recorded_inverse", arguments, [motor, load], [*CHAIN, "shift", "states"], ["tau_motor", "tau_load"])
 
     @cached_property
     def recorded_load(self) -> ca.Function:
-        """Arguments of `recorded_inverse` -> tau_load alone, without what the drives would cost to evaluate."""
+        """Arguments of `recorded_inverse` -> tau_load alone, which is quicker where the drives do not matter."""
         arguments, _, load = self._motor_chain(moved=True)
         return ca.Function("recorded_load", arguments, [load], [*CHAIN, "shift", "states"], ["tau_load"])
 
     def rigid(self, inertial, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
-        """Inertial parameters with payload (10, n) and gravity (3,), as the effects of the side "body" make them."""
+        """Inertial parameters with payload (10, n) and gravity (3,), with the changes by effects of the side "body"."""
         body = Body(ca.SX(inertial), ca.SX(self.robot.gravity), payload, list(self.tool.position))
         for effect, named, _ in self._unpacked(theta, widths):
             body = effect.change(body, named)
@@ -216,7 +216,11 @@ class Model:
         return arguments, motor, load
 
     def with_signals(self, signals: Signals, theta, widths):
-        """Effects with what each may depend on: its own states, the plain friction, the springs listed."""
+        """(effect, signals that it may depend on, its parameters by name, its width) for each effect.
+
+        To `signals` are added its own states, the plain friction and the listed springs by their joints; of several springs on the
+        same joints the first counts.
+        """
         unpacked = list(self._unpacked(theta, widths))
         springs = {e.joints: (e, named, width) for e, named, width in reversed(unpacked) if e.provides == "springs"}
         signals, state, friction = replace(signals, springs=springs), 0, ca.SX.zeros(self.robot.n)

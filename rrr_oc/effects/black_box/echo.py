@@ -1,4 +1,4 @@
-"""A torque that no law of the catalogue explains, and that what the joint carried before decides, not the instant."""
+"""A torque that no law of the catalogue explains and that follows from the past of the load, not from the instant."""
 
 from dataclasses import dataclass
 
@@ -8,16 +8,16 @@ from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
-FREQUENCIES = (1.5, 2.0, 2.7, 3.7, 5.0, 6.7, 9.0, 12.0, 16.0, 22.0, 30.0)  # that are looked for [rad/s]
-DAMPINGS = (0.1, 0.6)
+FREQUENCIES = (1.5, 2.0, 2.7, 3.7, 5.0, 6.7, 9.0, 12.0, 16.0, 22.0, 30.0)  # [rad/s], of the trials, from which fits start
+DAMPINGS = (0.1, 0.6)  # damping ratios of the trials
 
 
 @dataclass(frozen=True)
 class Echo(Effect):
     """tau = lag (x − tau_l) + swing x'/frequency, x'' + 2 damping frequency x' + frequency² x = frequency² tau_l.
 
-    Any response of second order to the load torque that vanishes at rest: a part of the load, as a liquid or a hose, that moves
-    by itself, or something that gives way slowly.
+    Any linear second-order response to the load torque that vanishes at rest: a part of the load that moves by itself, such as a
+    liquid or a hose, or a part that creeps.
     """
 
     name = "echo"
@@ -64,7 +64,7 @@ class Echo(Effect):
 
     @classmethod
     def black_box_trials(cls, view, j, ranges, torque):
-        for frequency in FREQUENCIES if torque != "load" else ():  # there it would be driven by itself
+        for frequency in FREQUENCIES if torque != "load" else ():  # the recorded load would be its own input
             for damping in DAMPINGS:
                 points = tuple({"frequency": frequency, "damping": damping, "lag": lag, "swing": 1 - lag} for lag in (1.0, 0.0))
                 yield Trial(cls((j,)), points)

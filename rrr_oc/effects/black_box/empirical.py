@@ -1,4 +1,4 @@
-"""A torque that no law of the catalogue explains, as a smooth function of what it was found to depend on."""
+"""A torque that no law of the catalogue explains, as a smooth function of the variables that it was found to depend on."""
 
 import itertools
 import math
@@ -12,7 +12,7 @@ from rrr_oc.effects.base import Effect
 from rrr_oc.numerics.smooth import cos, fmax, fmin, sign
 from rrr_oc.robot.parameters import Parameter
 
-EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # in a variable's range, from below
+EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # of the trials, as a share of the variable's range
 STRAIGHT = ((1, 0.0, 1), (-1, 1.0, 1))  # the edges of a straight line over a whole range
 Direction = Literal["either", "turned", "upwards", "downwards"]
 EITHER: tuple[Direction, ...] = ("either", "turned")
@@ -23,21 +23,22 @@ ONE_WAY: tuple[Direction, ...] = ("upwards", "downwards")
 class Empirical(Effect):
     """tau = d Σ c_kl cos(k π x) cos(l π y) of one or two variables x, y, scaled from their range to [0, 1].
 
-    Or, of one variable, what begins at an edge: tau = d Σ c (±(x − edge))₊^p. The factor d of the joint's own direction of motion is
-    1, or sgn(dq) for what turns with it, or (1 ± sgn(dq))/2 for what acts in one direction only. Beyond its range of validity a
-    variable stays at the range's end. Cosines on an interval are smooth everywhere and converge fast for smooth functions; edges
-    stand for what stops or saturates, two of them at the ends of the range for a straight line. Each coefficient is linear.
+    Or, of one variable, a torque that begins at an edge: tau = d Σ c (±(x − edge))₊^p. The factor d of the joint's own direction of
+    motion is 1, or sgn(dq) if the torque changes sign with it, or (1 ± sgn(dq))/2 if it acts in one direction only. Beyond its range
+    of validity a variable is held at the range's end. Cosines on an interval are smooth everywhere and converge fast for smooth
+    functions; edges stand for end stops and saturation, two of them at the ends of the range for a straight line. The torque is
+    linear in the coefficients.
 
     Attributes:
-        variables: What it depends on: ("q", joint), ("dq", joint), ("ddq", joint), ("load", joint), ("motor", joint), load with
-            plain friction, or ("time", −1).
+        variables: What it depends on: ("q", joint), ("dq", joint), ("ddq", joint), ("load", joint), ("motor", joint) for the load
+            with plain friction, or ("time", −1).
         low, high: Range of validity of each [rad, rad/s, rad/s², Nm or s].
         orders: Highest k (and l).
-        direction: Of its own joint's motion, in which it acts, or with which it is turned.
-        edges: (±1, edge in [0, 1], power) of what begins at an edge, upwards or downwards.
-        largest: Bound of a series' coefficients [Nm]: terms that cancel each other where recordings are mean nothing beyond them.
-        on_link: Whether it acts on the link, not in the drive: where the load torque was recorded, and it may depend on positions and
-            speeds.
+        direction: Factor d: "either" 1, "turned" sgn(dq), "upwards" and "downwards" (1 ± sgn(dq))/2.
+        edges: (±1, edge in [0, 1], power) of a torque that begins at an edge, above or below it.
+        largest: Bound of a series' coefficients [Nm], so that large terms that cancel within the recorded range cannot arise.
+        on_link: Whether it acts on the link, not in the drive: where the load torque was recorded. It may depend on positions and
+            speeds then.
     """
 
     name = "empirical"
@@ -61,7 +62,7 @@ class Empirical(Effect):
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:
-        """(k,) or (k, l) of each coefficient; the constant is an effect only of what acts in one direction."""
+        """(k,) or (k, l) of each coefficient; a constant is part of it only if it acts in one direction, else it is an offset."""
         every = itertools.product(*(range(o + 1) for o in self.orders))
         return [p for p in every if any(p) or self.direction in ONE_WAY]
 

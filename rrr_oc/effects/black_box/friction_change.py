@@ -1,4 +1,4 @@
-"""Plain friction that is another in some recordings than in the rest, as of a gear that was cold, or greased anew."""
+"""Plain friction that differs in some recordings from the rest, as after a cold start or new grease."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,9 @@ from rrr_oc.robot.parameters import Parameter
 
 @dataclass(frozen=True)
 class FrictionChange(Effect):
-    """tau = −dry sgn(dq) − viscous dq, in some recordings only: in all it would be the plain friction itself.
+    """tau = −dry sgn(dq) − viscous dq, in some recordings only; in all of them it would be the plain friction itself.
 
-    The recordings show that friction changed; why, no law of the catalogue says.
+    The recordings show that friction changed; no law of the catalogue says why.
     """
 
     name = "friction_change"

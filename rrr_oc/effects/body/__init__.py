@@ -1,1 +1,1 @@
-"""What changes the rigid body: payloads, links, the direction of gravity."""
+"""Changes of the rigid body: payload, links, direction of gravity."""

@@ -7,6 +7,8 @@ from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.numerics.smooth import cos, sin
 from rrr_oc.robot.parameters import Parameter
 
+STEP = 1e-4  # [rad], of the difference that stands for a derivative
+
 
 @dataclass(frozen=True)
 class GravityTilt(Effect):
@@ -21,9 +23,6 @@ class GravityTilt(Effect):
     placement = "arm"
     alters = "gravity"
 
-    def torque(self, signals, theta, width):
-        return ()
-
     def change(self, body, theta):
         (cx, sx), (cy, sy) = ((cos(theta[k]), sin(theta[k])) for k in self.amplitudes)
         x, y, z = body.gravity[0], body.gravity[1], body.gravity[2]
@@ -34,6 +33,3 @@ class GravityTilt(Effect):
     def trials(cls, view):
         zero = dict.fromkeys(cls.amplitudes, 0.0)
         yield Trial(cls(()), tuple(zero | {k: STEP} for k in cls.amplitudes), STEP)
-
-
-STEP = 1e-4  # [rad], for a derivative

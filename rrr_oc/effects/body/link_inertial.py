@@ -28,9 +28,6 @@ class LinkInertial(Effect):
         "inertia": tuple(tuple(f"inertia_{k}" for k in row.split()) for row in ("xx xy xz", "xy yy yz", "xz yz zz")),
     }
 
-    def torque(self, signals, theta, width):
-        return (0 * signals.q[self.joints[0]],)
-
     def change(self, body, theta):
         more = ca.vertcat(*(theta[k] for k in self.amplitudes))
         columns = ca.horzsplit(ca.SX(body.inertial) if not isinstance(body.inertial, ca.SX) else body.inertial)

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.robot.parameters import Parameter
 
+STEP = 1e-4  # [m], of the difference that stands for a derivative
+
 
 @dataclass(frozen=True)
 class PayloadCom(Effect):
@@ -19,9 +21,6 @@ class PayloadCom(Effect):
     placement = "arm"
     alters = "position"
 
-    def torque(self, signals, theta, width):
-        return ()
-
     def change(self, body, theta):
         return replace(body, position=[p + theta[k] for p, k in zip(body.position, "xyz", strict=True)])
 
@@ -30,6 +29,3 @@ class PayloadCom(Effect):
         if view.payload:
             zero = dict.fromkeys("xyz", 0.0)
             yield Trial(cls(()), tuple(zero | {k: STEP} for k in "xyz"), STEP)
-
-
-STEP = 1e-4  # [m], for a derivative

@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
-NOTHING = 0.05  # of a listed payload, below none: one that was not mounted is estimated to be a little less
+TOLERANCE = (
+    0.05  # of the listed payload, by which the total may be negative: a payload that was not mounted is estimated with errors
+)
 
 
 @dataclass(frozen=True)
@@ -21,14 +23,11 @@ class PayloadMass(Effect):
     placement = "arm"
     alters = "payload"
 
-    def torque(self, signals, theta, width):
-        return ()
-
     def change(self, body, theta):
         return replace(body, payload=body.payload + theta["mass"])
 
     def possible(self, theta, payload):
-        return payload + theta["mass"] >= -NOTHING * payload
+        return payload + theta["mass"] >= -TOLERANCE * payload
 
     @classmethod
     def trials(cls, view):

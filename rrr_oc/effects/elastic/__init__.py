@@ -1,1 +1,1 @@
-"""Springs and cables on the links, and what is wrong with springs that a recording lists."""
+"""Springs and cables on the links, and deviations of listed springs from what is listed."""

@@ -64,7 +64,8 @@ class BiarticularForm(DesignForm):
         return np.array(reduced(*numbers))
 
     def exists(self, theta, bounds):
-        return hardware_exists(*theta, bounds)
+        kappa, rho, phi = theta
+        return hardware_exists(kappa, rho, phi, bounds)
 
     def named(self, joints, theta, bounds, fixed):
         if fixed:
@@ -115,11 +116,11 @@ class BiarticularSpring(Effect):
     design = BiarticularForm(
         "BPEA",
         (
-            Quantity("k_b", "k_b_Nm_per_rad"),
-            Quantity("q_0", "q_0_deg", np.pi / 180, free=True),
-            Quantity("r_1", "r_1_mm", 1e-3),
-            Quantity("r_2", "r_2_mm", 1e-3),
-            Quantity("r_3", "r_3_mm", 1e-3),
+            Quantity("k_b", "k_b_Nm_per_rad", "Nm/rad"),
+            Quantity("q_0", "q_0_deg", "rad", np.pi / 180, free=True),
+            Quantity("r_1", "r_1_mm", "m", 1e-3),
+            Quantity("r_2", "r_2_mm", "m", 1e-3),
+            Quantity("r_3", "r_3_mm", "m", 1e-3),
         ),
         options=("winding",),
         shop="biarticular_spring",

@@ -1,4 +1,4 @@
-"""An elastic torque of what is led along a joint: dress pack, cable, hose."""
+"""An elastic torque of a dress pack, cable or hose that is led along a joint."""
 
 from dataclasses import dataclass
 

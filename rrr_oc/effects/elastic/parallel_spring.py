@@ -12,7 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
 
-FURTHEST = 4 * np.pi  # [rad], of an equilibrium: beyond, a spring is no more than an offset
+FURTHEST = 4 * np.pi  # [rad], largest equilibrium; a spring beyond acts as a constant torque, which is another effect
 SIDES = ("below", "above")
 
 
@@ -39,8 +39,8 @@ class ParallelSpring(Effect):
     design = DesignForm(
         "PEA",
         (
-            Quantity("k_p", "stiffness_Nm_per_rad", lowest=0.0),
-            Quantity("q_eq", "equilibrium_deg", np.pi / 180, free=True),
+            Quantity("k_p", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
+            Quantity("q_eq", "equilibrium_deg", "rad", np.pi / 180, free=True),
         ),
         options=("active",),
         shop="parallel_springs_Nm_per_rad",

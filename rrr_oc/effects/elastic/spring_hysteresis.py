@@ -1,4 +1,4 @@
-"""A mounted spring, or its cable, that loses energy in a cycle."""
+"""A listed spring, or its cable, that loses energy in a cycle."""
 
 from dataclasses import dataclass
 

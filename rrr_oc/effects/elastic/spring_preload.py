@@ -1,14 +1,16 @@
-"""A mounted spring whose equilibrium is not where it is listed."""
+"""A listed spring whose equilibrium is not where it is listed."""
 
 from dataclasses import dataclass
 
 from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.robot.parameters import Parameter
 
+STEP = 1e-3  # [rad], of the difference that stands for a derivative
+
 
 @dataclass(frozen=True)
 class SpringPreload(Effect):
-    """Torque of the listed spring with its equilibrium moved by the offset, less its torque as listed."""
+    """tau = torque of the listed spring with its equilibrium moved by the offset − its torque as listed."""
 
     name = "spring_preload"
     equation = "true equilibrium = listed + offset"
@@ -32,6 +34,3 @@ class SpringPreload(Effect):
     def trials(cls, view):
         for joints in view.springs:
             yield Trial(cls(joints), ({"offset": STEP},), STEP)
-
-
-STEP = 1e-3  # [rad], for a derivative

@@ -1,4 +1,4 @@
-"""A mounted spring that is stiffer or softer than listed."""
+"""A listed spring that is stiffer or softer than listed."""
 
 from dataclasses import dataclass
 

@@ -9,7 +9,7 @@ from rrr_oc.robot.parameters import Parameter
 
 @dataclass(frozen=True)
 class CoulombAsymmetry(Effect):
-    """tau = −(asymmetry/2) sgn²(dq): what the level has more for dq > 0 than for dq < 0, halved about the plain level."""
+    """tau = −(asymmetry/2) sgn²(dq): the level for dq > 0 minus that for dq < 0, half of it on either side of the plain level."""
 
     name = "coulomb_asymmetry"
     equation = "tau = -(asymmetry/2) sgn(dq)^2"

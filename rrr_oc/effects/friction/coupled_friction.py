@@ -12,8 +12,8 @@ from rrr_oc.robot.parameters import Parameter
 class CoupledFriction(Effect):
     """tau_a = −(coulomb sgn(r) + viscous r) with r = dq_a ± dq_b, on joint b the same torque times ±1; or r = dq_b, on joint a alone.
 
-    A gear that turns with two joints rubs on both ("sum", "difference"); a seal or hose that another joint drags along rubs on
-    one ("other").
+    A gear that turns with two joints has friction on both (`form` "sum" or "difference"); a seal or hose that another joint drags
+    along has it on one ("other").
     """
 
     name = "coupled_friction"

@@ -1,4 +1,4 @@
-"""Dry friction of one joint's drive: bearings, seals and gears that rub without regard to load and speed."""
+"""Dry friction of one joint's drive: bearings, seals and gears, independent of load and speed."""
 
 from dataclasses import dataclass, field
 
@@ -12,11 +12,12 @@ from rrr_oc.robot.parameters import Parameter
 class DryFriction(Effect):
     """tau = −level sgn(dq): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
 
-    `turn` is the way in which the sign changes over its width, one of `smooth.TURNS`.
-    A joint at rest may carry any torque between −level and level; the law gives 0 there. So calibration leaves rests out.
+    `turn` is the function by which the sign changes over its width, one of `smooth.TURNS`.
+    A joint at rest may carry any torque between −level and level; the law gives 0 there, so calibration leaves samples at rest out.
     """
 
     name = "dry_friction"
+    equation = "tau = -level sgn(dq)"
     parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"

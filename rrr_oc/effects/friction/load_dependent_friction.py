@@ -11,7 +11,7 @@ from rrr_oc.robot.parameters import Parameter
 class LoadDependentFriction(Effect):
     """tau = −mu |tau_l| sgn(dq): the dissipative form of c_12 in Eq. 9, which prints mu sgn(dq) tau_l; of either sign.
 
-    A negative one, as the paper has for joint 1, lowers the dry friction; beyond the loads recorded it might drive the joint.
+    A negative mu, as the paper has for joint 1, lowers the dry friction and might drive the joint beyond the loads recorded.
     """
 
     name = "load_dependent_friction"

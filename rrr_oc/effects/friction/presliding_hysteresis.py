@@ -1,4 +1,4 @@
-"""Friction that builds up over a small way, as of bristles that bend before they slip."""
+"""Friction that builds up over a small travel, as of bristles that bend before they slip."""
 
 from dataclasses import dataclass, replace
 
@@ -9,9 +9,9 @@ from rrr_oc.robot.parameters import Parameter
 
 @dataclass(frozen=True)
 class PreslidingHysteresis(Effect):
-    """tau = −level z with dz/dt = |dq| (sgn(dq) − z) stiffness/level (Dahl 1968), beside what is left of the plain level.
+    """tau = −level z with dz/dt = |dq| (sgn(dq) − z) stiffness/level (Dahl 1968), beside the plain level.
 
-    With a width the sign is tanh(dq / width), as in the plain law, which it tends to for a great stiffness.
+    With a width the sign is tanh(dq / width). For a large stiffness the law tends to the plain one.
     """
 
     name = "presliding_hysteresis"
@@ -42,6 +42,6 @@ class PreslidingHysteresis(Effect):
                 yield from (trial, replace(trial, width=0.0))
 
     def combined(self, points, coefficients):
-        """The reach level/stiffness is what the points share."""
+        """The points have the travel level/stiffness in common."""
         level = float(coefficients[0])
         return {"stiffness": points[0]["stiffness"] * level, "level": level}

@@ -11,7 +11,7 @@ from rrr_oc.robot.parameters import Parameter
 class QuadraticDrag(Effect):
     """tau = −coefficient dq |dq|: c_v2 of Eq. 9, of either sign.
 
-    A negative one lowers friction until it drives the joint; no extrapolation beyond the speeds recorded is meant.
+    With a negative coefficient friction falls with speed and would drive the joint beyond the speeds recorded: do not extrapolate.
     """
 
     name = "quadratic_drag"

@@ -1,4 +1,4 @@
-"""Viscous friction of one joint's drive: grease, and what a motor loses in proportion to speed."""
+"""Viscous friction of one joint's drive: grease, and losses of the motor in proportion to speed."""
 
 from dataclasses import dataclass
 
@@ -11,6 +11,7 @@ class ViscousFriction(Effect):
     """tau = −coefficient dq: nu of Eq. 9."""
 
     name = "viscous_friction"
+    equation = "tau = -coefficient dq"
     parameters = (Parameter("coefficient", "Nm s/rad", 0.0, lower=0.0),)
     side = "drive"
     provides = "friction"

@@ -1,1 +1,1 @@
-"""What sensors make of torques and positions."""
+"""Errors of the torque and position channels."""

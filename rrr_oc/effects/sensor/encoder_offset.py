@@ -17,8 +17,5 @@ class EncoderOffset(Effect):
     side = "motion"
     scope = "set_up"
 
-    def torque(self, signals, theta, width):
-        return (0 * signals.q[self.joints[0]],)
-
     def shift(self, signals, theta, width):
         return (-theta["offset"] + 0 * signals.q[self.joints[0]],)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.robot.parameters import Parameter
 
-STEP = 1e-3  # [s], by which signals are shifted for a derivative
+STEP = 1e-3  # [s], of the difference that stands for a derivative
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,6 @@ class TimeDelay(Effect):
     scope = "set_up"
     placement = "arm"
     dynamics = "delay"
-
-    def torque(self, signals, theta, width):
-        """None: whole signals are shifted instead."""
-        return ()
 
     def delay(self, theta):
         return theta["delay"]

@@ -1,1 +1,1 @@
-"""What stands between motor and link: rotor inertia, elasticity, play, gear ripple."""
+"""Between motor and link: rotor inertia, elasticity, backlash, torque ripple."""

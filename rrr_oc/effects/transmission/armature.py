@@ -14,6 +14,7 @@ class Armature(Effect):
     """
 
     name = "armature"
+    equation = "tau = -inertia ddq"
     parameters = (Parameter("inertia", "kg m²", 0.0, lower=0.0),)
     side = "drive"
     role = "plain"

@@ -7,21 +7,22 @@ import numpy as np
 from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.robot.parameters import Parameter
 
-STEPS = 2  # of the link's motion in a sample
-SLOWED = 10.0  # [1/s], the rate at which a link that is looked for loses its speed in the gap
-SLOWER = (0.3, 1.0, 3.0)  # times that, from which a fit starts
+STEPS = 2  # integration steps per sample of a link in the gap; twice as many halve the step and double the time
+SLOWED = 10.0  # [1/s], damping over inertia of a trial's link in the gap; fits start from `SLOWER` times that, so it need not be exact
+SLOWER = (0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True)
 class Backlash(Effect):
     """The link is free within ±gap/2 of the motor; positions are the motor's.
 
-    Pressed to an end of the gap, q_link = theta − (gap/2) sgn(tau_l). Between the ends the drive transmits no more than what grease
-    does, and the link moves by itself, M x'' + damping x' = −(tau_rigid + K x) with x = q_link − theta, until it meets the other end,
-    where it stays.
+    Pressed to an end of the gap, q_link = theta − (gap/2) sgn(tau_l). Between the ends the drive transmits viscous friction only, and
+    the link moves by itself, M x'' + damping x' = −(tau_rigid + K x) with x = q_link − theta, until it meets the other end, where it
+    stays without a rebound.
 
     Attributes:
-        impacts: Whether what it takes to speed up the link in the gap, and to stop it, counts; of a wide gap it cannot be foretold.
+        impacts: Whether the link's speed and acceleration within the gap count. In a wide gap the moment of the
+            impact cannot be predicted, and a fit may be better without.
     """
 
     name = "backlash"
@@ -32,9 +33,6 @@ class Backlash(Effect):
     dynamics = "impact"
 
     impacts: bool = field(default=True)
-
-    def torque(self, signals, theta, width):
-        return (0 * signals.q[self.joints[0]],)
 
     def motion(self, t, load, stiffness, inertia, theta):
         half, count = float(theta["gap"]) / 2, len(t)

@@ -9,14 +9,23 @@ from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
-TIME = 0.002  # of damping, where a gear is so stiff that none is felt [s]
-RINGING = (1e5, 60.0, 36.0, 22.0, 13.0, 8.0)  # of links that are looked for [rad/s]; the first has no inertia to speak of
-DAMPED = 0.3  # of critical damping, from which a fit starts: with less it finds the right resonance only from near by
-LIGHT = 0.01  # of the largest inertia, that a link has at the least: one near 0 is an estimate gone astray
-FURTHEST = 1.0  # [rad]; in a model whose gears twist further, other things are wrong
-SHARPEST = 0.06  # [s], of the windows that the load passes, each shorter than the one before by `SHARPER`
-SHARPER = 0.7
-STABLE = 0.05  # of the stiffness, that gravity and springs leave at the least
+TIME = 0.002  # [s], damping time of a gear so stiff that its damping does not show
+RINGING = (
+    1e5,
+    60.0,
+    36.0,
+    22.0,
+    13.0,
+    8.0,
+)  # [rad/s], resonances of the trials; the first is a gear that only twists with the load
+DAMPED = 0.3  # damping ratio from which a fit starts; with less it converges to the right resonance only from near by
+LIGHT = 0.01  # least inertia of a link over its largest along a motion: below, the estimate is wrong and would make the link diverge
+FURTHEST = 1.0  # [rad], largest twist; beyond, something else in the model is wrong, and the motion is scaled down
+SHARPEST = (
+    0.06  # [s], shortest window by which the load is smoothed; a longer one hides stiff gears, a shorter one passes noise
+)
+SHARPER = 0.7  # ratio of each window to the one before
+STABLE = 0.05  # least total stiffness of a link over its gear's, so that gravity does not make it fall
 
 
 @dataclass(frozen=True)
@@ -27,7 +36,7 @@ class JointElasticity(Effect):
     grows with acceleration and position, M x'' + stiffness damping_time x' + (stiffness + K) x = −tau_rigid.
 
     Attributes:
-        smoothed: Window of the load [s]: a link rings on the noise of accelerations, too, and less where that is attenuated.
+        smoothed: Window by which the load is smoothed [s], so that the link does not ring with the noise of the accelerations.
     """
 
     name = "joint_elasticity"
@@ -50,9 +59,6 @@ class JointElasticity(Effect):
         shorter = SHARPER * self.smoothed
         return replace(self, smoothed=shorter) if shorter > SHARPEST else None
 
-    def torque(self, signals, theta, width):
-        return (0 * signals.q[self.joints[0]],)
-
     def motion(self, t, load, stiffness, inertia, theta):
         if len(t) < 3:
             return np.zeros((3, len(t)))
@@ -68,7 +74,7 @@ class JointElasticity(Effect):
         twist.damping[0] = stiffness * theta["damping_time"]
 
     def combined(self, points, coefficients):
-        """The twist is nearly linear in the compliance."""
+        """The twist is nearly linear in the compliance, which the coefficient is."""
         stiffness = 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0
         return {**points[0], "stiffness": stiffness}
 
@@ -82,7 +88,7 @@ class JointElasticity(Effect):
 
 
 def _link(t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> Oscillator:
-    """A link behind its spring, gravity and springs of its own included."""
+    """A link behind its gear's spring, with gravity and the link's own springs."""
     own = theta["stiffness"]
     least = max(LIGHT * float(np.abs(inertia).max()), 1e-9), (STABLE - 1) * own
     mass, rest = (np.maximum((x[1:] + x[:-1]) / 2, low) for x, low in zip((inertia, stiffness), least, strict=True))

@@ -9,6 +9,11 @@ from rrr_oc.effects.base import Effect, Trial, View
 from rrr_oc.numerics.smooth import sin
 from rrr_oc.robot.parameters import Parameter
 
+LEAST_CYCLES = (
+    2  # that recordings must see of a trial; with fewer, a ripple may be any smooth torque, and a series is tried first
+)
+MOST_CYCLES = 64  # per turn of a joint, of the trials; twice as many double their number
+
 
 @dataclass(frozen=True)
 class TorqueRipple(Effect):
@@ -31,20 +36,20 @@ class TorqueRipple(Effect):
 
     @classmethod
     def trials(cls, view):
-        """Whole orders of which the recordings see two cycles and more: less is any smooth torque."""
+        """Whole orders of which the recordings see at least two cycles."""
         for j in range(view.n):
-            least = _order(view, j, FEW)
+            least = _order(view, j, LEAST_CYCLES)
             yield from cls._whole(j, max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
 
     @classmethod
     def sparse_trials(cls, view: View, j: int) -> Iterator[Trial]:
         """Whole orders of which the recordings see one cycle and less than two."""
         least = _order(view, j, 1)
-        yield from cls._whole(j, max(least, 1), _order(view, j, FEW) if least <= MOST_CYCLES else 0)
+        yield from cls._whole(j, max(least, 1), _order(view, j, LEAST_CYCLES) if least <= MOST_CYCLES else 0)
 
     def is_sparse(self, view: View, theta: Mapping[str, float]) -> bool:
         """Whether the recordings see less than two cycles of it."""
-        return theta["order"] < _order(view, self.joints[0], FEW)
+        return theta["order"] < _order(view, self.joints[0], LEAST_CYCLES)
 
     @classmethod
     def _whole(cls, j, least, most):
@@ -63,9 +68,5 @@ class TorqueRipple(Effect):
 
 
 def _order(view: View, j: int, cycles: float) -> int:
-    """The least whole order of which the recordings see so many cycles."""
+    """The least whole order of which the recordings see that many cycles."""
     return int(np.ceil(2 * np.pi * cycles / (view.high[j] - view.low[j])))
-
-
-FEW = 2  # cycles seen, below which a ripple may be any smooth torque
-MOST_CYCLES = 64  # a joint turn, of those looked for
