@@ -24,6 +24,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.inverse_dynamics import labels
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.prediction_error import recorded_controller
 from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.codesign.design_problem import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
@@ -33,7 +34,8 @@ from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.design_report import wide_console
 from rrr_oc.report.figures import save_figure
 from rrr_oc.robot.drives import Actuators, load_actuators
-from rrr_oc.simulation.replay import Replayed, replay, tracking_controller
+from rrr_oc.simulation.replay import replay
+from rrr_oc.simulation.rollout import Simulated
 from rrr_oc.storage import check_folder, write_json, write_text
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load by Eq. 10", "tau_load of the engine", "tau_load of the engine, own drives")
@@ -53,7 +55,7 @@ class Run:
     """A recording followed by a model in the engine, and both load torques of it."""
 
     recording: Recording
-    replayed: Replayed
+    replayed: Simulated
     recorded: dict[str, np.ndarray]
     simulated: dict[str, np.ndarray]
 
@@ -64,7 +66,7 @@ def follow(model: CalibratedModel, recordings: RecordingSet, recording: Recordin
     "by Eq. 10": both motor torques through Eq. 10. "of the engine": M ddq + C dq + G less the springs' torque, against the recorded
     motor torque through Eq. 10; "own drives": against the recorded motor torque less what the model's own drives take.
     """
-    r, found = recording, replay(model, recording, tracking_controller(model))
+    r, found = recording, replay(model.physics(recording), recording, recorded_controller(model))
     j = [model.robot.index(name) for name in drives.joints]
     torque = recordings.output_torque(r)
     motor, load = model.torques(r)

@@ -28,7 +28,7 @@ from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, search
-from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
+from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_simulation, sample_motion
 from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, load_catalogue, search_catalogue
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
@@ -238,15 +238,15 @@ def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions
     }
     if design.cost == "load":
         described["E1"] = solution.cost
-    write_npz(out / f"{name}.npz", vars(motion) | {"joints": np.array(design.task.joints)})
+    write_npz(out / f"{name}.npz", motion.arrays | {"joints": np.array(design.task.joints)})
     return plain(described | {"wall_s": time.perf_counter() - began})
 
 
 def _transferred(out: Path, name: str, found: dict[str, Any], design: CoDesign, calibrated: CalibratedModel) -> dict[str, Any]:
     """A saved optimum in the calibrated twin."""
-    saved = {key: value for key, value in np.load(out / f"{name}.npz").items() if key != "joints"}
-    theta = design.model.theta(found["parameters"])
-    return describe_transfer(design, Motion(**saved), theta, calibrated, load_actuators(design.task.joints))
+    saved = np.load(out / f"{name}.npz")
+    motion, theta = SampledMotion(**{key: saved[key] for key in SAVED}), design.model.theta(found["parameters"])
+    return describe_transfer(design, motion, theta, calibrated, load_actuators(design.task.joints))
 
 
 def _published(name: str, design: CoDesign, options: SearchOptions) -> float | None:

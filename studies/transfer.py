@@ -34,13 +34,14 @@ from rrr_oc.calibration.nrmse import error
 from rrr_oc.calibration.response import calibrate_response
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.codesign.multistart import SearchOptions, search
-from rrr_oc.codesign.optimum import Motion, resimulate, sample_motion
+from rrr_oc.codesign.optimum import SAVED, SampledMotion, resimulate, sample_motion
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, PlannedRecording, Sweep, protocol, sweep
+from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, Sweep, protocol, sweep
 from rrr_oc.model.metrics import measure
+from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.solver import Refinement
 from rrr_oc.recordings.header import Spring, spring_json
@@ -121,7 +122,7 @@ class Prototype:
         return found
 
     def moves(
-        self, plans: Sequence[PlannedRecording], forward: Sequence[np.ndarray] | None = None
+        self, plans: Sequence[Recording], forward: Sequence[np.ndarray] | None = None
     ) -> list[tuple[Signals, np.ndarray]]:
         """The plans as the arm moves: signals without noise, `tau` the motor torque, and the load torque (n, K) [Nm].
 
@@ -129,7 +130,7 @@ class Prototype:
             forward: Motor torque [Nm] that the P-controllers are helped by, (n, K) at each plan's times. They take positions, so
                 it is put into those: q_ref + forward / k_p.
         """
-        arm, payload = self.arm, np.array([p.payload for p in plans])
+        arm, payload = self.arm, np.array([p.payload[0] for p in plans])
         effects = self.effects(payload)
         steps = [round(float(np.ptp(p.t)) / STEP) for p in plans]
         lead, aims = round(LEAD / STEP), []
@@ -139,7 +140,7 @@ class Prototype:
             if forward is not None:
                 aim += np.stack([np.interp(t, p.t - p.t[0], row) for row in forward[i]]) / arm.kp[:, None]
             aims.append(np.concatenate([np.repeat(aim[:, :1], lead, axis=1), aim], axis=1))
-        history = Plant(arm, Setup(payload, [mounted(p) for p in plans]), effects, STEP).run(np.stack(aims))
+        history = Plant(arm, Setup(payload, [mounted(p, arm.joints) for p in plans]), effects, STEP).run(np.stack(aims))
         seen, found = logged(history, arm, effects, "motor"), []
         for i, count in enumerate(steps):
             k = slice(lead, lead + count + 1)
@@ -147,9 +148,7 @@ class Prototype:
             found.append((one, history.load[i, :, k]))
         return found
 
-    def record(
-        self, folder: Path, plans: Sequence[PlannedRecording], forward: Sequence[np.ndarray] | None = None
-    ) -> RecordingSet:
+    def record(self, folder: Path, plans: Sequence[Recording], forward: Sequence[np.ndarray] | None = None) -> RecordingSet:
         """Recordings of the plans in the contract's form, noisy; those that are there already are taken."""
         if (folder / "recordings.json").exists():
             return load_recordings(folder)
@@ -157,14 +156,19 @@ class Prototype:
         sensing, tables = Sensing(np.full(arm.n, NOISE), speeds=True), {}
         for k, (plan, (one, _)) in enumerate(zip(plans, self.moves(plans, forward), strict=True)):
             rows = sample(one, 0, sensing, np.random.default_rng([self.seed, 2, k, len(plans)]))
-            columns = {f"{key}_{joint}": rows[key][j] for key in ("q", "dq", "tau") for j, joint in enumerate(plan.joints)}
-            tables[f"{plan.name}.csv"] = {"t": rows["t"], **columns}
+            columns = {f"{key}_{joint}": rows[key][j] for key in ("q", "dq", "tau") for j, joint in enumerate(arm.joints)}
+            tables[f"{plan.file}.csv"] = {"t": rows["t"], **columns}
         header = {
             "joints": list(arm.joints),
             "torque": "motor",
             "tool": {"link": arm.tool_link, "position": arm.tool_point.tolist()},
             "recordings": [
-                {"file": f"{p.name}.csv", "group": group(p), "payload": p.payload, "springs": spring_json(p.springs, p.joints)}
+                {
+                    "file": f"{p.file}.csv",
+                    "group": group(p),
+                    "payload": float(p.payload[0]),
+                    "springs": spring_json(p.springs, arm.joints),
+                }
                 for p in plans
             ],
         }
@@ -199,14 +203,14 @@ def prototypes(seed: int) -> dict[str, Prototype]:
     }
 
 
-def group(plan: PlannedRecording) -> str:
+def group(plan: Recording) -> str:
     """Label of a physical set-up."""
-    return "_".join([*(["payload"] if plan.payload else []), *(["springs"] if plan.springs else [])]) or "bare"
+    return "_".join([*(["payload"] if plan.payload[0] else []), *(["springs"] if plan.springs else [])]) or "bare"
 
 
-def mounted(plan: PlannedRecording) -> dict[str, Any]:
+def mounted(plan: Recording, joints: Sequence[str]) -> dict[str, Any]:
     """The springs of a plan as the plant takes them."""
-    listed = spring_json(plan.springs, plan.joints)
+    listed = spring_json(plan.springs, joints)
     return listed | ({"bpea": listed["bpea"][0]} if "bpea" in listed else {})
 
 
@@ -217,20 +221,17 @@ def mounted(plan: PlannedRecording) -> dict[str, Any]:
 class Designed:
     """Springs and motion of a task, and what the model they were designed on says of them: E1, and the engine's [N²m²s]."""
 
-    motion: Motion
+    motion: SampledMotion
     springs: tuple[Spring, ...]
     hardware: Mapping[str, float]
     predicted: float
     engine: float
 
-    def plans(self, task: Task) -> list[PlannedRecording]:
+    def plans(self, task: Task) -> list[Recording]:
         """The two phases as motions to make; payload as labelled."""
-        found = []
-        for i, k in enumerate(self.motion.phases()):
-            q, dq, ddq = (task.full(x[:, k]) for x in (self.motion.q, self.motion.dq, self.motion.ddq))
-            t = self.motion.t[k] - self.motion.t[k[0]]
-            found.append(PlannedRecording(PHASES[i], task.robot.joints, t, q, dq, ddq, task.payloads[i], self.springs))
-        return found
+        return [
+            Recording.planned(name, phase, self.springs) for name, phase in zip(PHASES, self.motion.by_phase(task), strict=True)
+        ]
 
 
 def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) -> Designed:
@@ -241,7 +242,7 @@ def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) 
         solution = search(design, options).whole().best.solution
         motion, own = sample_motion(design, solution), [s.effect for s in design.springs if not s.known]
         engine = measure([(p.t, p.tau_load[list(design.task.moving)]) for p in resimulate(design, solution, motion).phases])
-        write_npz(file, vars(motion) | {"joints": np.array(design.task.joints)})
+        write_npz(file, motion.arrays | {"joints": np.array(design.task.joints)})
         count = sum(len(e.parameters) for e in own)
         write_json(content, {
             "E1": solution.cost, "engine": engine.E1_total, "durations": solution.durations.tolist(),
@@ -249,23 +250,24 @@ def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) 
             "wall_s": time.perf_counter() - began,
         })  # fmt: skip
     found = json.loads(content.read_text(encoding="utf-8"))
-    motion = Motion(**{key: value for key, value in np.load(file).items() if key != "joints"})
+    saved = np.load(file)
+    motion = SampledMotion(**{key: saved[key] for key in SAVED})
     numbers, effects = iter(found["theta"]), [s.effect for s in design.springs if not s.known]
     springs = tuple((e, {p.name: next(numbers) for p in e.parameters}) for e in effects)
     return Designed(motion, springs, found["hardware"], found["E1"], found["engine"])
 
 
-def helped_by(model: CalibratedModel, plans: Sequence[PlannedRecording]) -> list[np.ndarray]:
+def helped_by(model: CalibratedModel, plans: Sequence[Recording]) -> list[np.ndarray]:
     """The motor torque that a model predicts for each plan, in the recordings' own terms, (n, K) [Nm]."""
     return [model.output_torque(planned(p)) for p in plans]
 
 
-def planned(p: PlannedRecording) -> Recording:
-    """A plan as a recording that has not been made yet; the arm's set-up is that of the protocol without springs."""
-    return Recording.planned(p.name, p.t, p.q, p.dq, p.ddq, p.payload, p.springs, group(replace(p, springs=())))
+def planned(p: Recording) -> Recording:
+    """A plan whose group, the arm's set-up, is that of the protocol without springs."""
+    return replace(p, group=group(replace(p, springs=())))
 
 
-def cost_on(arm: Prototype, plans: Sequence[PlannedRecording], model: CalibratedModel, rows: Sequence[int]) -> dict[str, float]:
+def cost_on(arm: Prototype, plans: Sequence[Recording], model: CalibratedModel, rows: Sequence[int]) -> dict[str, float]:
     """E1 [N²m²s] of the plans on the arm itself, the model's torque fed forward, and how far it strays [rad]."""
     moved = arm.moves(plans, helped_by(model, plans))
     e1 = measure([(one.t, load[list(rows)]) for one, load in moved]).E1_total
@@ -305,7 +307,7 @@ def faster(task: Task, motion: Sweep) -> Sweep:
     return replace(motion, slow=motion.slow * factor, fast=motion.fast * factor)
 
 
-def wanted(folder: Path, found: Mapping[str, Any], task: Task, motion: Sweep) -> list[PlannedRecording]:
+def wanted(folder: Path, found: Mapping[str, Any], task: Task, motion: Sweep) -> list[Recording]:
     """Recordings that are still needed: the motions that the diagnosis suggests, and sweeps as fast as the task."""
     quick, plans = faster(task, motion), []
     for direction in ("rising", "falling"):
@@ -318,7 +320,8 @@ def wanted(folder: Path, found: Mapping[str, Any], task: Task, motion: Sweep) ->
         q = np.array(q)
         dq = np.gradient(q, t, axis=1)
         name = Path(entry["trajectory"]).stem
-        plans.append(PlannedRecording(name, task.robot.joints, t, q, dq, np.gradient(dq, t, axis=1), task.payload))
+        motion = Motion(t, q, dq, np.gradient(dq, t, axis=1), np.full(len(t), task.payload))
+        plans.append(Recording.planned(name, motion))
     return plans
 
 

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.multistart import SearchOptions, continued
-from rrr_oc.codesign.optimum import Motion, describe, sample_motion
+from rrr_oc.codesign.optimum import SampledMotion, describe, sample_motion
 from rrr_oc.codesign.task import PHASES, load_task
 from rrr_oc.codesign.transfer import describe_transfer, reference_phases, repaired
 from rrr_oc.diagnosis.procedure import diagnose
@@ -51,7 +51,7 @@ class Played:
 
     design: CoDesign
     parameters: np.ndarray
-    motion: Motion
+    motion: SampledMotion
     predicted: float
 
 

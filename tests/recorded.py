@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import differentiate, split
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import Robot, load_robot
@@ -93,7 +94,8 @@ def record(
     )
     computed = tuple(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in list(plant.model.names)[1:])
     rates = differentiate(t, seen, segments), differentiate(t, seen, segments, 2)
-    return Recording(name, name, t, seen, *rates, tau, np.full(t.size, payload), springs, segments, computed)
+    motion = Motion(t, seen, *rates, np.full(t.size, payload), segments)
+    return replace(Recording.planned(name, motion, springs), tau=tau, computed=computed)
 
 
 def behind_gear(plant: Plant, recorded: Recording, motion: tuple[np.ndarray, ...], through: Callable) -> Recording:

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.friction_width import widened, with_widths
-from rrr_oc.calibration.inverse_dynamics import fit_terms, identify, plain_model
+from rrr_oc.calibration.inverse_dynamics import calibrate, fit_terms, identify, plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import Rows, prepare, rows
@@ -40,10 +40,12 @@ from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
+from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.robot.inertial_parameters import precision, prior
+from rrr_oc.robot.robot import ToolPoint
 from rrr_oc.simulation.replay import pieces
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
@@ -478,6 +480,36 @@ def test_a_motion_is_suggested_that_tells_a_series_from_its_rival(made):
 
     assert "differ by 0" not in apart(300.0)
     assert apart(300.0) != apart(3.0)
+
+
+@pytest.mark.parametrize("undecided", [False, True])
+def test_a_suggested_motion_keeps_to_what_the_arm_can_do(planar, undecided):
+    """Recorded with the joints in step: most motions within their ranges would need more torque and come lower than recorded."""
+    plant, made = planar(2), []
+    t = np.arange(1000) / 100
+    for i, w in enumerate((0.6, 0.8, 1.0)):
+        one = np.array([0.8 * np.sin(w * t), 0.8 * w * np.cos(w * t), -0.8 * w**2 * np.sin(w * t)])
+        motion = tuple(np.array([[0.3], [-1.5]]) * (k == 0) + np.array([[1.0], [-2.0]]) * x for k, x in enumerate(one))
+        made.append(record(plant, f"{i}.csv", np.random.default_rng(i), 10.0, motion=motion, payload=3.0, tool=(0.4, 0.0, 0.0)))
+    recordings = replace(as_set(plant, made), tool=ToolPoint(1, np.array([0.4, 0.0, 0.0])))
+    weak = replace(
+        recordings.robot, effort=np.full(2, 1e-3), velocity=np.full(2, 1e-3)
+    )  # below what was recorded, which counts
+    recordings = replace(recordings, robot=weak)
+    plain = calibrate(recordings)
+    seen = view(prepare(recordings), plain)
+    arm = Model(weak, recordings.tool)
+    largest = np.max([np.abs(r.tau).max(axis=1) for r in made], axis=0)
+    lowest = min(float(arm.tool_height(q)) for r in made for q in r.q.T)
+    found = Finding(Term(TorqueOffset((1,)), (Estimate(0.5),)), 50.0, 2, 9, (("coulomb_asymmetry", (1,)),))
+    (suggestion,) = suggest(recordings, plain, [] if undecided else [found], undecided, seen)
+    m = suggestion.motion
+    assert np.all((seen.low <= m.q.T) & (seen.high >= m.q.T))
+    assert np.all(np.abs(m.dq).max(axis=1) <= seen.speed)
+    assert np.all(np.abs(plain.torques(m)[0]).max(axis=1) <= 1.01 * largest)  # planned with dry friction of a wider transition
+    assert min(float(arm.tool_height(q)) for q in m.q.T) >= lowest
+    np.testing.assert_allclose(m.dq[:, [0, -1]], 0, atol=1e-9)
+    assert np.ptp(m.q, axis=1).min() > 0.05
 
 
 def test_a_listed_spring_that_is_stiffer_in_some_recordings_is_no_second_spring(planar):

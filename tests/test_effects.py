@@ -32,11 +32,11 @@ from rrr_oc.effects.elastic.biarticular_spring import (
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.friction.coupled_friction import CoupledFriction
 from rrr_oc.errors import UserError
+from rrr_oc.model.motion import Motion
 from rrr_oc.model.recorded_physics import states_along
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.smooth import TURNS, ramp, ramp_integral
 from rrr_oc.numerics.smooth import sign as smooth_sign
-from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.robot import load_robot
 
 WINDINGS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
@@ -605,7 +605,7 @@ def test_bristles_between_samples_follow_the_motion():
 
     exact = solve_ivp(slope, (0, t[-1]), [0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=1e-3).y
     q, dq, ddq = motion(t)
-    found = states_along(Recording("", "", t, q, dq, ddq, q, 0 * t, segments=(slice(0, len(t)),)), effect, theta, 0.0)
+    found = states_along(Motion(t, q, dq, ddq, 0 * t), effect, theta, 0.0)
     assert np.abs(exact).max() > 0.99  # it slips
     assert np.mean(np.abs(exact) < 0.9) > 0.1  # and turns around
     assert np.abs(found - exact).max() < 0.03  # 0.020; with half as many steps 0.072

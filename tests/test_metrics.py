@@ -30,7 +30,9 @@ def test_figures_of_a_task(sines):
 def test_nothing_is_integrated_between_phases():
     """Two phases with a jump of torque between them, on clocks of their own."""
     t = np.array([0.0, 1.0])
-    assert metrics.E1([(t, np.array([[1.0, 1.0]])), (t + 5, np.array([[3.0, 3.0]]))]) == pytest.approx(10.0, rel=1e-14)
+    assert metrics.measure([(t, np.array([[1.0, 1.0]])), (t + 5, np.array([[3.0, 3.0]]))]).E1_total == pytest.approx(
+        10.0, rel=1e-14
+    )
 
 
 def test_decrease():

@@ -142,7 +142,7 @@ def test_payload_column_overrides(write):
 
 
 def test_springs_of_all_kinds(write):
-    pulleys = {"radius1_m": 0.02, "radius2_m": 0.02, "radius3_m": 0.01}
+    pulleys = {"radius1_m": 0.02, "radius2_m": 0.02, "radius3_m": 0.0}
     bpea = {"stiffness_Nm_per_rad": 2.0, "equilibrium_rad": 0.5, **pulleys}
     springs = {
         "pea": {"joint1": {"stiffness_Nm_per_rad": 1, "equilibrium_rad": 0, "active": "above"}},

@@ -8,13 +8,18 @@ import pytest
 from chains import arm as chain
 from recorded import Plant, as_set, behind_gear, multisine, record
 
-from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.prediction_error import recorded_controller
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
+from rrr_oc.recordings.recording import Recording
+from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import load_robot
+from rrr_oc.simulation.engine_model import K_P
 from rrr_oc.simulation.replay import pieces, replay, tracking_controller
+from rrr_oc.simulation.rollout import Simulated
 
 FOUND = {
     "load_dependent_friction": ((1,), (0.15,)),
@@ -39,6 +44,10 @@ def found(name: str) -> Term:
     return Term(effect, tuple(Estimate(v) for v in values), width)
 
 
+def followed(model: CalibratedModel, recording: Recording) -> Simulated:
+    return replay(model.physics(recording), recording, recorded_controller(model))
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
     """A calibrated model and a recording with a spring and a payload whose clock does not start at 0."""
@@ -60,7 +69,7 @@ def test_the_twin_of_a_repaired_model_follows_with_the_torque_that_is_predicted(
     repaired = replace(model, terms=(*model.terms, found(name)))
     motor = repaired.physics(recording).torques(recording)[0]
     missing = np.sqrt(np.mean((motor - model.torques(recording)[0]) ** 2, axis=1)) / motor.std(axis=1)
-    simulated = replay(repaired, recording, tracking_controller(model))
+    simulated = followed(repaired, recording)
     j = int(np.argmax(missing))
     pairs = {"q": (recording.q, simulated.q), "tau_motor": (motor, simulated.tau_motor)}
     errors = {k: error(recording.t, *pair, recording.segments)["nrmse"][j] for k, pair in pairs.items()}
@@ -106,7 +115,7 @@ def test_the_twin_has_gears_that_give(name, friction, tmp_path, monkeypatch):
     giving = replace(rigid, terms=(*terms, Term(CATALOGUE[name]((0,)), tuple(Estimate(v) for v in numbers))))
     off = []
     for model in (giving, rigid):
-        found = replay(model, exact, tracking_controller(model))
+        found = followed(model, exact)
         pairs = (exact.tau, found.tau_motor), (load, found.tau_load), (exact.q, found.q)
         late, whole = slice(700, None), (slice(0, 800),)  # once the link's first swings are over
         off.append([error(exact.t[late], a[:, late], b[:, late], whole)["nrmse"][0] for a, b in pairs])
@@ -119,7 +128,7 @@ def test_a_gear_that_twists_and_has_play_is_turned_away(plain):
     model, recording = plain
     terms = [Term(CATALOGUE[name]((1,)), tuple(map(Estimate, numbers))) for name, (numbers, _) in GEARS.items()]
     with pytest.raises(UserError, match="not both at one joint"):
-        replay(replace(model, terms=(*model.terms, *terms)), recording, tracking_controller(model))
+        followed(replace(model, terms=(*model.terms, *terms)), recording)
 
 
 @pytest.mark.parametrize(("stiffness", "level"), [(2e4, 4.0), (2e7, 4.0), (100.0, 0.0)])
@@ -128,7 +137,7 @@ def test_bristles_too_stiff_for_the_engines_step_are_no_reason_to_diverge(stiffn
     bristles = Term(CATALOGUE["presliding_hysteresis"]((1,)), (Estimate(stiffness), Estimate(level)), 0.05)
     repaired = replace(model, terms=(*model.terms, bristles))
     motor = repaired.physics(recording).torques(recording)[0]
-    simulated = replay(repaired, recording, tracking_controller(model))
+    simulated = followed(repaired, recording)
     assert error(recording.t, motor, simulated.tau_motor, recording.segments)["nrmse"].max() < 0.05
 
 
@@ -143,7 +152,7 @@ def test_lone_samples_are_left_as_recorded(plain):
     segments = tuple(slice(a, b) for a, b in pairwise([0, 200, 201, 204, len(kept)]))
     torn = replace(recording, **(arrays | {"payload": payload}), segments=segments)
     assert sum(p.stop - p.start for p in pieces(torn)) == len(kept) - 1
-    simulated = replay(model, torn, tracking_controller(model))
+    simulated = followed(model, torn)
     for values in (simulated.q, simulated.dq, simulated.ddq, simulated.tau_motor, simulated.tau_load):
         assert np.all(np.isfinite(values))
     assert np.abs(simulated.q - torn.q).max() < 0.02
@@ -153,7 +162,7 @@ def test_a_simulation_that_diverges_gives_no_numbers(plain):
     """A response that drives itself."""
     model, recording = plain
     wild = Term(CATALOGUE["echo"]((1,)), tuple(map(Estimate, (12.0, 0.01, 0.9, 0.9))))
-    simulated = replay(replace(model, terms=(*model.terms, wild)), recording, tracking_controller(model))
+    simulated = followed(replace(model, terms=(*model.terms, wild)), recording)
     assert np.all(np.isnan(simulated.q))
 
 
@@ -161,5 +170,14 @@ def test_an_effort_that_the_recording_exceeds_limits_nothing(plain):
     model, recording = plain
     low = replace(model, robot=replace(model.robot, effort=np.array([1e3, 1.0, 0.0])))
     plant = Plant("rrr", np.zeros(3), np.zeros(3), np.zeros(3))
-    assert tracking_controller(low).limit.tolist() == [1e3, 1.0, np.inf]
-    assert tracking_controller(low, as_set(plant, [recording])).limit.tolist() == [1e3, np.inf, np.inf]
+    assert recorded_controller(low).limit.tolist() == [1e3, 1.0, np.inf]
+    assert recorded_controller(low, as_set(plant, [recording])).limit.tolist() == [1e3, np.inf, np.inf]
+
+
+def test_gains_that_are_not_known_give_a_bandwidth(plain):
+    """40 rad/s on each joint's least inertia; the paper's gain for its own arm."""
+    model, recording = plain
+    plant = Plant("rrr", np.zeros(3), np.zeros(3), np.zeros(3))
+    assert recorded_controller(model, as_set(plant, [recording])).k_p.tolist() == [K_P] * 3
+    inertia = rigid_body(model.robot).free_inertia(model.robot.inertial)
+    np.testing.assert_allclose(tracking_controller(model.robot).k_p, 1600 * inertia)

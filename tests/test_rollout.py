@@ -30,7 +30,7 @@ def candidates(settings: Settings) -> tuple[list, np.ndarray, np.ndarray]:
     one = twin(model, THETA, settings=settings)
     twins = [one.with_theta(t) if settings.effects == "generated" else twin(model, t, settings=settings) for t in thetas]
     for engine in twins:
-        engine.grip(rng.uniform(0, 5))
+        engine.set_payload(rng.uniform(0, 5))
     initial = np.hstack([np.zeros((COUNT, 1)), rng.uniform(-1, 1, (COUNT, 6)), np.zeros((COUNT, 3))])
     return twins, initial, rng.normal(0, 200, (COUNT, STEPS, 3))
 

@@ -10,7 +10,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.schema import Interval, NonNegative, Schema, Text, Vector, check_interval, parsed, read_json, read_preset, validated
 
 
-class Inner(Schema):
+class Inner(Schema, frozen=True):
     name: Text
     kind: Literal["a", "b"] = "a"
     size: NonNegative = 0.0
@@ -21,7 +21,7 @@ class Inner(Schema):
         check_interval("bounds", self.bounds)
 
 
-class Outer(Schema):
+class Outer(Schema, frozen=True):
     one: Inner
     named: dict[str, Inner] | None = None
     many: Annotated[list[Inner], Meta(min_length=1)] | None = None

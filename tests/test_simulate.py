@@ -22,7 +22,7 @@ from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
 from rrr_oc.simulation import generated_c as native
 from rrr_oc.simulation.engine_model import Controller, Settings, controller, twin
-from rrr_oc.simulation.tracking import ReferencePhase, track
+from rrr_oc.simulation.tracking import Reference, track
 
 ROOT = Path(__file__).parent
 URDFS = {
@@ -74,7 +74,7 @@ def test_inverse_dynamics_is_pinocchios(name, payload, gravity):
     joint = reference.inertias[robot.tool.joint + 1]
     reference.inertias[robot.tool.joint + 1] = joint + pin.Inertia(payload, robot.tool.position, np.zeros((3, 3)))
     engine = twin(Model(robot, robot.tool))
-    engine.grip(payload)
+    engine.set_payload(payload)
     for q, dq, ddq in states(robot.n):
         expected = pin.rnea(reference, reference.createData(), q, dq, ddq)
         np.testing.assert_allclose(inverse(engine.mj, q, dq, ddq), expected, atol=ROUNDING)
@@ -98,7 +98,7 @@ def test_payload_on_a_link_in_the_middle_is_gripped_and_released():
     model = Model(robot, tool)
     q, dq, ddq = next(states(7))
     for mass in (2.0, 5.0, 0.0):
-        engine.grip(mass)
+        engine.set_payload(mass)
         expected = np.asarray(model.inverse(q, dq, ddq, mass, [], [])[0]).ravel()
         np.testing.assert_allclose(inverse(engine.mj, q, dq, ddq), expected, atol=ROUNDING)
     for field in ("dof_invweight0", "body_subtreemass", "body_invweight0"):  # no trace of the payload is left
@@ -186,7 +186,7 @@ class PayloadFan(Effect):
 def test_generated_code_sees_speed_payload_and_time():
     robot = load_robot("rrr")
     engine = twin(Model(robot, robot.tool, (PayloadFan((1,)),)))
-    engine.grip(3.0)
+    engine.set_payload(3.0)
     d = mujoco.MjData(engine.mj)
     d.time, d.qvel[:] = 0.25, [1, 2, 3]
     with engine.effects():
@@ -200,7 +200,7 @@ def candidates(count: int):
     base = twin(model, theta)
     engines = [base.with_theta(theta * rng.uniform(0.5, 1.5, theta.size)) for _ in range(count)]
     for engine in engines:
-        engine.grip(rng.uniform(0, 5))
+        engine.set_payload(rng.uniform(0, 5))
     return engines, np.hstack([np.zeros((count, 1)), rng.uniform(-1, 1, (count, 6)), np.zeros((count, 3))])
 
 
@@ -313,11 +313,11 @@ def test_unusable_input():
     with pytest.raises(UserError, match="2 joints"):
         track(
             model,
-            [replace(p, **{k: getattr(p, k)[:2] for k in ("q", "dq", "ddq", "tau_load")}) for p in reference(model, theta)],
+            [replace(p, **{k: getattr(p, k)[:2] for k in ("q", "dq", "ddq", "feed_forward")}) for p in reference(model, theta)],
         )
 
 
-def reference(model: Model, theta: np.ndarray, points: int = 401) -> list[ReferencePhase]:
+def reference(model: Model, theta: np.ndarray, points: int = 401) -> list[Reference]:
     """The paper's task as quintics from rest to rest: 2 s with 5 kg, 2.5 s without."""
     ends = np.deg2rad([[0, 75.52, -151.04], [0, 48.19, -96.38]])[:, -model.robot.n :]
     phases = []
@@ -326,12 +326,12 @@ def reference(model: Model, theta: np.ndarray, points: int = 401) -> list[Refere
         q, dq = a[:, None] + d * (10 * s**3 - 15 * s**4 + 6 * s**5), d * 30 * (s * (1 - s)) ** 2 / T
         ddq = d * (60 * s - 180 * s**2 + 120 * s**3) / T**2
         tau = np.asarray(model.inverse(q, dq, ddq, payload, theta, model.widths)[0])
-        phases.append(ReferencePhase(name, s * T, q, dq, ddq, payload, tau))
+        phases.append(Reference(s * T, q, dq, ddq, np.full(points, payload), name=name, feed_forward=tau))
     return phases
 
 
 def analytic(model: Model, theta: np.ndarray) -> metrics.Metrics:
-    return metrics.measure([(p.t, p.tau_load) for p in reference(model, theta, 20001)])
+    return metrics.measure([(p.t, p.feed_forward) for p in reference(model, theta, 20001)])
 
 
 @pytest.mark.parametrize("form", ["native", "generated"])
@@ -347,7 +347,9 @@ def test_tracking_gives_the_analytic_costs(form, name):
     np.testing.assert_allclose(result.metrics.rms, expected.rms, rtol=1e-4, atol=1e-4)
     assert all(np.all(p.error < 1e-5) for p in result.phases)
     assert not result.saturated.any()
-    assert [p.payload for p in result.phases] == [5.0, 0.0]
+    assert [p.payload.tolist() for p in result.phases] == [
+        [m] * p.t.size for m, p in zip((5.0, 0.0), result.phases, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("form", ["native", "generated"])
@@ -380,7 +382,7 @@ def test_load_torque_is_eq6_at_the_engines_motion():
     damping, armature = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.03])
     result = track(model, reference(model, theta), theta, settings=Settings(damping=damping, armature=armature))
     for p in result.phases:
-        load, spring = model.inverse(p.q, p.dq, p.ddq, p.payload, theta, model.widths)
+        load, spring = model.inverse(p.q, p.dq, p.ddq, p.payload[0], theta, model.widths)
         np.testing.assert_allclose(p.tau_load, load, atol=ROUNDING)
         np.testing.assert_allclose(p.tau_spring, spring, atol=ROUNDING)
         drive = damping[:, None] * p.dq + armature[:, None] * p.ddq
@@ -394,7 +396,7 @@ def test_energy_balance_closes(form, drive):
     result = track(model, reference(model, theta), theta, settings=Settings(effects=form, **drive))
     assert result.energy_residual < 1e-5  # the trapezoid rule at 1 ms leaves 5e-6 of the work's turnover
     for p in result.phases:
-        kinetic, potential, stored = (np.asarray(v).ravel() for v in model.energy(p.q, p.dq, p.payload, theta, np.zeros(3)))
+        kinetic, potential, stored = (np.asarray(v).ravel() for v in model.energy(p.q, p.dq, p.payload[0], theta, np.zeros(3)))
         np.testing.assert_allclose(p.kinetic, kinetic, atol=ROUNDING)
         np.testing.assert_allclose(p.potential, potential, atol=ROUNDING)
         np.testing.assert_allclose(p.stored, stored, atol=1e-4)  # widths of 1 mrad shift it by k w²/10
@@ -408,7 +410,7 @@ def test_phases_continue_or_restart():
     model, theta = spring_arm()
     go, back = reference(model, theta)
     weak = controller(model, k_p=100.0)
-    phases = [replace(go, tau_load=0 * go.tau_load), back]  # sags, so that it ends off the reference
+    phases = [replace(go, feed_forward=0 * go.feed_forward), back]  # sags, so that it ends off the reference
     first, second = track(model, phases, theta, weak).phases
     assert np.max(np.abs(first.q[:, -1] - go.q[:, -1])) > 0.01
     np.testing.assert_array_equal(second.q[:, 0], first.q[:, -1])
@@ -432,7 +434,7 @@ def test_proportional_control_alone_rings(damping_ratio, rings):
     pose, t = np.array([0.0, 1.0, -2.0])[:, None], np.linspace(0, 3, 31)
     still = np.zeros((3, t.size))
     hold = np.asarray(model.inverse(pose + still, still, still, 0, theta, model.widths)[0])
-    shifted = ReferencePhase("hold", t, pose + still, still, still, 0.0, hold)
+    shifted = Reference(t, pose + still, still, still, 0 * t, name="hold", feed_forward=hold)
     start = replace(shifted, q=shifted.q + 0.05, t=t / 1e4)  # too short to move
     settled = track(model, [start, shifted], theta, controller(model, damping_ratio=damping_ratio)).phases[1]
     off = np.abs(settled.q - pose)
@@ -503,7 +505,7 @@ def test_each_effect_has_its_torque_in_the_engine(name, form):
     width = None if effect.width is None else effect.width.nominal
     for q, dq, _ in states(3, 30, seed=5):
         payload, time, z = rng.uniform(0, 5), rng.uniform(0, 10), rng.uniform(-1, 1, len(effect.states))
-        engine.grip(payload)
+        engine.set_payload(payload)
         d.qpos[:], d.qvel[:], d.time = q, dq * 0.2, time
         d.act[:] = [*rng.normal(0, 600, 3), *z]
         with engine.effects():
@@ -546,7 +548,7 @@ def test_motor_torque_is_the_inverse_dynamics_of_the_motion():
     engine, rng = twin(model, theta), np.random.default_rng(7)
     d = mujoco.MjData(engine.mj)
     for q, dq, _ in states(7, 20, seed=8):
-        engine.grip(2.0)
+        engine.set_payload(2.0)
         d.qpos[:], d.qvel[:], d.time = q, 0.3 * dq, 1.7
         d.act[:] = rng.normal(0, 300, 7)
         with engine.effects():
@@ -583,8 +585,8 @@ def test_effects_of_the_body_are_compiled_into_it(name, sign):
     with pytest.raises(UserError, match="only generated effects"):
         engine.with_theta(theta)
     for payload in (0.0, 3.0):
-        engine.grip(payload)
-        bare.grip(payload)
+        engine.set_payload(payload)
+        bare.set_payload(payload)
         differs = 0.0
         for q, dq, ddq in states(3):
             expected = np.asarray(model.inverse(q, dq, ddq, payload, theta, [])[0]).ravel()
@@ -597,7 +599,7 @@ def test_effects_of_the_body_are_compiled_into_it(name, sign):
 def test_payload_that_an_effect_sees_is_the_listed_one():
     robot = load_robot("rrr")
     engine = twin(Model(robot, robot.tool, (CATALOGUE["payload_mass"](()), PayloadFan((1,)))), [1.5])
-    engine.grip(3.0)
+    engine.set_payload(3.0)
     d = mujoco.MjData(engine.mj)
     d.time, d.qvel[:] = 0.25, [1, 2, 3]
     with engine.effects():
@@ -648,7 +650,7 @@ def test_bristles_along_a_tracked_motion():
     a, w = 0.3, 2 * np.pi
     q[1], dq[1], ddq[1] = 0.8 + a * np.cos(w * t), -a * w * np.sin(w * t), -a * w**2 * np.cos(w * t)
     load = np.asarray(Model(robot, robot.tool).inverse(q, dq, ddq, 0.0, [], [])[0])
-    (p,) = track(model, [ReferencePhase("swing", t, q, dq, ddq, 0.0, load)], theta).phases
+    (p,) = track(model, [Reference(t, q, dq, ddq, 0 * t, name="swing", feed_forward=load)], theta).phases
     speed = CubicHermiteSpline(p.t, p.dq[1], p.ddq[1])
     z = solve_ivp(
         lambda s, z: (speed(s) - abs(speed(s)) * z) * 150 / 3, (0, 2), [0.0], t_eval=p.t, rtol=1e-9, atol=1e-9, max_step=2e-3

@@ -10,7 +10,7 @@ from recorded import Plant, as_set, record
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
-from rrr_oc.codesign.optimum import Motion
+from rrr_oc.codesign.optimum import SAVED, SampledMotion
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, reference_phases, transfer_table
 from rrr_oc.effects import CATALOGUE
@@ -28,7 +28,7 @@ def calibrated(dry=0.0, viscous=0.0, armature=0.0):
 
 
 @pytest.fixture(scope="module")
-def moved() -> tuple[CoDesign, Motion, np.ndarray]:
+def moved() -> tuple[CoDesign, SampledMotion, np.ndarray]:
     """Polynomials from start to release and back with springs of the paper's size; no optimum, but smooth and at rest at the ends."""
     task = load_task("paper")
     design = CoDesign(task, spring_bounds(task, "PEA"))
@@ -48,7 +48,8 @@ def moved() -> tuple[CoDesign, Motion, np.ndarray]:
         payload = task.payloads[i]
         tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, theta, design.model.widths))
         parts.append((s * period + i * period, q, dq, ddq, tau, spring, np.full(400, i), np.full(400, payload)))
-    return design, Motion(*[np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)]), theta
+    columns = [np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)]
+    return design, SampledMotion(**dict(zip(SAVED, columns, strict=True))), theta
 
 
 def test_without_friction_the_engine_gives_the_motions_own_cost(moved):
@@ -117,7 +118,7 @@ def test_what_builds_up_on_the_way_is_fed_forward(moved):
     bare, helped = (reference_phases(design, motion, theta, m) for m in (start, model))
     for one, other in zip(bare, helped, strict=True):
         middle = len(one.t) // 2
-        assert abs(other.tau_load[1, middle] - one.tau_load[1, middle]) == pytest.approx(6.0, rel=0.01)
+        assert abs(other.feed_forward[1, middle] - one.feed_forward[1, middle]) == pytest.approx(6.0, rel=0.01)
     assert describe_transfer(design, motion, theta, model, load_actuators(design.task.joints))["tracking_error_rad"] < 0.01
 
 
@@ -131,4 +132,4 @@ def test_what_was_found_of_another_spring_does_not_come_along(moved, name):
     scaled = replace(start, terms=(*start.terms, Term(CATALOGUE["spring_stiffness"]((1,)), (Estimate(1.4),))))
     check_transfer(design, scaled)
     for one, other in zip(*(reference_phases(design, motion, theta, m) for m in (start, scaled)), strict=True):
-        np.testing.assert_array_equal(one.tau_load, other.tau_load)
+        np.testing.assert_array_equal(one.feed_forward, other.feed_forward)

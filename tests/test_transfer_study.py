@@ -17,9 +17,10 @@ from rrr_oc.effects.body.payload_mass import PayloadMass
 from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
-from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, PlannedRecording
+from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP
+from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.solver import Refinement
-from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.recordings.recording import Recording, RecordingSet
 from studies import transfer as study
 
 ARMS = study.prototypes(3)
@@ -33,7 +34,7 @@ def task():
 
 def known(arm: study.Prototype, task) -> tuple[CalibratedModel, CalibratedModel]:
     """The plain model with the plant's own friction, and the same with what the plant hides."""
-    plan = PlannedRecording("a", task.robot.joints, *[np.zeros((3, 20))] * 4)
+    plan = Recording.planned("a", Motion(np.zeros(20), *np.zeros((3, 3, 20)), np.zeros(20)))
     only = (study.planned(plan),)
     recordings = RecordingSet(task.robot, "rrr_prototype", "motor", "nominal", task.tool, (None,) * 3, only, Path("made_up"))
     start, own = plain_model(recordings), arm.arm
@@ -49,7 +50,7 @@ def known(arm: study.Prototype, task) -> tuple[CalibratedModel, CalibratedModel]
     return plain, replace(plain, terms=(*plain.terms, Term(effect, estimates, width, **where)))
 
 
-def smooth_plans(task, springs=()) -> list[PlannedRecording]:
+def smooth_plans(task, springs=()) -> list[Recording]:
     """Polynomials from start to release and back."""
     s, period, plans = np.linspace(0, 1, 200), 1.5, []
     for i, name in enumerate(("go", "return")):
@@ -57,7 +58,8 @@ def smooth_plans(task, springs=()) -> list[PlannedRecording]:
         q = one + (two - one) * (10 * s**3 - 15 * s**4 + 6 * s**5)
         dq = (two - one) * (30 * s**2 - 60 * s**3 + 30 * s**4) / period
         ddq = (two - one) * (60 * s - 180 * s**2 + 120 * s**3) / period**2
-        plans.append(PlannedRecording(name, task.robot.joints, s * period, q, dq, ddq, task.payloads[i], springs))
+        motion = Motion(s * period, q, dq, ddq, np.full(len(s), task.payloads[i]))
+        plans.append(Recording.planned(name, motion, springs))
     return plans
 
 

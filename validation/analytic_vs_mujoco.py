@@ -40,7 +40,7 @@ from rrr_oc.model.symbolic_model import Model
 from rrr_oc.report.figures import save_figure
 from rrr_oc.robot.robot import BUNDLED, load_robot
 from rrr_oc.simulation.engine_model import Controller, Form, Integrator, Settings, Twin, twin
-from rrr_oc.simulation.tracking import ReferencePhase, track
+from rrr_oc.simulation.tracking import Reference, track
 from rrr_oc.storage import write_json, write_text
 
 INTEGRATORS: tuple[Integrator, ...] = ("euler", "implicitfast", "implicit", "rk4")
@@ -159,7 +159,7 @@ def _compare_state(model: Model, form: Form, label: str, speeds: float = 0.0) ->
     largest = scale = 0.0
     with engine.effects():
         for payload in (0.0, 5.0):
-            engine.grip(payload)
+            engine.set_payload(payload)
             for q, dq, ddq in _states(rng, n, speeds):
                 arguments = (q, dq, ddq, 0.0, payload, theta, widths, model.robot.inertial)
                 motor = np.asarray(model.motor_inverse(*arguments)[0]).ravel()
@@ -211,7 +211,7 @@ def compare_motions() -> list[dict]:
             widths = model.widths if form == "generated" else np.zeros(3)
             end = exact_free_motion(model, theta, widths)
             phases = reference(model, theta, widths)
-            E1 = float(np.sum(metrics.E1([(p.t, p.tau_load) for p in phases])))
+            E1 = metrics.measure([(p.t, p.feed_forward) for p in phases]).E1_total
             for integrator in INTEGRATORS:
                 rows = []
                 for step in STEPS:
@@ -275,14 +275,14 @@ def quintic(phase: str, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     )
 
 
-def reference(model: Model, theta: np.ndarray, widths: np.ndarray) -> list[ReferencePhase]:
+def reference(model: Model, theta: np.ndarray, widths: np.ndarray) -> list[Reference]:
     """The task with its analytic load torques."""
     phases = []
     for name, (T, payload) in PHASES.items():
         t = np.linspace(0, T, POINTS)
         motion = quintic(name, t)
         load = np.asarray(model.inverse(*motion, payload, theta, widths)[0])
-        phases.append(ReferencePhase(name, t, *motion, payload, load))
+        phases.append(Reference(t, *motion, np.full(POINTS, payload), name=name, feed_forward=load))
     return phases
 
 
@@ -293,8 +293,8 @@ def _tracking_errors(
     result = track(model, phases, theta, settings=settings, widths=widths)
     position = torque = 0.0
     for phase in result.phases:
-        motion = quintic(phase.name, phase.t)
-        load = np.asarray(model.inverse(*motion, phase.payload, theta, widths)[0])
+        motion = quintic(phase.reference.name, phase.t)
+        load = np.asarray(model.inverse(*motion, phase.payload[0], theta, widths)[0])
         position = max(position, float(np.max(np.abs(phase.q - motion[0]))))
         torque = max(torque, float(np.max(np.abs(phase.tau_load - load))))
     return {"position": position, "torque": torque, "E1": abs(result.metrics.E1_total / E1 - 1)}

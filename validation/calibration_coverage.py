@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # (pin's wheel has no stubs)
 
 from rrr_oc.calibration.inverse_dynamics import calibrate, labels
+from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import differentiate, split
 from rrr_oc.parallel import ordered
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -75,7 +76,8 @@ def record(
     segments = split(t)
     computed = tuple(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in list(model.names)[1:])
     rates = differentiate(t, seen, segments), differentiate(t, seen, segments, 2)
-    return Recording(name, name, t, seen, *rates, tau, np.zeros(t.size), (), segments, computed)
+    planned = Recording.planned(name, Motion(t, seen, *rates, np.zeros(t.size), segments))
+    return replace(planned, tau=tau, computed=computed)
 
 
 def repetition(seed: int, urdf: str, count: int, seconds: float) -> dict[str, tuple[float, float, float, float]]:

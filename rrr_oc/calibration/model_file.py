@@ -64,8 +64,8 @@ class TermEntry(msgspec.Struct):
     joints: list[str]
     options: dict[str, Any]
     width: WidthEntry | None
-    recordings: Literal["all"] | list[str]
-    groups: list[str]
+    recordings: Literal["all"] | tuple[str, ...]
+    groups: tuple[str, ...]
     parameters: dict[str, ParameterEntry]
 
 
@@ -116,8 +116,8 @@ def _entry(term: Term, robot: Robot) -> TermEntry:
         joints=[robot.joints[j] for j in effect.joints],
         options={f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joints"},
         width=None if term.width is None or effect.width is None else WidthEntry(term.width, effect.width.unit),
-        recordings="all" if term.recordings == "all" else list(term.recordings),
-        groups=list(term.groups),
+        recordings=term.recordings,
+        groups=term.groups,
         parameters={
             p.name: ParameterEntry(e.value, p.unit, number(e.std), e.interval, e.at_bound)
             for p, e in zip(effect.parameters, term.estimates, strict=True)
@@ -193,8 +193,8 @@ def _term(where: str, entry: TermEntry, robot: Robot) -> Term:
         effect,
         tuple(Estimate(p.value, p.std, p.interval, p.at_bound) for p in parameters),
         None if effect.width is None or entry.width is None else entry.width.value,
-        entry.recordings if entry.recordings == "all" else tuple(entry.recordings),
-        tuple(entry.groups),
+        entry.recordings,
+        entry.groups,
     )
 
 

@@ -10,6 +10,8 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.robot.robot import BUNDLED
+from rrr_oc.simulation.engine_model import K_P, Controller
 from rrr_oc.simulation.replay import replay, tracking_controller
 from rrr_oc.storage import number, write_csv
 
@@ -32,13 +34,21 @@ def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window:
     other way round; both at the recorded motion. What the model's sensors add to a torque is taken off what was recorded.
     """
     model = model.placed(recordings)
-    control, result = tracking_controller(model, recordings), {}
+    control, result = recorded_controller(model, recordings), {}
     for r in recordings.recordings:
-        simulated, measured = replay(model, r, control), _measured(model, recordings, r)
+        simulated, measured = replay(model.physics(r), r, control), _measured(model, recordings, r)
         found = {s: error(r.t, measured[s], getattr(simulated, s), r.segments, window) for s in SIGNALS}
         parts = {s: _by_joint(model.joints, errors) for s, errors in found.items()}
         result[r.file] = {joint: {s: parts[s][joint] for s in SIGNALS} for joint in model.joints}
     return result
+
+
+def recorded_controller(model: CalibratedModel, recordings: RecordingSet | None = None) -> Controller:
+    """Controllers for a calibrated arm: with the paper's gain for bundled models, which are its arms; no limit below recorded torques."""
+    largest = None
+    if recordings is not None:
+        largest = np.max([np.abs(recordings.output_torque(r)).max(axis=1) for r in recordings.recordings], axis=0)
+    return tracking_controller(model.robot, K_P if model.source in BUNDLED else None, largest)
 
 
 def summary(inverse: Errors, simulated: Errors | None = None) -> dict[str, Any]:

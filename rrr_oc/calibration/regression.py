@@ -9,6 +9,7 @@ measured by `validation/calibration_coverage.py`.
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
@@ -63,11 +64,7 @@ class Prepared:
     @property
     def matrix(self) -> csr_matrix:
         """The common filter at the samples that are kept, (kept, K)."""
-        filters, key = self.recording.filters, ("twice", self.window)
-        if key not in filters:
-            once = as_matrix(self.recording.t, self.recording.segments, self.window)
-            filters[key] = (once[kept_rows(self.recording)[0]] @ once).tocsr()
-        return filters[key]
+        return common_filter(self.recording, self.window)
 
     @cached_property
     def counted(self) -> np.ndarray:
@@ -77,6 +74,19 @@ class Prepared:
     def passed(self, torques: np.ndarray, joints: Sequence[int] | np.ndarray) -> np.ndarray:
         """Torques (m, K) at these joints (m,), filtered, at the rows that are kept, (m, kept); those at rest count for nothing."""
         return through_filter(torques * self.moving[joints], self) * self.counted[joints]
+
+
+# Common filters by recording and window [s], for all that is prepared of a recording; they last as long as the recording.
+_COMMON_FILTERS: WeakKeyDictionary[Recording, dict[float, csr_matrix]] = WeakKeyDictionary()
+
+
+def common_filter(recording: Recording, window: float) -> csr_matrix:
+    """The smoothing filter over a window [s], applied twice, at the samples of a recording that are kept, (kept, K)."""
+    filters = _COMMON_FILTERS.setdefault(recording, {})
+    if window not in filters:
+        once = as_matrix(recording.t, recording.segments, window)
+        filters[window] = (once[kept_rows(recording)[0]] @ once).tocsr()
+    return filters[window]
 
 
 @dataclass(frozen=True)

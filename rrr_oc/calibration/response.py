@@ -32,6 +32,7 @@ from rrr_oc.calibration.inverse_dynamics import (
     with_parameter_values,
 )
 from rrr_oc.calibration.nrmse import DROPPED
+from rrr_oc.calibration.prediction_error import recorded_controller
 from rrr_oc.calibration.regression import STRIDE, Prepared, Rows, derivatives, prepare
 from rrr_oc.effects import Signals, plain_effects
 from rrr_oc.errors import UserError
@@ -39,7 +40,7 @@ from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.drives import Actuators
 from rrr_oc.simulation.engine_model import Controller, twin
-from rrr_oc.simulation.replay import SETTINGS, accelerations, follow, tracking_controller
+from rrr_oc.simulation.replay import SETTINGS, accelerations, as_recorded, follow
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
 PATIENCE = 1e-5  # of the objective: a Gauss–Newton step that gains less is the last; of its first spread: so is such a spread of CMA-ES
@@ -113,7 +114,7 @@ class Response:
     @cached_property
     def control(self) -> Controller:
         """The controllers of the simulation."""
-        return tracking_controller(self.model, self.recordings)
+        return recorded_controller(self.model, self.recordings)
 
     @cached_property
     def _targets(self) -> list["_Target"]:
@@ -161,7 +162,7 @@ class _Target:
             physics = replace(response.model, terms=with_parameter_values(response.model.terms, theta)).physics(r)
             engines.append(twin(physics.built, physics.theta, response.control, settings, physics.widths))
         expected = np.array([self.base + self.by_theta @ theta for theta in candidates])
-        _, dq, motor = follow(engines, r, response.control, expected, expected, response.timestep)
+        _, dq, motor = follow(engines, r, expected, as_recorded(response.control, response.timestep))
         shape = (len(candidates), len(self.joints), r.t.size)
         if response.drives is None:
             torque = motor[:, self.joints]

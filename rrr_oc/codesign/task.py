@@ -19,14 +19,14 @@ PRESETS = ("paper", "prototype")
 PHASES = ("go", "return")
 
 
-class Tool(Schema):
+class Tool(Schema, frozen=True):
     """Where the payload is held: a point in a link's frame."""
 
     link: Text
     position_m: Vector
 
 
-class End(Schema):
+class End(Schema, frozen=True):
     """Where a phase starts or ends: angles of the moving joints or a position of the tool."""
 
     angles_deg: tuple[float, ...] | None = None
@@ -37,7 +37,7 @@ class End(Schema):
             raise ValueError('give either "angles_deg" or "position_m"')
 
 
-class Limits(Schema):
+class Limits(Schema, frozen=True):
     """Limits of a joint; those left out are the URDF's range and speed, and no limit of acceleration and torque."""
 
     range_deg: Interval | None = None
@@ -49,7 +49,7 @@ class Limits(Schema):
         check_interval("range_deg", self.range_deg)
 
 
-class TaskFile(Schema):
+class TaskFile(Schema, frozen=True):
     """The content of a task's file."""
 
     format: Literal["rrr_oc-task/1"]

@@ -8,17 +8,15 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.optimum import Motion, describe
-from rrr_oc.codesign.task import PHASES
+from rrr_oc.codesign.optimum import SampledMotion, describe
 from rrr_oc.effects import Body, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import measure
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.drives import Actuators
 from rrr_oc.simulation.engine_model import Settings, twin
-from rrr_oc.simulation.tracking import ReferencePhase, check_gears, track
+from rrr_oc.simulation.tracking import Reference, check_gears, track
 
 
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
@@ -68,7 +66,7 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
 
 
 def describe_transfer(
-    design: CoDesign, motion: Motion, theta: np.ndarray, calibrated: CalibratedModel, drives: Actuators
+    design: CoDesign, motion: SampledMotion, theta: np.ndarray, calibrated: CalibratedModel, drives: Actuators
 ) -> dict[str, Any]:
     """The paper's metrics of an optimum tracked in the calibrated twin, by both routes to the load torque.
 
@@ -90,22 +88,18 @@ def describe_transfer(
         "engine": describe(design, tracked.metrics, task.moving),
         "eq10": describe(design, measure([(p.t, tau) for p, tau in zip(tracked.phases, by_eq10, strict=True)])),
         "motor": describe(design, measure([(p.t, p.tau_motor) for p in tracked.phases]), task.moving),
-        "tracking_error_rad": float(max(np.abs(p.error).max() for p in tracked.phases)),
+        "tracking_error_rad": tracked.tracking_error,
         "saturated": bool(np.any(tracked.saturated)),
     }
 
 
-def reference_phases(design: CoDesign, motion: Motion, theta: np.ndarray, calibrated: CalibratedModel) -> list[ReferencePhase]:
-    """The phases of an optimum as references for controllers; `tau_load` holds the motor torque that the calibrated model expects."""
-    task, model, theta = design.task, *_parts(design, calibrated, theta)
-    widths, references = _widths(design, calibrated), []
-    for i, k in enumerate(motion.phases()):
-        q, dq, ddq = (task.full(values[:, k]) for values in (motion.q, motion.dq, motion.ddq))
-        t, payload = motion.t[k] - motion.t[k[0]], task.payloads[i]
-        planned = Recording.planned(PHASES[i], t, q, dq, ddq, payload)
-        motor, _ = Physics(model, theta, widths, model.robot.inertial).torques(planned)
-        references.append(ReferencePhase(PHASES[i], t, q, dq, ddq, payload, motor))
-    return references
+def reference_phases(
+    design: CoDesign, motion: SampledMotion, theta: np.ndarray, calibrated: CalibratedModel
+) -> list[Reference]:
+    """The phases of an optimum with the motor torque that the calibrated model expects, as feed-forward."""
+    model, theta = _parts(design, calibrated, theta)
+    physics = Physics(model, theta, _widths(design, calibrated), model.robot.inertial)
+    return motion.references(design.task, lambda phase: physics.torques(phase)[0])
 
 
 def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:

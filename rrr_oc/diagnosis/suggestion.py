@@ -1,8 +1,10 @@
-"""Recordings that would decide between effects which the recordings at hand do not tell apart."""
+"""Recordings that would decide between effects which the recordings at hand do not distinguish."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
@@ -11,54 +13,60 @@ from rrr_oc.diagnosis.contest import Finding
 from rrr_oc.diagnosis.evidence import pseudo_inverse
 from rrr_oc.diagnosis.signatures import context, table, trials
 from rrr_oc.effects import Trial, View
+from rrr_oc.errors import UserError
+from rrr_oc.excitation.design import Search, excite
+from rrr_oc.excitation.fourier_series import Series
+from rrr_oc.excitation.information import information, model_sensitivity
+from rrr_oc.excitation.limits import Limits, Rig, robot_limits
+from rrr_oc.excitation.sweeps import times
+from rrr_oc.model.motion import Motion
+from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 DURATION, STEP = 20.0, 0.01  # s
-TRIED = 10  # motions
-HARMONICS = 4
-FASTER = 1.3  # than what was recorded, at most
-DECISIVE = 25.0  # χ² of the difference, above which a motion is said to decide
+CANDIDATES = 10  # random motions that are compared; twice as many take twice the time for a slightly better one
+HARMONICS = 4  # of a random motion's base frequency, which is one to three periods in `DURATION`
+FASTER = 1.3  # largest speed of a suggested motion over the speed recorded; twice as fast may be more than the arm can follow
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # amplitudes that are tried until torque limits and floor are kept
+OPTIMISED = 4  # joints up to which a motion is optimised, which takes a second; of more joints the best random one is suggested
+ITERATIONS = 10  # of IPOPT; twice as many take a second more for a little more information
+DECISIVE = 25.0  # χ² of the difference, above which a motion is said to decide; doubled, 7 standard deviations are asked for
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A motion to record.
-
-    Attributes:
-        why: In words.
-        separates: Names of the effects.
-        t: Times [s], (K,).
-        q: Positions [rad], (n, K).
-    """
+    """A motion to record, why (in words), and the names of the effects that it separates."""
 
     why: str
     separates: tuple[str, ...]
-    t: np.ndarray
-    q: np.ndarray
+    motion: Recording
 
 
 def suggest(
     recordings: RecordingSet, plain: CalibratedModel, findings: Sequence[Finding], undecided: bool, seen: View, seed: int = 0
 ) -> list[Suggestion]:
-    """For each effect with rivals the motion, of several, on which their torques differ most, and by how much.
+    """For each effect with rivals the motion, of several random ones, on which their torques differ most, and by how much.
 
-    What counts is the difference that is left when the rival and the plain parameters do their best, in units of the noise.
+    The difference is what remains when the rival and the plain parameters are fitted to it, in units of the noise. All motions
+    keep to the limits of `_rig`; where no motion is found that does, nothing is suggested.
 
     Args:
-        undecided: Whether there is a mismatch that nothing found explains; then the motion which excites most is suggested.
+        undecided: Whether there is a mismatch that no finding explains; then a motion that determines friction and inertia well is
+            suggested, too.
     """
     contested = [f for f in findings if f.rivals]
     if not contested and not undecided:
         return []
-    motions = [_motion(recordings, seen, np.random.default_rng([seed, k])) for k in range(TRIED)]
-    every = trials(seen, plain.torque)
-    result = []
+    springs = max((r.springs for r in recordings.recordings), key=len)
+    rig = _rig(recordings, plain, seen, springs)
+    motions = [_prepared(motion, springs) for motion in _within_limits(rig, seed)]
+    every, result = trials(seen, plain.torque), []
     if undecided:
-        known = [_known(m, plain) for m in motions]
-        motion = motions[int(np.argmax(known))].recording
-        why = "of several motions this one tells most of friction and inertia; record it more than once, so that some can be held out"
-        result.append(Suggestion(why, (), motion.t, motion.q))
-    for finding in contested:
+        optimised = [_prepared(motion, springs) for motion in _optimised(rig, plain, seed)]
+        why = "of the motions tried this one determines friction and inertia best; record it more than once, so that some can be held out"
+        for best in sorted([*motions, *optimised], key=lambda m: -_log_information(m, plain))[:1]:
+            result.append(Suggestion(why, (), best.recording))
+    for finding in contested if motions else ():
         own = _trial(finding)
         rivals = [[t for t in every if (t.effect.name, t.effect.joints) == rival] for rival in finding.rivals]
         rivals = [rival for rival in rivals if rival]  # an empirical term is in no catalogue
@@ -67,13 +75,78 @@ def suggest(
         apart = [min(_difference(m, plain, own, rival) for rival in rivals) for m in motions]
         best = int(np.argmax(apart))
         names = (finding.term.effect.name, *dict.fromkeys(name for name, _ in finding.rivals))
-        motion = motions[best].recording
-        result.append(Suggestion(_why(apart[best]), names, motion.t, motion.q))
+        result.append(Suggestion(_why(apart[best]), names, motions[best].recording))
     return result
 
 
-def _known(motion: Prepared, plain: CalibratedModel) -> float:
-    """Logarithm of the determinant of what a motion tells of friction and inertia (D-optimality), but for what none tells."""
+def _rig(recordings: RecordingSet, plain: CalibratedModel, seen: View, springs: tuple[Spring, ...]) -> Rig:
+    """The arm with its largest payload and these springs, and limits that the recordings show to be safe.
+
+    Positions stay within the range recorded and the arm's own; speeds within `FASTER` times the recorded ones and the arm's limits;
+    motor torques within the arm's limits, or the recorded ones where these are larger; the tool no lower than recorded.
+    """
+    every, robot = recordings.recordings, recordings.robot
+    payload, known = max(float(r.payload.max()) for r in every), robot_limits(robot)
+    listed = _recording(Motion(np.zeros(1), *np.zeros((3, robot.n, 1)), np.full(1, payload)), springs)
+    physics = plain.physics(listed)
+    torque = np.max([np.abs(recordings.output_torque(r)).max(axis=1) for r in every], axis=0)
+    low, high = np.maximum(seen.low, robot.lower), np.minimum(seen.high, robot.upper)
+    outside = low >= high  # recorded beyond the range that the robot's description allows
+    q = ca.SX.sym("q", robot.n)
+    height = ca.Function("height", [q], [physics.built.tool_height(q)])
+    limits = Limits(
+        np.where(outside, seen.low, low),
+        np.where(outside, seen.high, high),
+        np.minimum(FASTER * seen.speed, np.maximum(known.speed, seen.speed)),
+        np.full(robot.n, np.inf),
+        np.maximum(known.torque, torque),
+        min(float(np.min(np.asarray(height(r.q)))) for r in every),
+    )
+    return Rig(physics.built, limits, physics.theta, payload)
+
+
+def _within_limits(rig: Rig, seed: int) -> list[Motion]:
+    """Up to `CANDIDATES` random Fourier series that keep to the limits."""
+    t, result = times(DURATION, STEP), []
+    for k in range(3 * CANDIDATES):
+        rng = np.random.default_rng([seed, k])
+        series = Series(DURATION / rng.choice([1, 2, 3]), HARMONICS)
+        x = series.random(rig.limits, rng)
+        middle = np.outer(series.still, series.still @ x)
+        for share in SHARES:
+            motion = series.motion(middle + share * (x - middle), rig.limits, t)
+            if max(rig.excess(*motion).values()) <= 0:
+                result.append(Motion(t, *motion, np.full(len(t), rig.payload)))
+                break
+        if len(result) == CANDIDATES:
+            break
+    return result
+
+
+def _optimised(rig: Rig, plain: CalibratedModel, seed: int) -> list[Motion]:
+    """A D-optimal motion for friction and inertia, if one is found in a second or so."""
+    if rig.model.robot.n > OPTIMISED:
+        return []
+    noise = np.where(np.isfinite(plain.noise) & (plain.noise > 0), plain.noise, 1.0)
+    search = Search(DURATION, 2 * HARMONICS, starts=1, draws=CANDIDATES, seed=seed, iterations=ITERATIONS, step=STEP)
+    with contextlib.suppress(UserError):  # no motion that keeps the limits; the random ones do
+        known = model_sensitivity(rig)
+        interest = [name for name in known.names if name != "payload"]
+        return [excite(information(rig, interest, noise=noise, sensitivity=known), search).motion]
+    return []
+
+
+def _recording(motion: Motion, springs: tuple[Spring, ...]) -> Recording:
+    return Recording.planned("suggested", motion, springs)
+
+
+def _prepared(motion: Motion, springs: tuple[Spring, ...]) -> Prepared:
+    recording, n = _recording(motion, springs), len(motion.q)
+    return Prepared(recording, np.zeros_like(motion.q), np.ones(motion.q.shape, bool), 0.2, np.zeros(n, int))
+
+
+def _log_information(motion: Prepared, plain: CalibratedModel) -> float:
+    """log det of a motion's information on friction and inertia [nat] (D-optimality), but for what no motion determines."""
     columns = np.concatenate(list(rows([motion], plain, inertial=True).jacobian))
     values = np.linalg.eigvalsh(columns.T @ columns)
     return float(np.sum(np.log(np.maximum(values, 1e-12 * values[-1]))))
@@ -96,7 +169,7 @@ def _trial(finding: Finding) -> Trial:
 
 
 def _difference(motion: Prepared, plain: CalibratedModel, own: Trial, rival: Sequence[Trial]) -> float:
-    """χ² of the effect's torque that neither the rival, in any of its shapes, nor the plain parameters can take up."""
+    """χ² of the effect's torque that neither the rival, in any of its shapes, nor the plain parameters explain."""
     found = rows([motion], plain)
     signatures = table([context(motion, plain)], [own, *rival])
     total = 0.0
@@ -112,22 +185,3 @@ def _difference(motion: Prepared, plain: CalibratedModel, own: Trial, rival: Seq
         power += float(target @ target)
     total = power - float(right @ pseudo_inverse(matrix) @ right)
     return max(total, 0.0)
-
-
-def _motion(recordings: RecordingSet, seen: View, rng: np.random.Generator) -> Prepared:
-    """A random Fourier series within the range and a little above the speed of what was recorded."""
-    t = np.arange(round(DURATION / STEP) + 1) * STEP
-    base = 2 * np.pi / DURATION
-    k = np.arange(1, HARMONICS + 1) * rng.choice([1, 2, 3])
-    coefficients = rng.normal(size=(seen.n, 2, HARMONICS)) / k
-    wave = np.stack([np.sin(base * np.outer(k, t)), np.cos(base * np.outer(k, t))])  # (2, harmonics, K)
-    slope = np.stack([np.cos(base * np.outer(k, t)), -np.sin(base * np.outer(k, t))]) * (base * k)[None, :, None]
-    bend = -wave * ((base * k) ** 2)[None, :, None]
-    q, dq, ddq = (np.einsum("jsh,shk->jk", coefficients, x) for x in (wave, slope, bend))
-    scale = np.minimum((seen.high - seen.low) / np.ptp(q, axis=1), FASTER * seen.speed / np.max(np.abs(dq), axis=1))
-    middle = (seen.high + seen.low) / 2 - scale * (q.max(axis=1) + q.min(axis=1)) / 2
-    q, dq, ddq = scale[:, None] * q + middle[:, None], scale[:, None] * dq, scale[:, None] * ddq
-    payload = max(float(r.payload.max()) for r in recordings.recordings)
-    springs = max((r.springs for r in recordings.recordings), key=len)
-    recording = Recording.planned("suggested", t, q, dq, ddq, payload, springs)
-    return Prepared(recording, np.zeros_like(q), np.ones(q.shape, bool), 0.2, np.zeros(seen.n, int))

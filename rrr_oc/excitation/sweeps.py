@@ -3,48 +3,20 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from rrr_oc.effects import listed_springs
 from rrr_oc.errors import UserError
+from rrr_oc.model.motion import Motion
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.importers.prototype import PAYLOAD, SPRINGS
-from rrr_oc.storage import write_csv
+from rrr_oc.recordings.recording import Recording
 
 Direction = Literal["rising", "falling"]
 
 STEP = 0.01  # default sampling of a planned recording [s]
-
-
-@dataclass(frozen=True, eq=False)
-class PlannedRecording:
-    """A motion to be recorded; joints (n,), time last.
-
-    Attributes:
-        name: Name in reports and files.
-        joints: Names of the joints (n).
-        t: Times [s], shape (K,).
-        q, dq, ddq: Motion [rad, rad/s, rad/s²], shape (n, K).
-        payload: Mass at the tool [kg].
-        springs: Springs to be mounted, each an effect with its parameters.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    t: np.ndarray
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
-    payload: float = 0.0
-    springs: tuple[Spring, ...] = ()
-
-
-def write_trajectory(path: str | Path, plan: PlannedRecording) -> None:
-    """Write a planned motion as CSV with the columns t [s] and q_<joint> [rad]; numbers read back exactly."""
-    write_csv(path, {"t": plan.t, **{f"q_{joint}": q for joint, q in zip(plan.joints, plan.q, strict=True)}})
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,38 +74,39 @@ PROTOTYPE_SPRINGS: tuple[Spring, ...] = tuple(
 
 
 def sweep(
-    motion: Sweep, direction: Direction, joints: Sequence[str] = PROTOTYPE_JOINTS, step: float = STEP, **load: Any
-) -> PlannedRecording:
-    """A sweep as a planned recording, named after its direction; `load` is its name, payload and springs.
+    motion: Sweep,
+    direction: Direction,
+    step: float = STEP,
+    name: str | None = None,
+    payload: float = 0.0,
+    springs: Sequence[Spring] = (),
+) -> Recording:
+    """A sweep as a planned recording with a payload [kg] and springs, named after its direction unless given.
 
-    Raises:
-        UserError: The direction is unknown, the step unusable, or the sweep has another number of joints.
+    Raises `UserError` for an unknown direction or an unusable sampling step [s].
     """
     if direction not in get_args(Direction):
         raise UserError(f"a sweep is {' or '.join(get_args(Direction))}, got {direction!r}")
-    if len(joints) != len(motion.centre):
-        raise UserError(f"the sweep moves {len(motion.centre)} joints, but {len(joints)} are named: {', '.join(joints)}")
     t = times(motion.duration, step)
-    return PlannedRecording(load.pop("name", direction), tuple(joints), t, *motion.motion(t, direction), **load)
+    planned = Motion(t, *motion.motion(t, direction), np.full(len(t), payload))
+    return Recording.planned(name or direction, planned, tuple(springs))
 
 
 def protocol(
     motion: Sweep = PROTOTYPE_SWEEP,
-    joints: Sequence[str] = PROTOTYPE_JOINTS,
     payload: float = PAYLOAD,
     springs: Sequence[Spring] = PROTOTYPE_SPRINGS,
     step: float = STEP,
-) -> tuple[PlannedRecording, ...]:
+) -> tuple[Recording, ...]:
     """The paper's eight recordings: rising and falling, with and without payload, with and without springs."""
     return tuple(
         sweep(
             motion,
             direction,
-            joints,
             step,
-            name="_".join([direction, *(["payload"] if mass else []), *(["springs"] if mounted else [])]),
-            payload=mass,
-            springs=tuple(mounted),
+            "_".join([direction, *(["payload"] if mass else []), *(["springs"] if mounted else [])]),
+            mass,
+            mounted,
         )
         for direction in get_args(Direction)
         for mass in (payload, 0.0)

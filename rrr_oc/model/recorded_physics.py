@@ -1,4 +1,4 @@
-"""What is at work in one recording, with numbers: the torques that its motion needs, and what sensors make of them."""
+"""The physics of one recording, with numbers: the torques that its motion needs, and what the sensors record of them."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -8,127 +8,134 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.effects import Effect, Signals
+from rrr_oc.model.motion import Motion
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
 from rrr_oc.numerics.oscillator import substituted
-from rrr_oc.numerics.savitzky_golay import as_matrix
-from rrr_oc.recordings.recording import Recording
 
-DIFFERENCE = 1e-4  # of a parameter, or of 1 where it is less, by which derivatives are taken where no expression gives them
-PARTS = 4  # of a sample's step, for internal states
-SWEEPS = 2  # over the links that move by themselves, for what they do to one another and what is not linear
+DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
+PARTS = 4  # substeps of a sampling interval, over which the rates of internal states are held constant
+SWEEPS = 2  # iterations over the links behind elastic gears, for their coupling and for what is not linear
+# Of joint j: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
 Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
+# By the number of an effect: its displacement of the links as a function of its parameters, and at their present values (3 n, K)
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What is at work in one recording: the model with listed springs and terms, and the numbers that go into it."""
+    """A model with the numbers that go into it; `motion` below is the recorded one, as the encoders see it.
+
+    Attributes:
+        model: The robot with the springs that are mounted and the effects at work.
+        theta: Parameters of the effects, as in `Model.theta`.
+        widths: Smoothing widths, as in `Model.widths`.
+        inertial: Inertial parameters of the links, (10, n).
+    """
 
     model: Model
     theta: np.ndarray
     widths: np.ndarray
     inertial: np.ndarray
-    known: dict[str, tuple[Recording, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    # Results for the motion asked for last, by their name; kept until another motion is asked for.
+    _latest: dict[str, tuple[Motion, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @staticmethod
-    def inputs(recording: Recording) -> tuple[np.ndarray, ...]:
+    def inputs(motion: Motion) -> tuple[np.ndarray, ...]:
         """q, dq, ddq, time and payload, the first arguments of `Model.motor_inverse`."""
-        r = recording
-        return r.q, r.dq, r.ddq, r.clock[None], r.payload[None]
+        return motion.q, motion.dq, motion.ddq, motion.clock[None], motion.payload[None]
 
     @property
     def built(self) -> Model:
-        """The model with these links, for what does not take them as numbers: an engine."""
+        """The model with `inertial` as its robot's own parameters, as the engine needs it."""
         return replace(self.model, robot=replace(self.model.robot, inertial=self.inertial))
 
-    def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-        """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
-        return self._once("torques", self._find_torques, recording)
+    def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+        """Motor torque and load torque that the motion needs, each (n, K) [Nm]."""
+        return self._remembered("torques", self._find_torques, motion)
 
-    def _find_torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-        states = self.states(recording)
+    def _find_torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+        states = self.states(motion)
         if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
-            inputs = self.inputs(recording)
+            inputs = self.inputs(motion)
             motor, load = along(self.model.motor_inverse, *inputs, self.theta, self.widths, self.inertial)
             return motor, load
-        return self._moving(recording, self.shift(recording), states)
+        return self._moving(motion, self.shift(motion), states)
 
-    def _moving(self, recording: Recording, shift: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Motor torque and load torque with a shift of the links (3 n, K) and states of the effects."""
+    def _moving(self, motion: Motion, shift: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Motor and load torque with the links displaced by `shift` (3 n, K) and internal states of the effects, each (n, K) [Nm]."""
         values = (self.theta, self.widths, self.inertial)
-        motor, load = along(self.model.recorded_inverse, *self.inputs(recording), *values, shift, states)
+        motor, load = along(self.model.recorded_inverse, *self.inputs(motion), *values, shift, states)
         return motor, load
 
-    def shift(self, recording: Recording) -> np.ndarray:
-        """What the links move otherwise than the recorded motion: q, dq, ddq, one below the other, (3 n, K)."""
-        return _summed(self._moved(recording)[0], recording)
+    def shift(self, motion: Motion) -> np.ndarray:
+        """Motion of the links less the recorded one: q, dq, ddq, one below the other, (3 n, K)."""
+        return _summed(self._moved(motion)[0], motion)
 
-    def twist(self, recording: Recording) -> np.ndarray:
-        """The part of `shift` by which links move by themselves behind their gears."""
-        effects, shifts = self.model.effects, self._moved(recording)[0]
-        return _summed({i: shift for i, shift in shifts.items() if effects[i].moves_link}, recording)
+    def twist(self, motion: Motion) -> np.ndarray:
+        """The part of `shift` that elastic gears cause: motion of the links less that of their drives, (3 n, K)."""
+        effects, shifts = self.model.effects, self._moved(motion)[0]
+        return _summed({i: shift for i, shift in shifts.items() if effects[i].moves_link}, motion)
 
-    def _moved(self, recording: Recording) -> tuple[Shifts, Reaction | None]:
-        """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift.
+    def _moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
+        """Displacements of the links by effect, and the reaction of the links behind elastic gears if there are any."""
+        return self._remembered("moved", self._find_moved, motion)
 
-        Beside them what the links that move by themselves meet, if there are any.
-        """
-        return self._once("moved", self._find_moved, recording)
+    def _remembered(self, name: str, find: Callable[[Motion], Any], motion: Motion) -> Any:
+        """`find(motion)`, computed once for the same motion."""
+        if name not in self._latest or self._latest[name][0] is not motion:
+            self._latest[name] = motion, find(motion)
+        return self._latest[name][1]
 
-    def _once(self, what: str, find: Callable[[Recording], Any], recording: Recording) -> Any:
-        """What is found, or what was for the same recording."""
-        if what not in self.known or self.known[what][0] is not recording:
-            self.known[what] = recording, find(recording)
-        return self.known[what][1]
-
-    def _find_moved(self, recording: Recording) -> tuple[Shifts, Reaction | None]:
+    def _find_moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
         found: Shifts = {}
-        total = _summed(found, recording)
-        motion = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
+        total = _summed(found, motion)
+        displacing = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
         reaction = None
-        rigid, alone = ([one for one in motion if one[1].moves_link == by_itself] for by_itself in (False, True))
+        rigid, elastic = ([one for one in displacing if one[1].moves_link == by_itself] for by_itself in (False, True))
         for i, effect, theta, width in rigid:
-            shift = partial(moved, recording, effect, width=width)
+            shift = partial(moved, motion, effect, width=width)
             found[i] = shift, shift(theta)
-        for _ in range(SWEEPS if alone else 0):  # what a link does behind its gear follows from the motion that all else makes
-            total = _summed(found, recording)
-            load = self._load(recording, total)
-            reaction = cache(partial(self._reaction, recording, load, total))
-            for i, effect, theta, width in alone:
+        for _ in range(SWEEPS if elastic else 0):  # a link's motion behind its gear follows from that of all other links
+            total = _summed(found, motion)
+            load = self._load(motion, total)
+            reaction = cache(partial(self._reaction, motion, load, total))
+            for i, effect, theta, width in elastic:
                 (j,) = effect.joints
-                needed = load.copy()  # by the link if it moved with its drive
+                needed = load.copy()  # load torque of a link that moves with its drive
                 if i in found:
                     needed[j] -= np.sum(np.array(reaction(j)) * found[i][1][[j, 2 * len(load) + j]], axis=0)
-                shift = partial(moved, recording, effect, width=width, load=needed, reaction=reaction)
+                shift = partial(moved, motion, effect, width=width, load=needed, reaction=reaction)
                 found[i] = shift, shift(theta)
         return found, reaction
 
-    def _load(self, recording: Recording, shift: np.ndarray) -> np.ndarray:
-        """Load torque (n, K) [Nm] of the motion that differs from the recorded one by `shift` (3 n, K)."""
-        states = np.zeros((len(self.model.states), len(recording.t)))
+    def _load(self, motion: Motion, shift: np.ndarray) -> np.ndarray:
+        """Load torque with the links displaced by `shift` (3 n, K), (n, K) [Nm]."""
+        states = np.zeros((len(self.model.states), len(motion.t)))
         values = (self.theta, self.widths, self.inertial)
-        return along(self.model.recorded_load, *self.inputs(recording), *values, shift, states)[0]
+        return along(self.model.recorded_load, *self.inputs(motion), *values, shift, states)[0]
 
-    def _reaction(self, recording: Recording, load: np.ndarray, shift: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """By how much joint j's load torque grows with its own position and acceleration, K [Nm/rad] and M [kg m²], each (K,)."""
+    def _reaction(self, motion: Motion, load: np.ndarray, shift: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of joint j's load torque by its own position [Nm/rad] and acceleration [kg m²], each (K,)."""
         found = []
         for row, step in ((j, 1e-4), (2 * self.model.robot.n + j, 1.0)):
             there = shift.copy()
             there[row] += step
-            found.append((self._load(recording, there)[j] - load[j]) / step)
+            found.append((self._load(motion, there)[j] - load[j]) / step)
         return found[0], found[1]
 
-    def by_differences(self, recording: Recording, numbers: Iterable[int], true: np.ndarray, load: bool) -> list[np.ndarray]:
-        """Derivatives of what is recorded by the parameters of effects that do not add a torque of the instant, (n, K, p) each.
+    def by_differences(self, motion: Motion, numbers: Iterable[int], true: np.ndarray, load: bool) -> list[np.ndarray]:
+        """Derivatives of the recorded torque by the parameters of some effects, by forward differences, (n, K, p) for each effect.
+
+        For effects whose torque is not a function of the instant alone: those of sensors, of motion, and with internal states.
 
         Args:
-            numbers: Of those effects.
-            true: What a perfect sensor has, (n, K) [Nm].
+            numbers: Of those effects, in the model's order.
+            true: The torque that a perfect sensor records, (n, K) [Nm].
             load: Whether that is the load torque, not the motor torque.
         """
-        named, shifts, states = self.named(), self._moved(recording)[0], self.states(recording)
-        base, total, result = self.recorded(recording, true), _summed(shifts, recording), []
+        named, shifts, states = self.named(), self._moved(motion)[0], self.states(motion)
+        base, total, result = self.recorded(motion, true), _summed(shifts, motion), []
         first = np.cumsum([0, *(len(effect.parameters) for effect, *_ in named)])
         for i in numbers:
             effect, theta, _ = named[i]
@@ -142,64 +149,61 @@ class Physics:
                     shift = total
                     if i in shifts:
                         shift = total - shifts[i][1] + shifts[i][0](theta | {parameter.name: value + step})
-                    torque = there._moving(recording, shift, there.states(recording) if effect.states else states)[load]
-                columns[:, :, k] = (there.recorded(recording, torque) - base) / step
+                    torque = there._moving(motion, shift, there.states(motion) if effect.states else states)[load]
+                columns[:, :, k] = (there.recorded(motion, torque) - base) / step
             result.append(columns)
         return result
 
-    def starts(self, recording: Recording, load: bool) -> np.ndarray:
-        """By how much what is recorded may differ because nobody knows how a stretch began, (number, n, K) [Nm], to first order.
+    def starts(self, motion: Motion, load: bool) -> np.ndarray:
+        """Change of the recorded torque with the unknown initial states of links behind elastic gears, (number, n, K) [Nm].
 
-        For starts that are as far off as the links move otherwise than recorded, on the average.
+        To first order, one row for each initial state of each such joint, for an initial deviation as large as the root mean
+        square displacement of the link.
 
         Args:
             load: Whether the load torque is recorded, not the motor torque.
         """
-        (shifts, reaction), states, n = self._moved(recording), self.states(recording), len(recording.q)
-        total, base, named, found = _summed(shifts, recording), self.torques(recording)[load], self.named(), []
+        (shifts, reaction), states, n = self._moved(motion), self.states(motion), len(motion.q)
+        total, base, named, found = _summed(shifts, motion), self.torques(motion)[load], self.named(), []
         for i in [i for i in shifts if named[i][0].moves_link]:
             effect, theta, _ = named[i]
             (j,) = effect.joints
             assert reaction is not None
             stiffness, inertia = reaction(j)
-            parts = [effect.free(recording.t[s], stiffness[s], inertia[s], theta) for s in recording.segments]
+            parts = [effect.free(motion.t[s], stiffness[s], inertia[s], theta) for s in motion.segments]
             for k in range(len(parts[0])):
                 there = total.copy()
                 usual = float(np.sqrt(np.mean(shifts[i][1][k * n + j] ** 2)))
-                for s, part in zip(recording.segments, parts, strict=True):
+                for s, part in zip(motion.segments, parts, strict=True):
                     there[[j, n + j, 2 * n + j], s] += DIFFERENCE * usual * part[k]
-                found.append(self._moving(recording, there, states)[load] - base)
-        return np.array([self.passed_on(recording, x) for x in found]).reshape(-1, n, len(recording.t)) / DIFFERENCE
+                found.append(self._moving(motion, there, states)[load] - base)
+        return np.array([self.passed_on(motion, x) for x in found]).reshape(-1, n, len(motion.t)) / DIFFERENCE
 
-    def recorded(self, recording: Recording, torque: np.ndarray) -> np.ndarray:
-        """What sensors make of a torque (n, K), as the effects of the side "sensor" say."""
+    def recorded(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
+        """Torque that the sensors record of a true torque (n, K), by the effects of the side "sensor", (n, K) [Nm]."""
         result, delay = np.array(torque), 0.0
         for effect, theta, width in self.named():
             if effect.side == "sensor":
                 delay += effect.delay(theta)
-                for j, more in zip(effect.joints, effect.torque(Signals(recording.q, load=torque), theta, width), strict=True):
+                for j, more in zip(effect.joints, effect.torque(Signals(motion.q, load=torque), theta, width), strict=True):
                     result[j] += more
-        return later(recording, result, delay) if delay else result
+        return later(motion, result, delay) if delay else result
 
-    def passed_on(self, recording: Recording, change: np.ndarray) -> np.ndarray:
-        """What sensors make of a change (n, K) of the true torque."""
+    def passed_on(self, motion: Motion, change: np.ndarray) -> np.ndarray:
+        """Change of the recorded torque with a change (n, K) of the true torque, (n, K) [Nm]."""
         if all(effect.side != "sensor" for effect in self.model.effects):
             return change
-        return self.recorded(recording, change) - self.recorded(recording, np.zeros_like(change))
+        return self.recorded(motion, change) - self.recorded(motion, np.zeros_like(change))
 
-    def states(self, recording: Recording) -> np.ndarray:
-        """Internal states of the effects along the recording, (number of states, K)."""
-        return self._once("states", self._find_states, recording)
+    def states(self, motion: Motion) -> np.ndarray:
+        """Internal states of the effects along the motion, (number of states, K)."""
+        return self._remembered("states", self._find_states, motion)
 
-    def _find_states(self, recording: Recording) -> np.ndarray:
+    def _find_states(self, motion: Motion) -> np.ndarray:
         named = [one for one in self.named() if one[0].states]
-        load = (
-            self._load(recording, self.shift(recording))
-            if any(effect.dynamics == "load_states" for effect, *_ in named)
-            else None
-        )
-        found = [states_along(recording, *one, load) for one in named]
-        return np.concatenate([*found, np.zeros((0, len(recording.t)))])
+        load = self._load(motion, self.shift(motion)) if any(effect.dynamics == "load_states" for effect, *_ in named) else None
+        found = [states_along(motion, *one, load) for one in named]
+        return np.concatenate([*found, np.zeros((0, len(motion.t)))])
 
     def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
         """Each effect with its parameters by name and its width."""
@@ -210,79 +214,69 @@ class Physics:
         ]
 
 
-def _summed(shifts: Shifts, recording: Recording) -> np.ndarray:
-    return sum((shift for _, shift in shifts.values()), np.zeros((3 * len(recording.q), len(recording.t))))
+def _summed(shifts: Shifts, motion: Motion) -> np.ndarray:
+    return sum((shift for _, shift in shifts.values()), np.zeros((3 * len(motion.q), len(motion.t))))
 
 
 def moved(
-    recording: Recording,
+    motion: Motion,
     effect: Effect,
     theta: Mapping[str, float],
     width: Any,
     load: np.ndarray | None = None,
     reaction: Reaction | None = None,
 ) -> np.ndarray:
-    """What the links move otherwise than the recorded motion because of one effect: q, dq, ddq, one below the other, (3 n, K).
+    """Motion of the links less the recorded one because of one effect: q, dq, ddq, one below the other, (3 n, K).
 
     Args:
-        load: Torque that the link would need if it moved with its drive (n, K) [Nm].
-        reaction: From joint j to by how much its load torque grows with its position [Nm/rad] and acceleration [kg m²], (K,) each.
-            Both are needed where the link moves by itself.
+        load: Load torque of links that move with their drives (n, K) [Nm].
+        reaction: Derivatives of each joint's load torque by its own position and acceleration. Both are required where the
+            link moves by itself.
     """
-    n = len(recording.q)
-    result = np.zeros((3 * n, len(recording.t)))
+    n = len(motion.q)
+    result = np.zeros((3 * n, len(motion.t)))
     if effect.moves_link:
         assert load is not None
         assert reaction is not None
         for j in effect.joints:
             stiffness, inertia = reaction(j)
-            felt = _smoothed(recording, load[j], effect.window)
-            for s in recording.segments:
-                result[[j, n + j, 2 * n + j], s] = effect.motion(recording.t[s], felt[s], stiffness[s], inertia[s], theta)
+            felt = motion.smoothing(effect.window) @ load[j] if effect.window else load[j]
+            for s in motion.segments:
+                result[[j, n + j, 2 * n + j], s] = effect.motion(motion.t[s], felt[s], stiffness[s], inertia[s], theta)
         return result
-    for j, shift in zip(effect.joints, effect.shift(Signals(recording.q), theta, width), strict=True):
+    for j, shift in zip(effect.joints, effect.shift(Signals(motion.q), theta, width), strict=True):
         result[j] = np.array(shift).reshape(-1)
     return result
 
 
-def _smoothed(recording: Recording, x: np.ndarray, window: float) -> np.ndarray:
-    """A signal (K,) smoothed over a window [s], within each segment; by a matrix that is made once a recording."""
-    if not window:
-        return x
-    key = "once", window
-    if key not in recording.filters:
-        recording.filters[key] = as_matrix(recording.t, recording.segments, window)
-    return recording.filters[key] @ x
-
-
-def later(recording: Recording, x: np.ndarray, delay: float) -> np.ndarray:
-    """Signals (m, K) as they were a delay [s] before, within each segment."""
+def later(motion: Motion, x: np.ndarray, delay: float) -> np.ndarray:
+    """Signals (m, K) delayed by `delay` [s], within each segment."""
     result = np.array(x)
-    for s in recording.segments:
-        t = recording.t[s]
+    for s in motion.segments:
+        t = motion.t[s]
         for row in result:
             row[s] = np.interp(t - delay, t, row[s])
     return result
 
 
 def states_along(
-    recording: Recording, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray | None = None
+    motion: Motion, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray | None = None
 ) -> np.ndarray:
-    """Internal states (number, K) of an effect, which the load torque (n, K) [Nm] drives, or whose rates are affine in them, each in
-    its own.
+    """Internal states (number, K) of an effect along a motion.
 
-    Motion is taken as linear between samples, and the rates as constant over each of `PARTS` of a sample's step: where a joint turns
-    around, its way within the step is what a bristle feels.
+    Driven by the load torque (n, K) [Nm] where the effect says so; else by rates that are affine in the states, each in its own:
+    the motion is linear between samples, and the rates are constant over each of `PARTS` substeps, so that a bristle follows
+    the joint where it reverses between two samples.
     """
-    states = np.zeros((len(effect.states), len(recording.t)))
-    for s in recording.segments:
+    states = np.zeros((len(effect.states), len(motion.t)))
+    for s in motion.segments:
         if effect.dynamics == "load_states":
             assert load is not None
-            states[:, s] = effect.course(recording.t[s], load[effect.joints[0], s], theta)
+            states[:, s] = effect.course(motion.t[s], load[effect.joints[0], s], theta)
             continue
-        signals = Signals(*(_finely(x[:, s]) for x in (recording.q, recording.dq, recording.ddq)))
+        signals = Signals(*(_finely(x[:, s]) for x in (motion.q, motion.dq, motion.ddq)))
         count = signals.q.shape[1]
-        h = np.repeat(np.diff(recording.t[s]) / PARTS, PARTS)
+        h = np.repeat(np.diff(motion.t[s]) / PARTS, PARTS)
         constant, unit = (
             [
                 np.broadcast_to(np.array(v).reshape(-1), (count,))
@@ -301,7 +295,7 @@ def states_along(
 
 
 def _finely(x: np.ndarray) -> np.ndarray:
-    """Signals (n, K) with `PARTS` − 1 values between each two, on the line between them."""
+    """Signals (n, K) interpolated linearly at the substeps, (n, (K − 1) PARTS + 1)."""
     share = np.arange(PARTS) / PARTS
     between = x[:, :-1, None] + np.diff(x, axis=1)[:, :, None] * share
     return np.concatenate([between.reshape(len(x), -1), x[:, -1:]], axis=1)

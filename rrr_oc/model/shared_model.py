@@ -9,7 +9,7 @@ from rrr_oc.effects import Effect
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, ToolPoint
 
-KEPT = 100  # models; the one asked for longest ago goes first; a diagnosis uses fewer than ten, so doubled it changes nothing there
+KEPT = 500  # models, the least recently used is dropped; a diagnosis uses up to some 130, so doubled, it changes nothing there
 
 
 class _Parts:

@@ -14,14 +14,13 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import mujoco
 import numpy as np
-from mujoco import rollout
 
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Candidates, Encoding, Scores, load_torque, scores
 from rrr_oc.simulation.engine_model import Controller, Settings, Twin, controller, twin
+from rrr_oc.simulation.rollout import State, Workers, roll_out
 
 STEPS = 144  # a phase: E1 within 0.2 % (0.1 % on average) of its limit, and stable at 5 s a phase
 
@@ -56,47 +55,46 @@ class Engine:
         forward = load_torque(design, candidates.theta, q, dq, ddq)
         speed = candidates.motion(ends)[1]
         rows = (len(moving), len(PHASES), self.steps, count)
-        q, forward = (values.reshape(rows) for values in (q, forward))
-        after = speed[:, :, :, 1:].reshape(rows)
-        found = self._follow(candidates, q, after, forward, speed[:, :, 0, 0])
-        position, tau = found[0], found[1]
+        reference = [self._all_joints(x.reshape(rows)) for x in (q, speed[:, :, :, 1:], forward)]
+        at_rest = self._all_joints(speed[:, :, 0, :1])[:, :, 0]
+        position, tau = self._follow(candidates, reference, at_rest)
         h = candidates.durations / self.steps
         E1 = np.einsum("mpnk,pk->k", tau**2, h)
         return scores(design, candidates, E1, position, tau)
 
-    def _follow(self, candidates: Candidates, q, after, forward, start) -> np.ndarray:
-        """Positions and controllers' torques of the moving joints (2, m, phases, steps, K)."""
-        task, control, moving = self.encoding.design.task, self._control, list(self.encoding.design.task.moving)
-        n, (_, phases, steps, count) = task.robot.n, q.shape
-        k_p, k_d = (v[moving].reshape(-1, 1, 1, 1) for v in (control.k_p, control.k_d))
-        h = candidates.durations / steps  # (phases, K)
-        u = np.zeros((phases, count, steps + 1, n))
-        u[:, :, :steps, moving] = np.transpose(k_p * q + k_d * after + forward, (1, 3, 2, 0))
-        u[:, :, steps] = u[:, :, steps - 1]
-        initial = np.zeros((phases, count, 1 + 3 * n))  # time, q, dq, activations
-        initial[:, :, [1 + j for j in moving]] = np.transpose(q[:, :, 0], (1, 2, 0))
-        initial[:, :, [1 + n + j for j in moving]] = np.transpose(start, (1, 2, 0))
-        initial[:, :, 1 + 2 * n :] = u[:, :, 0]
-        models, data = self._models(candidates, h), self._data
-        rates = (np.diff(u, axis=2) / h[:, :, None, None]).reshape(phases * count, steps, n)
-        with self._twins[0].effects():
-            states, _ = self._pool.rollout(models, data, initial.reshape(phases * count, -1), rates)
-        states = np.concatenate([initial[:, :, None], np.asarray(states).reshape(phases, count, steps, -1)], axis=2)
-        at, speed = (np.transpose(states[:, :, :, [first + j for j in moving]], (3, 0, 2, 1)) for first in (1, 1 + n))
-        tau = np.transpose(u[:, :, :steps, moving], (3, 0, 2, 1)) - k_p * at[:, :, :-1] - k_d * speed[:, :, 1:]
-        return np.stack([at[:, :, :-1], tau])
+    def _all_joints(self, values: np.ndarray) -> np.ndarray:
+        """Signals of the moving joints (m, phases, S, K) as those of all joints, one phase and candidate after the other, (B, n, S)."""
+        _, phases, steps, count = values.shape
+        result = np.zeros((phases, count, self.encoding.design.task.robot.n, steps))
+        result[:, :, list(self.encoding.design.task.moving)] = np.transpose(values, (1, 3, 0, 2))
+        return result.reshape(phases * count, -1, steps)
 
-    def _models(self, candidates: Candidates, h: np.ndarray) -> list:
-        """A model a phase and candidate, with the candidate's springs and step; made once, and set anew each time."""
-        size = len(candidates.theta)
-        while len(self._made[0]) < h.shape[1]:
-            for made, engine in zip(self._made, self._twins, strict=True):
-                made.append(copy(engine.mj))
-        for made, steps in zip(self._made, h, strict=True):
-            for mj, step, theta in zip(made, steps, candidates.theta.T, strict=False):
-                mj.opt.timestep = step
+    def _follow(self, candidates: Candidates, reference: list[np.ndarray], speed: np.ndarray) -> np.ndarray:
+        """Positions and controllers' torques of the moving joints at the middles of the steps, (2, m, phases, steps, K).
+
+        Args:
+            reference: q_ref at the middles, dq_ref at the ends, tau_ff at the middles of the steps, (B, n, steps) each.
+            speed: At the beginning, (B, n) [rad/s].
+        """
+        h = candidates.durations / self.steps  # (phases, K)
+        u = self._control.signal(*reference)
+        u = np.concatenate([u, u[:, :, -1:]], axis=2)
+        start = State(reference[0][:, :, 0], speed, np.zeros((len(u), 0)))
+        with self._twins[0].effects():
+            found = roll_out(self._models(candidates), u, h.ravel(), start, self._workers)
+        q = found.q[:, :, :-1]
+        both = np.stack([q, self._control.torque(u[:, :, :-1], q, found.dq[:, :, 1:])])
+        both = both[:, :, list(self.encoding.design.task.moving)].reshape(2, *h.shape, -1, self.steps)
+        return np.ascontiguousarray(np.transpose(both, (0, 3, 1, 4, 2)))
+
+    def _models(self, candidates: Candidates) -> list:
+        """A model for each phase and candidate, with the candidate's springs; made once, and set anew each time."""
+        size, count = candidates.theta.shape
+        for made, engine in zip(self._made, self._twins, strict=True):
+            made.extend(copy(engine.mj) for _ in range(count - len(made)))
+            for mj, theta in zip(made, candidates.theta.T, strict=False):
                 mj.numeric_data[:size] = theta  # which stand first in what the compiled springs read
-        return [mj for made in self._made for mj in made[: h.shape[1]]]
+        return [mj for made in self._made for mj in made[:count]]
 
     @cached_property
     def _made(self) -> list[list]:
@@ -116,14 +114,10 @@ class Engine:
         for payload in self.encoding.design.task.payloads:
             theta = [p.nominal for p in model.parameters]
             engine = twin(model, theta, self._control, settings, np.zeros(model.widths.size))
-            engine.grip(payload)
+            engine.set_payload(payload)
             engines.append(engine)
         return engines
 
     @cached_property
-    def _pool(self) -> rollout.Rollout:
-        return rollout.Rollout(nthread=self.threads if self.threads > 1 else 0)
-
-    @cached_property
-    def _data(self) -> list:
-        return [mujoco.MjData(self._twins[0].mj) for _ in range(self.threads)]
+    def _workers(self) -> Workers:
+        return Workers(self.threads)

@@ -7,7 +7,6 @@ gradient takes to what evolution found), "fixed" (springs alone on a motion that
 
 import time
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from rrr_oc.codesign.certificate import exact_cost
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
 from rrr_oc.codesign.multistart import LAYERS, SearchOptions, Start, reach, search
-from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
+from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_simulation, sample_motion
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Encoding, load_torque
@@ -95,7 +94,7 @@ def run_gradient(store: Path, labels: Mapping[str, Any], starts: int, seed: int)
         "wall_s": time.perf_counter() - wall,
     }
     columns = np.array(rows).reshape(-1, 2).T
-    run.finish(found, {"core_s": columns[0], "polished": columns[1], **vars(motion)})
+    run.finish(found, {"core_s": columns[0], "polished": columns[1], **motion.arrays})
     return labels, found
 
 
@@ -174,13 +173,13 @@ def run_fixed(store: Path, labels: Mapping[str, Any], duration: float, seed: int
     return labels, found
 
 
-def stored_motion(run: Run) -> Motion:
+def stored_motion(run: Run) -> SampledMotion:
     """The motion that a gradient's run keeps."""
     arrays = run.arrays
-    return Motion(**{field.name: arrays[field.name] for field in fields(Motion)})
+    return SampledMotion(**{name: arrays[name] for name in SAVED})
 
 
-def candidate_motion(encoding: Encoding, x: np.ndarray) -> Motion:
+def candidate_motion(encoding: Encoding, x: np.ndarray) -> SampledMotion:
     """A candidate's motion with exact springs, sampled densely; accelerations that jump stand twice at one time."""
     design, candidate = encoding.design, encoding.decode(x[None])
     bare = CoDesign(design.task, (), at_rest=design.at_rest)
@@ -193,10 +192,11 @@ def candidate_motion(encoding: Encoding, x: np.ndarray) -> Motion:
     t = starts[:, None] + h[:, None] * (np.arange(encoding.via + 1)[:, None] + s).ravel()
     phase = np.repeat(np.arange(len(PHASES)), t.shape[1])
     q, dq, ddq, load, spring = (values.reshape(m, -1) for values in (q, dq, ddq, load, spring))
-    return Motion(t.ravel(), q, dq, ddq, load, spring, phase, np.array(design.task.payloads)[phase])
+    payload = np.array(design.task.payloads)[phase]
+    return SampledMotion(t.ravel(), q, dq, ddq, payload, tau_load=load, tau_spring=spring, phase=phase)
 
 
-def spring_torques(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, np.ndarray]:
+def spring_torques(design: CoDesign, parameters: np.ndarray, motion: SampledMotion) -> dict[str, np.ndarray]:
     """Torque of each spring along a motion, by its label, on all joints (n, K) [Nm]; exact laws."""
     found, at, q = {}, 0, design.task.full(motion.q)
     for spring in design.springs:
@@ -209,7 +209,7 @@ def spring_torques(design: CoDesign, parameters: np.ndarray, motion: Motion) -> 
     return found
 
 
-def roles(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, dict[str, float]]:
+def roles(design: CoDesign, parameters: np.ndarray, motion: SampledMotion) -> dict[str, dict[str, float]]:
     """∫ Σ_joints |torque of a spring| dt in each phase [Nm s], by the spring's label and the phase's name."""
     return {
         label: {
@@ -220,7 +220,7 @@ def roles(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str,
     }
 
 
-def _described(design: CoDesign, parameters: np.ndarray, motion: Motion) -> dict[str, Any]:
+def _described(design: CoDesign, parameters: np.ndarray, motion: SampledMotion) -> dict[str, Any]:
     figures = describe(design, motion.metrics())
     hardware = {k: float(v) for k, v in design.hardware(parameters).items()}
     return {k: figures[k] for k in ("E1_joint", "rms", "peak")} | {

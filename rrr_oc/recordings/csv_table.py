@@ -55,7 +55,7 @@ class Table:
         """Number of the line that holds a row of `columns`."""
         return next(number for i, (number, _) in enumerate(self._rows()) if i == row)
 
-    def _parsed(self, indices: Sequence[int]) -> np.ndarray | None:
+    def _parsed(self, indices: list[int]) -> np.ndarray | None:
         """Values as pandas reads them; None where it refuses the file or would accept what is no row of numbers."""
         import pandas  # takes half a second, so only where a recording is read
 
@@ -66,14 +66,14 @@ class Table:
             return None  # it cuts off what the first row has too much
         try:
             frame = pandas.read_csv(
-                io.BytesIO(body), sep=self.delimiter, header=None, names=range(len(self.names)), usecols=indices, dtype=float,
+                io.BytesIO(body), sep=self.delimiter, header=None, names=list(range(len(self.names))), usecols=indices, dtype=float,
                 index_col=False, comment="#", quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=["", "nan", "NaN"],
             )  # fmt: skip
         except ValueError:
             return None
         if body.count(self.delimiter.encode()) != len(frame) * (len(self.names) - 1):
             return None  # it fills short rows with NaN
-        return np.ascontiguousarray(frame[list(indices)].to_numpy().T)
+        return np.ascontiguousarray(frame[indices].to_numpy().T)
 
     def _rows(self) -> Iterator[tuple[int, str]]:
         for i, line in enumerate(LINE.finditer(self.data, self.start), self.header_line + 1):

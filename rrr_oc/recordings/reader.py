@@ -12,8 +12,9 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
-from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, mounted_springs, read_header
+from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, read_header
 from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.springs import read_springs
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 
 
@@ -39,7 +40,7 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     arm, tool = _robot(file, source, header)
     loaded = tuple(
         _recording(folder / entry.file, entry, springs, header, arm)
-        for entry, springs in zip(header.recordings, mounted_springs(file, header), strict=True)
+        for entry, springs in zip(header.recordings, read_springs(file, header), strict=True)
     )
     return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
 
@@ -70,7 +71,8 @@ def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: He
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = np.array([columns[name] for name in recorded])
         result = Recording(
-            entry.file, entry.group or entry.file, columns["t"], q, dq, ddq, tau, columns["payload"], springs, segments, computed,
+            columns["t"], q, dq, ddq, columns["payload"], segments,
+            file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned,
         )  # fmt: skip
         result = _without_short_segments(path, result)

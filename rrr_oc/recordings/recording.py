@@ -1,80 +1,48 @@
 """Recordings of a robot's motion and torques, as data."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
+from rrr_oc.model.motion import Motion
 from rrr_oc.recordings.header import HEADER, Spring
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint
 
 
-@dataclass(frozen=True)
-class Recording:
-    """One motion of n joints in K samples.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording(Motion):
+    """A recorded motion of n joints in K samples; of a planned one, `tau` is zero.
 
     Attributes:
         file: Its CSV file, as listed in `recordings.json`; also its name in reports.
         group: Label of the physical set-up.
-        t: Time [s], strictly increasing, shape (K,).
-        q, dq, ddq: Positions [rad], speeds [rad/s], accelerations [rad/s²], shape (n, K).
         tau: What was recorded, in the recorded unit: torque [Nm] or current [A], shape (n, K).
-        payload: Mass at the tool [kg], shape (K,).
         springs: Springs believed to be mounted, each an effect with its parameters.
-        segments: Slices of the samples that no filter or derivative may cross.
         computed: Names of the columns that the file lacks and Savitzky–Golay derivatives fill.
         dropped: Number of rows dropped for a NaN.
         short: Number of rows dropped because their segment is too short for a derivative that had to be computed.
         ignored: Columns of the file that are not read.
         turned: Columns of positions that jumped by a whole turn and were unwrapped.
-        start: When the motion began [s]; None: with the first sample.
     """
 
     file: str
     group: str
-    t: np.ndarray
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
     tau: np.ndarray
-    payload: np.ndarray
     springs: tuple[Spring, ...] = ()
-    segments: tuple[slice, ...] = ()
     computed: tuple[str, ...] = ()
     dropped: int = 0
     short: int = 0
     ignored: tuple[str, ...] = ()
     turned: tuple[str, ...] = ()
-    start: float | None = None
 
     @classmethod
-    def planned(
-        cls,
-        name: str,
-        t: np.ndarray,
-        q: np.ndarray,
-        dq: np.ndarray,
-        ddq: np.ndarray,
-        payload: float,
-        springs: tuple[Spring, ...] = (),
-        group: str | None = None,
-    ) -> "Recording":
-        """A motion that has not been recorded yet, without torque, with one payload [kg]."""
-        return cls(name, group or name, t, q, dq, ddq, 0.0 * q, np.full(len(t), payload), springs, (slice(0, len(t)),))
-
-    @property
-    def clock(self) -> np.ndarray:
-        """Time since the motion began [s], (K,)."""
-        return self.t - (self.t[0] if self.start is None else self.start)
-
-    @cached_property
-    def filters(self) -> dict[tuple[str, float], csr_matrix]:
-        """Filters made for this recording, as matrices, by their kind and window [s]."""
-        return {}
+    def planned(cls, name: str, motion: Motion, springs: tuple[Spring, ...] = (), group: str | None = None) -> "Recording":
+        """A motion that has not been recorded yet: without torque, its group labelled by its name unless given."""
+        of_motion = {f.name: getattr(motion, f.name) for f in fields(Motion)}
+        return cls(file=name, group=group or name, tau=np.zeros_like(motion.q), springs=springs, **of_motion)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.header import FORMAT, HEADER, spring_json
+from rrr_oc.recordings.header import FORMAT, HEADER
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.springs import spring_json
 from rrr_oc.robot.robot import BUNDLED
 from rrr_oc.storage import new_folder, write_csv, write_json
 

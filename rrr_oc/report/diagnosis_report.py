@@ -56,7 +56,7 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, 
         figures[f"residual_{joint}"] = save_figure(_maps(diagnosis, j), folder / f"residual_{name}.png")
     for suggestion, entry in zip(diagnosis.suggestions, found["suggested_recordings"], strict=True):
         header = ",".join(["t", *(f"q_{joint}" for joint in diagnosis.model.joints)])
-        table = np.vstack([suggestion.t, suggestion.q]).T
+        table = np.vstack([suggestion.motion.t, suggestion.motion.q]).T
         lines = [",".join(f"{value:.6f}" for value in row) for row in table]
         write_text(folder / entry["trajectory"], "\n".join([header, *lines]) + "\n")
     write_text(folder / "report.html", page(found, about(diagnosis.recordings), figures))

@@ -14,7 +14,7 @@ from rrr_oc.numerics.smooth import ramp
 from rrr_oc.schema import Schema, read_preset
 
 
-class Drive(Schema):
+class Drive(Schema, frozen=True):
     """A joint's drive in an actuator file, with the coefficients of `Actuators` in their order."""
 
     torque_constant_Nm_per_A: float

@@ -18,19 +18,19 @@ from rrr_oc.effects import Body
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, ToolPoint
-from rrr_oc.simulation import generated_c as native
-from rrr_oc.simulation.generated_c import PAYLOAD, Native
+from rrr_oc.simulation import generated_c
+from rrr_oc.simulation.generated_c import PAYLOAD, EffectLibrary
 
 Form = Literal["generated", "native"]
 Integrator = Literal["rk4", "implicitfast", "implicit", "euler"]
 Start = Literal["continue", "reference"]
 
 K_P = 572.96  # Nm/rad, the prototype's P-controllers: 10 Nm a degree
-LIGHTEST = 0.01  # of the link's inertia, that a drive's armature has where its gear gives: a drive has inertia
+LEAST_ARMATURE = 0.01  # of the link's inertia, of a drive before an elastic gear; with less, the twist is too fast for the step
 INERTIA_FLOOR = 1e-12  # kg m²; MuJoCo refuses a body without rotational inertia, so a point mass gets this much
 
-if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT where the user stands, from every thread
-    mujoco.set_mju_user_warning(lambda text: None)  # what diverges is counted in mjData, and seen in its states
+if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working directory, from every thread
+    mujoco.set_mju_user_warning(lambda text: None)  # divergence shows in the states
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Settings:
     """How a motion is simulated.
 
     Attributes:
-        effects: Those on the links: "generated": the smoothed law as C generated from the effects' expressions; "native": MuJoCo's
-            own tendons, which follow the exact law, for those that have such a form.
+        effects: Form of the effects on the links. "generated": the smoothed law as C generated from the effects' expressions;
+            "native": MuJoCo's own tendons, which follow the exact law, for those that have such a form.
         timestep: Longest step [s]; a phase is cut into equal steps no longer than this.
         integrator: "rk4" evaluates controller and effects at every stage; the others are first order in `timestep`.
-        start: "continue": a phase starts in the state in which the one before ended; "reference": at its own first point.
+        start: "continue": a phase starts in the final state of the phase before; "reference": at its own first point.
         damping: Viscous friction of the joints [Nm s/rad], scalar or (n,).
         armature: Reflected inertia of the motors [kg m²], scalar or (n,).
         frictionloss: Dry friction of the joints [Nm], scalar or (n,).
@@ -84,13 +84,22 @@ class Controller:
     k_d: np.ndarray
     limit: np.ndarray
 
+    def signal(self, q: np.ndarray, dq: np.ndarray, forward: np.ndarray) -> np.ndarray:
+        """u = k_p q_ref + k_d dq_ref + tau_ff [Nm], which the actuators hold; arrays (..., n, K)."""
+        return self.k_p[:, None] * q + self.k_d[:, None] * dq + forward
+
+    def torque(self, u: np.ndarray, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        """u − k_p q − k_d dq within the limits [Nm]; arrays (..., n, K)."""
+        torque = u - self.k_p[:, None] * q - self.k_d[:, None] * dq
+        return np.clip(torque, -self.limit[:, None], self.limit[:, None])
+
 
 def controller(model: Model, k_p: float | np.ndarray = K_P, damping_ratio: float = 1.0) -> Controller:
-    """The paper's P-controllers with a derivative part, limited to the robot's efforts.
+    """The paper's P-controllers with a derivative gain, limited to the robot's efforts.
 
-    The paper's gain k_p acts on an arm whose gears damp it (the authors' calibrated joints have 40 and 23 Nm s/rad). On the
-    frictionless arm k_p alone leaves every disturbance ringing for good, so k_d = 2 ζ sqrt(k_p I) stands in for the gears,
-    but on the error of speed, so that it costs no torque on the reference. I is each joint's inertia at q = 0 with the
+    The paper's gain k_p acts on an arm that its gears damp (the authors' calibrated joints have 40 and 23 Nm s/rad). Without
+    friction and with k_p alone every disturbance would oscillate undamped, so k_d = 2 ζ sqrt(k_p I) replaces the gears'
+    damping; it acts on the error of speed and costs no torque on the reference. I is each joint's inertia at q = 0 with the
     other joints free and no payload (`RigidBody.free_inertia`), so that no joint is stiffer than the step can follow.
     """
     n = model.robot.n
@@ -104,46 +113,47 @@ class Twin:
     """A model in the engine.
 
     Attributes:
-        mj: The mjModel. Joint i of the robot is coordinate `seats[i]`, as its encoder sees it, and actuator i is its controller: the
-            activation is u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within
-            limits. Then follow actuators without torque whose activations are the effects' internal states. Where a gear gives, the
-            coordinate that follows is by how much the link is ahead of its drive.
-        library: The compiled effects; None where MuJoCo's own do the work, or there are none.
-        generated: Which of the effects it has.
-        held: What is held beyond the payload that is listed [kg], as an effect says.
+        theta, widths: Parameters and smoothing widths of the effects, as in `Model.theta` and `Model.widths`.
+        mj: The mjModel. Joint i of the robot is coordinate `dofs[i]`, as its encoder measures it, and actuator i is its controller:
+            the activation is u = k_p q_ref + k_d dq_ref + tau_ff [Nm], `ctrl` its rate [Nm/s], the torque u − k_p q − k_d dq within
+            limits. Then follow actuators without torque whose activations are the effects' internal states. The coordinate after
+            that of a joint with an elastic gear is the link's position less its drive's.
+        library: The compiled effects; None where all effects have forms of MuJoCo's own, or there are none.
+        generated: Which of the effects it contains.
+        extra_mass: Mass held beyond the listed payload [kg], from the effects on the payload.
     """
 
     model: Model
     theta: np.ndarray
     widths: np.ndarray
     mj: mujoco.MjModel
-    library: Native | None
+    library: EffectLibrary | None
     generated: tuple[bool, ...] = ()
-    held: float = 0.0
+    extra_mass: float = 0.0
 
     @cached_property
-    def seats(self) -> np.ndarray:
+    def dofs(self) -> np.ndarray:
         """Coordinates of the joints in the engine, (n,)."""
         return np.array([self.mj.joint(joint).dofadr[0] for joint in self.model.robot.joints])
 
     @cached_property
-    def gears(self) -> tuple[int, ...]:
-        """Joints whose gears give."""
+    def elastic_joints(self) -> tuple[int, ...]:
+        """Joints with elastic gears."""
         return tuple(sorted({e.joints[0] for e in self.model.effects if e.moves_link}))
 
     def effects(self) -> AbstractContextManager[None]:
-        """The context within which `mj` feels the compiled effects: step, forward and roll out inside it."""
-        return nullcontext() if self.library is None else native.installed(self.library)
+        """The context within which the compiled effects act on `mj`: step, forward and roll out inside it."""
+        return nullcontext() if self.library is None else generated_c.installed(self.library)
 
-    def grip(self, payload: float) -> None:
-        """Set the payload's listed mass [kg], 0 to let go. Nothing is compiled anew; states keep their meaning."""
-        self.mj.body(PAYLOAD).mass[0] = payload + self.held
-        mujoco.mj_setConst(self.mj, mujoco.MjData(self.mj))  # what follows from masses: invweights, subtree masses
+    def set_payload(self, payload: float) -> None:
+        """Set the payload's listed mass [kg], 0 to release it, without a new compilation."""
+        self.mj.body(PAYLOAD).mass[0] = payload + self.extra_mass
+        mujoco.mj_setConst(self.mj, mujoco.MjData(self.mj))  # constants that depend on masses: invweights, subtree masses
 
     def with_theta(self, theta: Sequence[float] | np.ndarray, widths: np.ndarray | None = None) -> "Twin":
         """A copy with other parameters (and widths) of its generated effects; the compiled library is shared.
 
-        Raises `UserError` where there is none, or another effect, which is the engine's own, is to change.
+        Raises `UserError` where there is no library, or a parameter of an effect in MuJoCo's own form would change.
         """
         if self.library is None:
             raise UserError("only generated effects take new parameters in a compiled model; build another twin")
@@ -153,7 +163,7 @@ class Twin:
         if not np.array_equal(self.theta[fixed], theta[fixed]):
             raise UserError("effects in the drives, or of the body, that are the engine's own change only in another twin")
         mj = copy(self.mj)
-        mj.numeric(self.library.marker).data[:] = native.values(theta, widths, self.held, self.model.robot.inertial)
+        mj.numeric(self.library.marker).data[:] = generated_c.values(theta, widths, self.extra_mass, self.model.robot.inertial)
         return replace(self, theta=theta, widths=widths, mj=mj)
 
 
@@ -166,12 +176,12 @@ def twin(
 ) -> Twin:
     """A model compiled for the engine.
 
-    What effects become, by their side: "body": masses, gravity and the payload's point of the compiled model. "link": as
-    `settings.effects` says. "drive": MuJoCo's own form where there is one (dry and viscous friction, armature), else generated; the
-    generated laws do not hold a joint at rest, as dry friction of MuJoCo's does, and what varies with the plain dry friction varies
-    with its smoothed law. "sensor": nothing; recorded torques differ, not the motion. "motion": an offset of an encoder turns
-    the joint's zero; a gear that gives makes two coordinates of one, the drive's with the armature and what the link is ahead. There
-    the load torque that friction grows with is that of one step ago.
+    Effects are modelled according to their side. "body": masses, gravity and the payload's point of the compiled model. "link": as
+    `settings.effects` says. "drive": MuJoCo's own form where there is one (dry and viscous friction, armature), else generated;
+    generated laws do not hold a joint at rest, as MuJoCo's dry friction does, and effects that scale with the plain dry friction
+    scale with its smoothed law. "sensor": not at all; they change recorded torques, not the motion. "motion": an offset of an
+    encoder turns the joint's zero; an elastic gear adds a coordinate, the link's position less its drive's, and the drive has the
+    armature. Behind such a gear load-dependent friction uses the load torque of one step before.
 
     Args:
         theta: Parameters of the effects, as in `Model.theta`.
@@ -181,35 +191,35 @@ def twin(
         widths: Smoothing widths of generated effects; 0 is the exact law. Default: `Model.widths`.
 
     Raises:
-        UserError: A gear that gives has play, too; there is no C compiler where one is needed; the engine refuses the robot.
+        UserError: A joint has both an elastic gear and one with play; a C compiler is required and missing; MuJoCo refuses the robot.
     """
     theta, widths = _checked(model, theta, widths)
-    offset = np.array(ca.evalf(native.shift(model, theta))).reshape(-1)
+    offset = np.array(ca.evalf(generated_c.shift(model, theta))).reshape(-1)
     body = _body(model, theta)
     robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
     tool = replace(model.tool, position=body.position)
     spec = build_spec(robot, tool, controller(model) if control is None else control, settings)
-    gives = any(effect.moves_link for effect in model.effects)
-    generated = _add_effects(spec, model, theta, settings.effects == "native" and not (gives or offset.any()))
+    elastic = any(effect.moves_link for effect in model.effects)
+    generated = _add_effects(spec, model, theta, settings.effects == "native" and not (elastic or offset.any()))
     _add_gears(spec, model, theta, robot.inertial, settings.timestep)
     for joint, zero in zip(robot.joints, offset, strict=True):
         spec.joint(joint).ref = -zero
     library = None
     if any(generated):
-        library = native.compile_effects(model, generated)
-        data = native.values(theta, widths, body.payload, model.robot.inertial)
+        library = generated_c.compile_effects(model, generated)
+        data = generated_c.values(theta, widths, body.payload, model.robot.inertial)
         spec.add_numeric(name=library.marker, data=data, size=data.size)
     try:
         mj = _compiled(spec, robot, estimated=not np.array_equal(robot.inertial, model.robot.inertial))
     except ValueError as error:
         raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {str(error).strip()}") from None
     engine = Twin(model, theta, widths, mj, library, generated, body.payload)
-    engine.grip(0.0)
+    engine.set_payload(0.0)
     return engine
 
 
 def _body(model: Model, theta: np.ndarray) -> Body:
-    """The rigid body as the effects of the side "body" make it, in numbers; `payload` is what is held beyond the payload."""
+    """The rigid body changed by the effects of the side "body", in numbers; its `payload` is mass beyond the listed payload."""
     robot, numbers = model.robot, iter(theta.tolist())
     body = Body(robot.inertial, robot.gravity, 0.0, model.tool.position.tolist())
     for effect in model.effects:
@@ -228,7 +238,7 @@ def _checked(model: Model, theta, widths) -> tuple[np.ndarray, np.ndarray]:
 
 
 def build_spec(robot: Robot, tool: ToolPoint, control: Controller, settings: Settings) -> mujoco.MjSpec:
-    """A robot in MuJoCo, without contacts and joint limits; the massless body `PAYLOAD` at the tool waits for a load."""
+    """A robot in MuJoCo, without contacts and joint limits, and with a massless body `PAYLOAD` at the tool."""
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
     spec.compiler.degree = False
@@ -280,9 +290,9 @@ def _principal(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _compiled(spec: mujoco.MjSpec, robot: Robot, estimated: bool) -> mujoco.MjModel:
-    """The spec compiled; the compiler refuses moments of inertia that no body has, but estimates may be of that kind.
+    """The spec compiled; of estimates, the moments of inertia are set after compilation, which refuses those that no body has.
 
-    Recordings tell only some combinations of inertial parameters; the rest of an estimate means nothing and shows in no motion.
+    Recordings determine only some combinations of inertial parameters; the others are arbitrary and affect no motion.
     """
     if estimated:
         for link, parameters in zip(robot.links, robot.inertial.T, strict=True):
@@ -303,7 +313,7 @@ def _add_actuator(spec: mujoco.MjSpec, joint: str, k_p: float, k_d: float, limit
 
 
 def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: bool) -> tuple[bool, ...]:
-    """Put MuJoCo's own forms, and actuators for internal states, into a spec; which effects are left to generated code."""
+    """Add MuJoCo's own forms, and actuators for internal states, to a spec; returns which effects remain for generated code."""
     numbers, generated = iter(theta.tolist()), []
     for i, effect in enumerate(model.effects):
         named = {p.name: next(numbers) for p in effect.parameters}
@@ -319,7 +329,7 @@ def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: 
 
 
 def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: np.ndarray, timestep: float) -> None:
-    """A second hinge beside that of each joint whose gear gives, by which the link is ahead of its drive."""
+    """Add a second hinge to each joint with an elastic gear: the link's position less its drive's."""
     robot, numbers, seen, least = model.robot, iter(theta.tolist()), set(), model.body.free_inertia(inertial)
     for effect in model.effects:
         named = {p.name: next(numbers) for p in effect.parameters}
@@ -333,7 +343,7 @@ def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: n
         seen.add(j)
         drive, body = spec.joint(robot.joints[j]), spec.body(robot.links[j])
         twist = body.add_joint(name=f"{robot.joints[j]}_twist", type=mujoco.mjtJoint.mjJNT_HINGE, axis=robot.axes[j])
-        drive.armature = max(float(drive.armature), LIGHTEST * least[j])
+        drive.armature = max(float(drive.armature), LEAST_ARMATURE * least[j])
         effect.gear(twist, named, least[j] * drive.armature / (least[j] + drive.armature) / timestep**2)
 
 

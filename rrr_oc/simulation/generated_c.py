@@ -2,12 +2,12 @@
 
 One library serves every model with the same effects on the same joints. The values (theta, widths, …) stand in the mjModel
 itself, in a custom numeric field whose name is the library's marker, and the payload is the mass of its body `PAYLOAD`; so
-models with different values run side by side, in any number of threads. A model without the marker is left alone.
+models with different values run side by side, in any number of threads. A model without the marker is not changed.
 
-The callback runs at every evaluation of the dynamics, so at every stage of RK4, before the engine knows accelerations. What
-depends on the load torque needs them: the code solves the equations of motion for them, with the actuators' torque, and the
-friction and armature of the joints, as the engine will have them; behind a gear that gives it takes those of one step ago.
-Internal states are activations of actuators without force, whose controls, the states' rates, the callback sets.
+The callback runs at every evaluation of the dynamics, so at every stage of RK4, before the engine knows accelerations. Effects
+that depend on the load torque need them: the code solves the equations of motion for them, with the actuators' torque and the
+friction and armature of the joints in the engine; behind an elastic gear it uses the accelerations of one step before.
+Internal states are activations of actuators without force; the callback sets their controls, which are the states' rates.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -32,15 +32,15 @@ from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 
 PAYLOAD = "rrr_oc:payload"
-STIFF = 0.5  # of itself, that a state loses in a step, from which an explicit step is too coarse
-STEPS = 4  # of Newton's method for the load torque
+STIFF = 0.5  # share of a state that decays in a step, above which the step is exponential instead of explicit; at 2 it diverges
+NEWTON_STEPS = 4  # for the load torque; the load's signs are right after two
 _WRAPPER = """
 #include <string.h>
 #include <mujoco/mjdata.h>
 #include <mujoco/mjmodel.h>
 
 typedef void (*passive)(const mjModel*, mjData*);
-__attribute__((visibility("default"))) passive rrr_oc_next = 0;  /* written only under native.py's lock */
+__attribute__((visibility("default"))) passive rrr_oc_next = 0;  /* written only under the lock of generated_c.py */
 
 static int find(const mjModel* m, const int* address, int count, const char* name) {{
   for (int i = 0; i < count; i++)
@@ -49,13 +49,13 @@ static int find(const mjModel* m, const int* address, int count, const char* nam
 }}
 
 static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
-  const mjtNum *widths = values + {n_theta}, *held = widths + {n_widths}, *inertial = held + 1;
+  const mjtNum *widths = values + {n_theta}, *extra = widths + {n_widths}, *inertial = extra + 1;
   int body = find(m, m->name_bodyadr, (int)m->nbody, "{payload}");
-  mjtNum payload = body < 0 ? 0 : m->body_mass[body] - *held, motor[{n}], link[{n}], drive[{n}], rate[{n_states} + 1], w[{sz_w}];
+  mjtNum payload = body < 0 ? 0 : m->body_mass[body] - *extra, motor[{n}], link[{n}], drive[{n}], rate[{n_states} + 1], w[{sz_w}];
   mjtNum q[{n}], dq[{n}], twist[2 * {n}], before[{n}], damping[{n}], armature[{n}], dry[{n}];
   long long iw[{sz_iw}];
   int at[{n}], gear[{n}];
-  for (int i = 0; i < {n}; i++) {{  /* twin.py's actuators: activation, position and speed feedback, limits */
+  for (int i = 0; i < {n}; i++) {{  /* actuators of engine_model.py: activation, position and speed feedback, limits */
     int joint = m->actuator_trnid[2 * i], k = at[i] = m->jnt_dofadr[joint];
     gear[i] = joint + 1 < m->njnt && m->jnt_bodyid[joint + 1] == m->jnt_bodyid[joint];  /* the joint's twist comes next */
     q[i] = d->qpos[k], dq[i] = d->qvel[k], before[i] = d->qacc_warmstart[k];
@@ -90,11 +90,11 @@ __attribute__((visibility("default"))) void rrr_oc_passive(const mjModel* m, mjD
 
 
 @dataclass(frozen=True)
-class Native:
+class EffectLibrary:
     """The compiled effects of a model.
 
     Attributes:
-        marker: Name of the custom numeric field that holds (theta, widths) in models that want these effects.
+        marker: Name of the custom numeric field that holds the effects' values in models with these effects.
         library: The loaded library; it stays loaded.
     """
 
@@ -102,7 +102,7 @@ class Native:
     library: ctypes.CDLL
 
 
-def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> Native:
+def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> EffectLibrary:
     """Effects of a model as a library, from the cache where it has been compiled before.
 
     The smoothed laws, with q, dq and time from mjData. Torques on the links are added to qfrc_passive and qfrc_spring, those in
@@ -124,17 +124,17 @@ def compile_effects(model: Model, inside: Sequence[bool] | None = None) -> Nativ
     sizes = {k: max(1, getattr(function, k)()) for k in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
     sizes |= {"n_theta": len(model.parameters), "n_widths": len(model.widths), "n_states": len(model.states)}
     wrapper = _WRAPPER.format(marker=marker, payload=PAYLOAD, n=model.robot.n, **sizes)
-    return Native(marker, _load(library(f"effects-{name}", code + wrapper, flags, " or use effects='native'")))
+    return EffectLibrary(marker, _load(library(f"effects-{name}", code + wrapper, flags, " or use effects='native'")))
 
 
 @contextmanager
-def installed(*libraries: Native) -> Iterator[None]:
-    """MuJoCo's passive callback runs the libraries within this context, and is what it was before after it.
+def installed(*libraries: EffectLibrary) -> Iterator[None]:
+    """Within this context MuJoCo's passive callback runs the libraries; after it, the callback is restored.
 
-    Contexts nest, and libraries of different models run beside each other and beside a C callback that was there before.
+    Contexts nest; libraries of different models run beside each other and beside a C callback that was installed before.
 
     Raises:
-        UserError: A Python callback is installed: C code cannot pass a model on to it.
+        UserError: A Python callback is installed, which C code cannot call.
     """
     with _lock:
         _add(libraries)
@@ -150,11 +150,11 @@ def installed(*libraries: Native) -> Iterator[None]:
 
 
 _lock = threading.Lock()
-_active: list[Native] = []
+_active: list[EffectLibrary] = []
 _before: list[Any] = [None]
 
 
-def _add(libraries: tuple[Native, ...]) -> None:
+def _add(libraries: tuple[EffectLibrary, ...]) -> None:
     if not _active:
         before = mujoco.get_mjcb_passive()
         if before is not None and not isinstance(before, ctypes._CFuncPtr):
@@ -167,28 +167,28 @@ def _add(libraries: tuple[Native, ...]) -> None:
 
 
 def _link() -> None:
-    """Each active library calls the next one, the last one the callback that was there before."""
+    """Each active library calls the next one, the last one the callback that was installed before."""
     chain = list(dict.fromkeys(_active))
-    functions = [*(native.library.rrr_oc_passive for native in chain), _before[0]]
-    for native, following in zip(chain, functions[1:], strict=True):
-        _set_next(native, following)
+    functions = [*(one.library.rrr_oc_passive for one in chain), _before[0]]
+    for one, following in zip(chain, functions[1:], strict=True):
+        _set_next(one, following)
     mujoco.set_mjcb_passive(functions[0])
 
 
-def _set_next(native: Native, function: Any) -> None:
+def _set_next(one: EffectLibrary, function: Any) -> None:
     address = None if function is None else ctypes.cast(function, ctypes.c_void_p).value
-    ctypes.c_void_p.in_dll(native.library, "rrr_oc_next").value = address
+    ctypes.c_void_p.in_dll(one.library, "rrr_oc_next").value = address
 
 
 def law(model: Model, inside: Sequence[bool]) -> ca.Function:
-    """What the library works out, dense.
+    """The function that the library evaluates, dense.
 
     (q, dq, time, step, payload, motor, states, damping, armature, frictionloss, twist, before, theta, widths, inertial) -> (link, drive,
     rates): torque of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is
     the actuators' torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,), `twist` (2 n,)
-    what gears that give add to the links' positions and speeds, `before` (n,) the links' accelerations one step ago: behind such a
-    gear those of now are not the drive's, and the load torque is that of one step ago. A state that falls off
-    at a rate s of its own does so as exp(−s step) over the engine's `step` [s] where that is fast: its explicit step would diverge.
+    positions and speeds of links less those of their drives, `before` (n,) the links' accelerations one step before: behind an
+    elastic gear the present ones are not the drive's. A state that decays at a rate s of its own does so as exp(−s step) over
+    the engine's `step` [s] where that is fast: its explicit step would diverge.
     """
     n = model.robot.n
     q, dq, motor, damping, armature, dry = (
@@ -231,13 +231,13 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
 def _root(residual: ca.SX, x: ca.SX) -> ca.SX:
     """The x where a residual vanishes, by Newton's method: in one step for friction in |load| once the load's signs are right."""
     step, found = x - ca.solve(ca.jacobian(residual, x), residual), ca.SX.zeros(x.shape)
-    for _ in range(STEPS):
+    for _ in range(NEWTON_STEPS):
         found = ca.substitute(step, x, found)
     return found
 
 
 def shift(model: Model, theta) -> ca.SX:
-    """By how much the links stand otherwise than their encoders say, (n,) [rad], but for what gears give."""
+    """Position of the links less that of their encoders, without elastic gears, (n,) [rad]."""
     result, i = ca.SX.zeros(model.robot.n), 0
     for effect in model.effects:
         named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
@@ -258,6 +258,6 @@ def _load(path: Path) -> ctypes.CDLL:
     return library
 
 
-def values(theta: np.ndarray, widths: np.ndarray, held: float, inertial: np.ndarray) -> np.ndarray:
-    """What the marker's numeric field holds: `held` is what `PAYLOAD` weighs beyond the payload [kg], `inertial` (10, n)."""
-    return np.concatenate([theta, widths, [held], np.asarray(inertial).reshape(-1, order="F")])
+def values(theta: np.ndarray, widths: np.ndarray, extra_mass: float, inertial: np.ndarray) -> np.ndarray:
+    """Content of the marker's numeric field; `extra_mass` is that of `PAYLOAD` beyond the listed payload [kg], `inertial` (10, n)."""
+    return np.concatenate([theta, widths, [extra_mass], np.asarray(inertial).reshape(-1, order="F")])

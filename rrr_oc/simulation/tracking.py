@@ -1,4 +1,4 @@
-"""Reference motions followed in the physics engine, phase by phase, under the paper's controllers; what the engine then read."""
+"""Designs followed in the physics engine, phase by phase, under the paper's controllers, and the engine's torques and energies."""
 
 # pyright: reportAttributeAccessIssue=false
 # (mujoco's wheel has no stubs)
@@ -10,81 +10,67 @@ from functools import cached_property
 import casadi as ca
 import mujoco
 import numpy as np
-from mujoco import rollout
-from scipy.interpolate import Akima1DInterpolator, CubicHermiteSpline
 
 from rrr_oc.errors import UserError
 from rrr_oc.model import metrics
 from rrr_oc.model.metrics import Metrics
+from rrr_oc.model.motion import Motion
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.simulation import generated_c as native
+from rrr_oc.simulation import generated_c
 from rrr_oc.simulation.engine_model import DEFAULT, Controller, Settings, Twin, controller, twin
+from rrr_oc.simulation.rollout import Following, Simulated, State, position, roll_out
+
+DIVERGED = 1e3  # rad, rad/s; a simulation beyond is rejected: no arm gets there, and one that diverges passes it in a few steps
 
 
-@dataclass(frozen=True)
-class ReferencePhase:
-    """A phase of motion to follow; joints that stand still have rows of their own.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reference(Motion):
+    """A phase of motion to follow; joints that stand still have rows of their own, and the payload is constant.
 
     Attributes:
         name: Used in messages.
-        t: Times [s], shape (K,), increasing.
-        q, dq, ddq: Motion [rad, rad/s, rad/s²], shape (n, K).
-        payload: Mass at the tool [kg].
-        tau_load: Load torque of Eq. 6 [Nm], shape (n, K), fed forward.
+        feed_forward: Torque that the controllers add, such as the load torque of Eq. 6 [Nm], shape (n, K).
     """
 
     name: str
-    t: np.ndarray
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
-    payload: float
-    tau_load: np.ndarray
+    feed_forward: np.ndarray
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.t.ndim != 1 or self.t.size < 3 or not np.all(np.diff(self.t) > 0):
             raise UserError(f"phase {self.name!r}: needs at least 3 increasing times, got an array of shape {self.t.shape}")
-        for name in ("q", "dq", "ddq", "tau_load"):
+        for name in ("q", "dq", "ddq", "feed_forward"):
             value = getattr(self, name)
             if value.shape != (self.q.shape[0], self.t.size) or not np.all(np.isfinite(value)):
                 raise UserError(f"phase {self.name!r}: {name} must be finite, of shape (n, {self.t.size}), got {value.shape}")
-        if not 0 <= self.payload < np.inf:
-            raise UserError(f"phase {self.name!r}: payload {self.payload} kg must be finite and not negative")
+        mass = self.payload
+        if mass.shape != self.t.shape or np.any(mass != mass[0]) or not 0 <= mass[0] < np.inf:
+            raise UserError(f"phase {self.name!r}: payload {mass} kg must be one finite mass, not negative")
 
 
-@dataclass(frozen=True)
-class TrackedPhase:
-    """A phase as the engine moved it, at every step; joints (n,), time last.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrackedPhase(Simulated):
+    """A phase as the engine moved it, at every step, on the reference's clock.
+
+    `tau_motor` is the engine's `qfrc_actuator`; `tau_load` is `mj_rne` at the engine's `qacc`, which contains no armature, so that
+    the motors' inertia and friction stand on the drive's side, less `qfrc_spring`.
 
     Attributes:
-        t: Times on the reference's clock [s], shape (K,).
-        q, dq, ddq: Motion [rad, rad/s, rad/s²], shape (n, K).
-        tau_motor: Torque of the controllers, after the limits [Nm]: `qfrc_actuator`.
-        tau_load: Load torque M ddq + C dq + G − tau_spring [Nm], shape (n, K): `mj_rne` at the engine's `qacc` (which knows
-            no armature, so the motors' inertia and friction stand on the drive's side) less `qfrc_spring`.
         tau_spring: Torque of the effects on the links [Nm], shape (n, K): `qfrc_spring`.
         kinetic, potential: Energy of the links and payload [J], shape (K,): from the engine, without the armature's.
         stored: In springs [J], shape (K,): the engine's for native effects; of generated ones, which the engine knows only as
             torques, their own expression at the engine's positions.
         work_load, dissipated: Of tau_load, and in the joints' friction, since the start [J], shape (K,).
-        reference: What was to be followed.
+        reference: The phase to be followed.
     """
 
-    name: str
-    payload: float
-    t: np.ndarray
-    q: np.ndarray
-    dq: np.ndarray
-    ddq: np.ndarray
-    tau_motor: np.ndarray
-    tau_load: np.ndarray
     tau_spring: np.ndarray
     kinetic: np.ndarray
     potential: np.ndarray
     stored: np.ndarray
     work_load: np.ndarray
     dissipated: np.ndarray
-    reference: ReferencePhase
+    reference: Reference
 
     @property
     def energy_residual(self) -> float:
@@ -97,7 +83,7 @@ class TrackedPhase:
     @property
     def error(self) -> np.ndarray:
         """Largest |q − q_ref| of each joint [rad], shape (n,)."""
-        return np.max(np.abs(self.q - _position(self.reference)(self.t)), axis=1)
+        return np.max(np.abs(self.q - position(self.reference)(self.t)), axis=1)
 
 
 @dataclass(frozen=True)
@@ -120,6 +106,11 @@ class Tracked:
         return max(p.energy_residual for p in self.phases)
 
     @property
+    def tracking_error(self) -> float:
+        """Largest |q − q_ref| of any joint in any phase [rad]."""
+        return float(max(np.max(p.error) for p in self.phases))
+
+    @property
     def saturated(self) -> np.ndarray:
         """Whether each joint's controller ran into its limit, shape (n,)."""
         return np.any([np.any(np.abs(p.tau_motor) >= self.control.limit[:, None], axis=1) for p in self.phases], axis=0)
@@ -127,7 +118,7 @@ class Tracked:
 
 def track(
     model: Model,
-    phases: Sequence[ReferencePhase],
+    phases: Sequence[Reference],
     theta: Sequence[float] | np.ndarray = (),
     control: Controller | None = None,
     settings: Settings = DEFAULT,
@@ -136,9 +127,9 @@ def track(
     """Follow a reference in the engine, phase after phase.
 
     A payload is held in the phases that have one, and let go between them. The reference between its points is the cubic
-    with the points' q and dq (and dq with ddq), tau_load Akima's interpolant. The controllers read q and dq at every stage
-    of a step, while q_ref, dq_ref and tau_ff pass linearly from one step to the next (under "rk4"; the other integrators hold
-    them). Held over a step they would make the torque a saw-tooth of height k_p dq h (0.5 Nm here at 1 ms).
+    with the points' q and dq (and dq with ddq), the torque fed forward Akima's interpolant. The controllers read q and dq at
+    every stage of a step, while q_ref, dq_ref and tau_ff pass linearly from one step to the next (under "rk4"; the other
+    integrators hold them). Held over a step they would make the torque a saw-tooth of height k_p dq h (0.5 Nm here at 1 ms).
 
     Raises:
         UserError: As in `twin`; a gear gives; the reference has another number of joints; the simulation diverges.
@@ -151,86 +142,52 @@ def track(
             )
     engine = twin(model, theta, control, settings, widths)
     check_gears(engine)
-    tracked: list[TrackedPhase] = []
-    held: np.ndarray | None = None  # internal states of the effects
+    following, tracked, end = Following(control, settings.timestep), [], None
     with engine.effects():
         for phase in phases:
-            if tracked and settings.start == "continue":
-                start = tracked[-1].q[:, -1], tracked[-1].dq[:, -1]
-            else:
-                start = phase.q[:, 0], phase.dq[:, 0]
-            held = held if settings.start == "continue" else None
-            phase_found, held = _follow(engine, phase, control, start, settings.timestep, held)
-            tracked.append(phase_found)
+            found, end = _follow(engine, phase, following, end if settings.start == "continue" else None)
+            tracked.append(found)
     return Tracked(tuple(tracked), engine, control, settings)
 
 
 def check_gears(engine: Twin) -> None:
     """Raise `UserError` where a gear gives: a design's reference is that of the links, and drives would have to lead them."""
-    if engine.gears:
-        joints = ", ".join(engine.model.robot.joints[j] for j in engine.gears)
+    if engine.elastic_joints:
+        joints = ", ".join(engine.model.robot.joints[j] for j in engine.elastic_joints)
         raise UserError(
             f"the gear of {joints} gives, and a design's motion is that of the links; only recordings can be replayed"
         )
 
 
-def _follow(
-    engine: Twin, phase: ReferencePhase, control: Controller, start, timestep: float, held: np.ndarray | None
-) -> tuple[TrackedPhase, np.ndarray]:
-    """One phase: a roll-out in one call, then its states read one by one. And the internal states at its end; `held` at its start."""
-    steps = max(1, int(np.ceil((phase.t[-1] - phase.t[0]) / timestep - 1e-9)))
-    t = np.linspace(phase.t[0], phase.t[-1], steps + 1)
-    engine.grip(phase.payload)
-    engine.mj.opt.timestep = t[1] - t[0]
-    data = mujoco.MjData(engine.mj)
-    data.time, data.qpos[:], data.qvel[:] = t[0], *start
-    u = _control_signal(phase, control, t)
-    rest = [x for effect in engine.model.effects for x in effect.rest(phase.tau_load[:, 0])] if held is None else held
-    u = np.vstack([u, *(np.full_like(t, x) for x in rest)])  # whose rates the effects set
-    data.act[:] = u[:, 0]
-    physics = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    initial = np.zeros(mujoco.mj_stateSize(engine.mj, physics))
-    mujoco.mj_getState(engine.mj, data, initial, physics)
-    states, _ = rollout.rollout(engine.mj, data, initial, (np.diff(u) / np.diff(t)).T)
-    states = np.vstack([initial, np.asarray(states)[0]])[:, 1:]  # without time
-    _check_finite(states, data, phase, t)
-    count = len(engine.model.states)
-    return _read(engine, phase, t, states), states[-1, states.shape[1] - count :]
+def _follow(engine: Twin, phase: Reference, following: Following, start: State | None) -> tuple[TrackedPhase, State]:
+    """One phase from a state, or from its own first point, and the state at its end."""
+    t, h = following.grid(phase)
+    if start is None:
+        rest = [x for effect in engine.model.effects for x in effect.rest(phase.feed_forward[:, 0])]
+        start = State(phase.q[:, 0], phase.dq[:, 0], np.array(rest))
+    engine.set_payload(float(phase.payload[0]))
+    u = following.signal(phase, phase.feed_forward, t, h)
+    found = roll_out([engine.mj], u[None], h, State(start.q[None], start.dq[None], start.effects[None]))
+    q, dq, effects = found.q[0], found.dq[0], found.effects[0]
+    fine = np.all(np.abs(np.concatenate([q, dq])) < DIVERGED, axis=0) & np.all(np.isfinite(effects), axis=0)
+    if not np.all(fine):
+        when = t[np.argmin(fine)]
+        raise UserError(
+            f"phase {phase.name!r}: the simulation diverges near t = {when:.4g} s; shorten the timestep or lower the gains"
+        )
+    end = State(q[:, -1], dq[:, -1], effects[:, -1])
+    return _read(engine, phase, t, np.concatenate([q, dq, u, effects])), end
 
 
-def _position(phase: ReferencePhase) -> CubicHermiteSpline:
-    return CubicHermiteSpline(phase.t, phase.q, phase.dq, axis=1)
-
-
-def _control_signal(phase: ReferencePhase, control: Controller, t: np.ndarray) -> np.ndarray:
-    """u = k_p q_ref + k_d dq_ref + tau_ff [Nm], shape (n, K)."""
-    q, dq = _position(phase), CubicHermiteSpline(phase.t, phase.dq, phase.ddq, axis=1)
-    tau = Akima1DInterpolator(phase.t, phase.tau_load, axis=1)
-    return control.k_p[:, None] * q(t) + control.k_d[:, None] * dq(t) + tau(t)
-
-
-def _check_finite(states: np.ndarray, data: mujoco.MjData, phase: ReferencePhase, t: np.ndarray) -> None:
-    warnings = mujoco.mjtWarning
-    counts = [data.warning[w].number for w in (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)]
-    if any(counts) or not np.all(np.isfinite(states)):
-        lost = np.flatnonzero(~np.all(np.abs(states) < 1e3, axis=1))
-        when = f" near t = {t[lost[0]]:.4g} s" if lost.size else ""
-        raise UserError(f"phase {phase.name!r}: the simulation diverges{when}; shorten the timestep or lower the gains")
-
-
-def _read(engine: Twin, phase: ReferencePhase, t: np.ndarray, states: np.ndarray) -> TrackedPhase:
+def _read(engine: Twin, phase: Reference, t: np.ndarray, states: np.ndarray) -> TrackedPhase:
+    """Torques and energies of the engine at its states (2 n + activations, K), on the reference's clock (K,)."""
     m, d, n = engine.mj, mujoco.MjData(engine.mj), engine.model.robot.n
-    fields = {"q": "qpos", "dq": "qvel", "ddq": "qacc", "tau_motor": "qfrc_actuator", "tau_spring": "qfrc_spring"}
+    fields = {"ddq": "qacc", "tau_motor": "qfrc_actuator", "tau_spring": "qfrc_spring"}
     rows = {name: np.zeros((n, t.size)) for name in (*fields, "tau_load")}
-    lost, kinetic, gravity, total, rne = (
-        np.zeros((n, t.size)),
-        np.zeros(t.size),
-        np.zeros(t.size),
-        np.zeros(t.size),
-        np.zeros(n),
-    )
+    lost, rne = np.zeros((n, t.size)), np.zeros(n)
+    kinetic, gravity, total = np.zeros((3, t.size))
     for k in range(t.size):
-        d.time, d.qpos[:], d.qvel[:], d.act[:] = t[k], *np.split(states[k], [n, 2 * n])
+        d.time, d.qpos[:], d.qvel[:], d.act[:] = t[k], *np.split(states[:, k], [n, 2 * n])
         mujoco.mj_forward(m, d)
         mujoco.mj_rne(m, d, 1, rne)
         mujoco.mj_energyPos(m, d)
@@ -240,22 +197,19 @@ def _read(engine: Twin, phase: ReferencePhase, t: np.ndarray, states: np.ndarray
         rows["tau_load"][:, k], lost[:, k] = rne - d.qfrc_spring, d.qfrc_damper + d.qfrc_constraint
         total[k], kinetic[k] = d.energy[0], d.energy[1] - m.dof_armature @ d.qvel**2 / 2
         gravity[k] = -m.body_mass @ (d.xipos @ m.opt.gravity)
+    q, dq = states[:n], states[n : 2 * n]
     return TrackedPhase(
-        name=phase.name,
-        payload=phase.payload,
-        t=t,
-        **rows,
-        kinetic=kinetic,
-        potential=gravity,
-        stored=total - gravity if engine.library is None else _stored(engine, rows["q"], rows["dq"], phase.payload),
-        work_load=_since_start(np.sum(rows["tau_load"] * rows["dq"], axis=0), t),
-        dissipated=_since_start(-np.sum(lost * rows["dq"], axis=0), t),
+        t=t, q=q, dq=dq, payload=np.full(t.size, phase.payload[0]), **rows,
+        kinetic=kinetic, potential=gravity,
+        stored=total - gravity if engine.library is None else _stored(engine, q, dq, float(phase.payload[0])),
+        work_load=_since_start(np.sum(rows["tau_load"] * dq, axis=0), t),
+        dissipated=_since_start(-np.sum(lost * dq, axis=0), t),
         reference=phase,
-    )
+    )  # fmt: skip
 
 
 def _stored(engine: Twin, q: np.ndarray, dq: np.ndarray, payload: float) -> np.ndarray:
-    q = q + np.array(ca.evalf(native.shift(engine.model, engine.theta)))
+    q = q + np.array(ca.evalf(generated_c.shift(engine.model, engine.theta)))
     return np.asarray(engine.model.energy(q, dq, payload, engine.theta, engine.widths)[2]).reshape(-1)
 
 
