@@ -49,7 +49,7 @@ class SampledMotion(Motion):
         """The motion of all joints (n, K) in each phase, from time 0, with the task's payloads."""
         whole = [task.full(values) for values in (self.q, self.dq, self.ddq)]
         return [
-            Motion(self.t[k] - self.t[k[0]], *(x[:, k] for x in whole), np.full(len(k), payload))
+            Motion(self.t[k] - self.t[k[0]], *(x[:, k] for x in whole), payload=np.full(len(k), payload))
             for k, payload in zip(self.phases(), task.payloads, strict=True)
         ]
 
