@@ -46,9 +46,12 @@ class SampledMotion(Motion):
         return measure([(self.t[k], self.tau_load[:, k]) for k in self.phases()])
 
     def by_phase(self, task: Task) -> list[Motion]:
-        """The motion of all joints (n, K) in each phase, from time 0."""
+        """The motion of all joints (n, K) in each phase, from time 0, with the task's payloads."""
         whole = [task.full(values) for values in (self.q, self.dq, self.ddq)]
-        return [Motion(self.t[k] - self.t[k[0]], *(x[:, k] for x in whole), self.payload[k]) for k in self.phases()]
+        return [
+            Motion(self.t[k] - self.t[k[0]], *(x[:, k] for x in whole), payload=np.full(len(k), payload))
+            for k, payload in zip(self.phases(), task.payloads, strict=True)
+        ]
 
     def references(self, task: Task, torque: Callable[[Motion], np.ndarray]) -> list[Reference]:
         """The phases to be followed, with the torque (n, K) [Nm] that is fed forward along each."""

@@ -87,7 +87,7 @@ def _rig(recordings: RecordingSet, plain: CalibratedModel, seen: View, springs: 
     """
     every, robot = recordings.recordings, recordings.robot
     payload, known = max(float(r.payload.max()) for r in every), robot_limits(robot)
-    listed = _recording(Motion(np.zeros(1), *np.zeros((3, robot.n, 1)), np.full(1, payload)), springs)
+    listed = _recording(Motion(np.zeros(1), *np.zeros((3, robot.n, 1)), payload=np.full(1, payload)), springs)
     physics = plain.physics(listed)
     torque = np.max([np.abs(recordings.output_torque(r)).max(axis=1) for r in every], axis=0)
     low, high = np.maximum(seen.low, robot.lower), np.minimum(seen.high, robot.upper)

@@ -79,7 +79,9 @@ class Information:
         """S of a motion (n, K), one row and column a parameter of interest."""
         p, b = len(self.scale), len(self.nuisance)
         stacked = _stack(np.asarray(self.rows.map(q.shape[1])(q, dq, ddq)), p)
-        whole = np.linalg.qr(stacked / math.sqrt(q.shape[1]), mode="r")  # S = Rᵀ R, without squaring the condition number
+        whole = np.asarray(
+            np.linalg.qr(stacked / math.sqrt(q.shape[1]), mode="r")
+        )  # so that the condition number is not squared
         return whole[b:, b:].T @ whole[b:, b:]
 
     def log_det(self, motion: Motion) -> float:

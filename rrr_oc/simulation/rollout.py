@@ -55,7 +55,8 @@ class Following:
     def grid(self, motion: Motion) -> tuple[np.ndarray, float]:
         """Ends of the steps on the motion's clock [s], shape (S + 1,), and the step [s]."""
         steps = max(self.least, int(np.ceil((motion.t[-1] - motion.t[0]) / self.timestep)))
-        return np.linspace(*motion.clock[[0, -1]], steps + 1, retstep=True)
+        first, last = motion.clock[[0, -1]].tolist()
+        return np.linspace(first, last, steps + 1, retstep=True)
 
     def signal(self, motion: Motion, forward: np.ndarray, at: np.ndarray, h: float) -> np.ndarray:
         """u = k_p q_ref + k_d dq_ref + tau_ff [Nm] at times (S + 1,) of the motion's clock, shape (..., n, S + 1).

@@ -199,7 +199,8 @@ def _read(engine: Twin, phase: Reference, t: np.ndarray, states: np.ndarray) -> 
         gravity[k] = -m.body_mass @ (d.xipos @ m.opt.gravity)
     q, dq = states[:n], states[n : 2 * n]
     return TrackedPhase(
-        t=t, q=q, dq=dq, payload=np.full(t.size, phase.payload[0]), **rows,
+        t, q, dq, rows["ddq"], np.full(t.size, phase.payload[0]),
+        tau_motor=rows["tau_motor"], tau_load=rows["tau_load"], tau_spring=rows["tau_spring"],
         kinetic=kinetic, potential=gravity,
         stored=total - gravity if engine.library is None else _stored(engine, q, dq, float(phase.payload[0])),
         work_load=_since_start(np.sum(rows["tau_load"] * dq, axis=0), t),
