@@ -32,7 +32,8 @@ from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, load_catalogue
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task, tool_height
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.optimal_control.solver import Refinement, SolverFailure
+from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.parallel import check_jobs
 from rrr_oc.report.design_report import published_springs, report, wide_console
 from rrr_oc.report.figures import draw_all

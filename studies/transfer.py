@@ -41,7 +41,7 @@ from rrr_oc.errors import UserError, entry_point
 from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, PlannedRecording, Sweep, protocol, sweep
 from rrr_oc.model.metrics import measure
 from rrr_oc.numerics.savitzky_golay import smooth
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.recordings.header import Spring, spring_json
 from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings, write_set
 from rrr_oc.report.design_report import markdown, wide_console

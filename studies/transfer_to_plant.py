@@ -27,7 +27,7 @@ from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.comparison import FREE_MOTION
 from rrr_oc.paper.encoding import Encoding
 from rrr_oc.paper.experiments import candidate_motion, experiment, stored_motion

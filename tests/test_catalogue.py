@@ -13,7 +13,7 @@ from rrr_oc.codesign.multistart import SearchOptions, SearchResult, search
 from rrr_oc.codesign.purchasable import Catalogue, CatalogueResult, load_catalogue, search_catalogue
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(

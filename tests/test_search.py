@@ -11,7 +11,8 @@ from rrr_oc.codesign.design_problem import CoDesign, motion_guess, spring_bounds
 from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, decode, dimensions, same, search
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.solver import Refinement, SolverFailure
+from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.optimal_control.solver import SolverFailure
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(

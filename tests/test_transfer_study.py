@@ -18,7 +18,7 @@ from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, PlannedRecording
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.recordings.recording import RecordingSet
 from studies import transfer as study
 

@@ -33,8 +33,10 @@ from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
-from rrr_oc.optimal_control.solver import Options, Refinement, Solution, Solver, refine, solve
-from rrr_oc.optimal_control.transcription import Scheme, Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.refinement import Refinement, mesh_error, refine
+from rrr_oc.optimal_control.scheme import Scheme, scheme, uniform_mesh
+from rrr_oc.optimal_control.solver import Options, Solution, Solver, solve
+from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.report.figures import save_figure
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.storage import write_json, write_text
@@ -502,7 +504,7 @@ def refined(case: Case, tolerance: float) -> dict:
         "title": case.title,
         "tolerance": tolerance,
         "rows": rows,
-        "error_estimate": last.error.largest,
+        "error_estimate": mesh_error(last).largest,
         **_errors(case, last),
         "seconds": time.perf_counter() - began,
     }

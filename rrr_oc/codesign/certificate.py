@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, HARDWARE, CoDesign, torque_path
 from rrr_oc.codesign.multistart import Optimum, SearchResult
 from rrr_oc.optimal_control.optimality import Kkt
+from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.solver import Solution
 
 _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
@@ -81,7 +82,7 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
     kkt = Kkt(solution)
     second_order, curvature, direction = kkt.second_order()
     exact = exact_cost(design, solution)
-    last = optimum.meshes[-1]
+    error, last = mesh_error(solution), optimum.meshes[-1]
     return Certificate(
         primal=kkt.primal,
         dual=kkt.dual,
@@ -92,12 +93,12 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
         active=_active(design, solution, kkt),
         sensitivity=float(kkt.data_gradient[0]) / solution.cost,
         mesh={
-            "error": solution.error.largest,
-            "quadrature": solution.error.quadrature,
+            "error": error.largest,
+            "quadrature": error.quadrature,
             "change": last.get("change", float("nan")),
             "converged": last.get("converged", False),
         },
-        violation=solution.error.violation,
+        violation=error.violation,
         smoothing=abs(exact - solution.cost) / solution.cost,
         exact_cost=exact,
         reintegration=reintegrate(solution),

@@ -12,8 +12,10 @@ from rrr_oc.codesign.design_problem import CoDesign, drawn_bounds, from_drawn, m
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.problem import Guess
-from rrr_oc.optimal_control.solver import Options, Refinement, Solution, Solver, SolverFailure, continue_in, refine
-from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.refinement import Refinement, mesh_row, refine
+from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
+from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure, continue_in
+from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import ordered, unordered
 
 LAYERS = ("sobol", "cma-es")
@@ -359,7 +361,7 @@ def _hop(design: CoDesign, options: SearchOptions, packed: "_Packed", phase: int
     found = solver.solve(Guess(tuple(motions), guess.parameters), packed.data, check=False)
     if found.status != "Solve_Succeeded":
         return None
-    return _pack(Optimum(found, refine(found, Refinement(rounds=0))[1], 0))
+    return _pack(Optimum(found, [mesh_row(found)], 0))
 
 
 def continued(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:
@@ -416,7 +418,7 @@ def _follow(design: CoDesign, options: SearchOptions, guess: Guess) -> _Packed |
         followed = _descend(solver, followed)
     except SolverFailure:
         return None
-    return _pack(Optimum(followed, refine(followed, Refinement(rounds=0))[1], 0))
+    return _pack(Optimum(followed, [mesh_row(followed)], 0))
 
 
 def _descend(solver: Solver, solution: Solution, rounds: int = 3) -> Solution:

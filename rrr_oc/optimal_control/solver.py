@@ -1,4 +1,4 @@
-"""Solve a transcribed problem with IPOPT, measure its error between the nodes, and refine the mesh until it is small."""
+"""Solve a transcribed problem with IPOPT, once or along a path of the problem's data."""
 
 import time
 from collections.abc import Sequence
@@ -10,7 +10,8 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess, Problem
-from rrr_oc.optimal_control.transcription import Scheme, Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.scheme import Scheme, scheme, uniform_mesh
+from rrr_oc.optimal_control.transcription import Transcription
 
 
 class SolverFailure(Exception):
@@ -121,13 +122,13 @@ class Solution:
         T, h = self.durations[phase], transcription.mesh[phase] * self.durations[phase]
         lagrange, integrals = s.at(np.asarray(inside))
         x_stages, u_stages = self.values[block.stage_x], self.values[block.stage_u]  # (·, d, N)
-        f = self._rates(phase, x_stages, u_stages)[0]
+        f = self.rates(phase, x_stages, u_stages)[0]
         start = self.values[block.nodes[:, :-1]]
         t = T * (np.r_[0, np.cumsum(transcription.mesh[phase])[:-1]][:, None]) + h[:, None] * inside
         x = start[:, :, None] + np.einsum("kd,xdn,n->xnk", integrals, f, h)
         return t, x, np.einsum("kd,xdn->xnk", lagrange, f), np.einsum("kd,udn->unk", lagrange, u_stages)
 
-    def _rates(self, phase: int, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def rates(self, phase: int, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rates, cost rate and paths at states and controls of any trailing shape."""
         shape = x.shape[1:]
         p, d = self.parameters[:, None], self.problem.data[:, None]
@@ -136,11 +137,6 @@ class Solution:
         outputs = rates(x.reshape(len(x), count), u.reshape(len(u), count), p, d)
         f, cost, path = (np.array(o) for o in outputs)
         return f.reshape(len(f), *shape), cost.reshape(shape), path.reshape(len(path), *shape)
-
-    @cached_property
-    def error(self) -> "MeshError":
-        """Error of the collocation between the nodes."""
-        return _mesh_error(self)
 
     def guess(self) -> Guess:
         """This solution as a start for another mesh."""
@@ -160,57 +156,10 @@ class Solution:
         block, method = self.transcription.blocks[phase], self.transcription.scheme
         lagrange, integrals = method.at(inside)
         u_stages = self.values[block.stage_u]
-        f = self._rates(phase, self.values[block.stage_x], u_stages)[0]
+        f = self.rates(phase, self.values[block.stage_x], u_stages)[0]
         h = self.transcription.mesh[phase] * self.durations[phase]
         x = self.values[block.nodes[:, k]] + np.einsum("kd,xdk,k->xk", integrals, f[:, :, k], h[k])
         return x, np.einsum("kd,udk->uk", lagrange, u_stages[:, :, k])
-
-
-@dataclass(frozen=True)
-class MeshError:
-    """How far a collocated solution is from solving the differential equations between its nodes.
-
-    Attributes:
-        intervals: For each phase, the relative error of each interval: ∫ |x' − f(x, u)| dt over the states' scale, and the
-            error of the cost's quadrature over the whole cost (N,).
-        largest: The largest of them.
-        quadrature: Relative difference between the cost with the scheme's weights and by fine quadrature on the same motion.
-            Not the cost's distance from the optimum: that shows in its change from mesh to mesh.
-        violation: Largest excess of bounds between the nodes, relative to the variables' scales; of paths, in their own unit.
-    """
-
-    intervals: tuple[np.ndarray, ...]
-    largest: float
-    quadrature: float
-    violation: float
-
-
-def _mesh_error(solution: Solution) -> MeshError:
-    """Betts, "Practical Methods for Optimal Control", section 4.7: the residual of the interpolants, integrated."""
-    nodes, weights = np.polynomial.legendre.leggauss(2 * solution.transcription.scheme.d + 3)
-    inside, weights = (nodes + 1) / 2, weights / 2
-    intervals, fine_total, violation = [], 0.0, 0.0
-    scale = _magnitude(solution)
-    for i, (phase, block) in enumerate(zip(solution.problem.phases, solution.transcription.blocks, strict=True)):
-        _, x, dx, u = solution.sample(i, inside)
-        f, cost, path = solution._rates(i, x, u)
-        h = solution.transcription.mesh[i] * solution.durations[i]
-        defect = np.einsum("xnk,k,n->xn", np.abs(dx - f), weights, h)
-        magnitude = 1 * phase.x_scale + np.abs(solution.values[block.nodes]).max(axis=1)
-        coarse = solution._rates(i, solution.values[block.stage_x], solution.values[block.stage_u])[1]
-        fine = np.einsum("nk,k,n->n", cost, weights, h)
-        quadrature = np.abs(fine - np.einsum("dn,d,n->n", coarse, solution.transcription.scheme.b, h)) / scale
-        intervals.append(np.maximum((defect / magnitude[:, None]).max(axis=0), quadrature))
-        fine_total += fine.sum()
-        for value, lower, upper, size in (
-            (x, phase.x_lower, phase.x_upper, phase.x_scale),
-            (u, phase.u_lower, phase.u_upper, phase.u_scale),
-            (path, phase.path_lower, phase.path_upper, np.ones(len(phase.paths))),
-        ):
-            excess = np.maximum(lower[:, None, None] - value, value - upper[:, None, None]) / size[:, None, None]
-            violation = max(violation, float(excess.max(initial=0.0)))
-    largest = max(float(e.max()) for e in intervals)
-    return MeshError(tuple(intervals), largest, abs(fine_total - solution.cost) / scale, violation)
 
 
 class Solver:
@@ -293,82 +242,6 @@ class Solver:
         worst = int(np.argmax(excess))
         name = self.transcription.row_name(worst)
         return SolverFailure(stats["return_status"], stats["iter_count"], float(excess[worst]), name)
-
-
-@dataclass(frozen=True)
-class Refinement:
-    """When a mesh is fine enough.
-
-    Attributes:
-        tolerance: Relative; of the error between the nodes, and of the cost's change from mesh to mesh.
-        rounds: Limit of meshes.
-        largest: Limit of intervals a phase.
-    """
-
-    tolerance: float = 1e-6
-    rounds: int = 12
-    largest: int = 640
-
-
-def refine(
-    solution: Solution, refinement: Refinement | None = None, options: Options | None = None
-) -> tuple[Solution, list[dict]]:
-    """Solve on finer meshes until the error between the nodes and the change of the cost are below the tolerance.
-
-    Intervals whose error is too large are split in two, or in up to four by the scheme's order; the rest stay. The barrier
-    starts small, so that a refined solve stays with its optimum where others that cost nearly the same are close by. IPOPT's
-    tolerance is a thousandth of the mesh's: what its barrier adds to the cost grows with the number of bounds.
-
-    Returns:
-        The last solution, and a row a mesh: intervals, cost, error, violation, seconds, and from the second on the cost's
-        relative change and whether the tolerance is met. It is not where `rounds` or `largest` ended the refinement. Limits
-        hold at nodes and stages; `violation` says by how much they are exceeded between, and is no part of the tolerance.
-    """
-    refinement, options = refinement or Refinement(), options or Options()
-    options = replace(options, barrier=1e-8, tolerance=min(options.tolerance, 1e-3 * refinement.tolerance))
-    rows = [_row(solution)]
-    for _ in range(refinement.rounds):
-        mesh = _split(solution, refinement)
-        if mesh is None:
-            break
-        finer = replace(solution.transcription, mesh=mesh)
-        previous, solution = solution, Solver(finer, options).solve(solution.guess())
-        rows.append(_row(solution))
-        moved = abs(solution.cost - previous.cost) / _magnitude(solution)
-        rows[-1] |= {"change": moved, "converged": max(solution.error.largest, moved) <= refinement.tolerance}
-        if rows[-1]["converged"]:
-            break
-    return solution, rows
-
-
-def _magnitude(solution: Solution) -> float:
-    return max(abs(solution.cost), 1e-12 * solution.problem.cost_scale)
-
-
-def _row(solution: Solution) -> dict:
-    return {
-        "intervals": [len(m) for m in solution.transcription.mesh],
-        "cost": solution.cost,
-        "error": solution.error.largest,
-        "quadrature": solution.error.quadrature,
-        "violation": solution.error.violation,
-        "iterations": solution.iterations,
-        "seconds": solution.seconds,
-    }
-
-
-def _split(solution: Solution, refinement: Refinement) -> tuple[np.ndarray, ...] | None:
-    """A finer mesh; None where it would be too fine. Where no interval is too coarse, the coarsest third is split."""
-    order = solution.transcription.scheme.d + 1
-    error = solution.error
-    threshold = min(refinement.tolerance, np.quantile(np.concatenate(error.intervals), 2 / 3))
-    meshes = []
-    for fractions, errors in zip(solution.transcription.mesh, error.intervals, strict=True):
-        pieces = np.ones(len(fractions), int)
-        coarse = errors > threshold
-        pieces[coarse] = np.clip(np.ceil((errors[coarse] / refinement.tolerance) ** (1 / order)), 2, 4)
-        meshes.append(np.repeat(fractions / pieces, pieces))
-    return None if max(len(m) for m in meshes) > refinement.largest else tuple(meshes)
 
 
 def solve(

@@ -15,8 +15,9 @@ from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_gues
 from rrr_oc.codesign.multistart import SearchOptions, decode, dimensions, search
 from rrr_oc.codesign.task import load_task
 from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solver, continue_in
-from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.transcription import Transcription
 
 INTERVALS = 40
 SCHEMES = {"hermite-simpson": scheme("hermite-simpson"), "lobatto-4": scheme("lobatto", 4)}
