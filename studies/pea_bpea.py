@@ -24,11 +24,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model
+from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, search
+from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
 from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
-from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, load_catalogue, search_catalogue
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, search_catalogue
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task, tool_height
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
 from rrr_oc.errors import UserError, entry_point
@@ -164,7 +166,7 @@ def _search(name: str, design: CoDesign, options: SearchOptions) -> SearchResult
             progress.update(row, advance=1, best=f"best so far {best[0]:.3f}")
 
         try:
-            return search(design, options, show)
+            return solve_multistart(design, options, show)
         except SolverFailure as failure:
             limits = "; ".join(
                 f"{j}: {np.degrees(lo):.0f} … {np.degrees(hi):.0f}°, {np.degrees(v):.0f} °/s, {np.degrees(a):.0f} °/s², "
@@ -256,7 +258,9 @@ def _published(name: str, design: CoDesign, options: SearchOptions) -> float | N
     if not springs or not {"joint2", "joint3"} <= set(task.joints):
         return None
     held = CoDesign(task, spring_bounds(task, name.rstrip("*")), design.cost, design.actuators).with_fixed(springs)
-    return search(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)).whole().best.solution.cost
+    return (
+        solve_multistart(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)).whole().best.solution.cost
+    )
 
 
 def plain(value: Any) -> Any:

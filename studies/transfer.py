@@ -32,8 +32,9 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, sav
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.calibration.response import calibrate_response
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions, search
+from rrr_oc.codesign.multistart import solve_multistart
 from rrr_oc.codesign.optimum import Motion, resimulate, sample_motion
+from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.diagnosis.procedure import diagnose
@@ -235,7 +236,7 @@ def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) 
     file, content = folder / f"{name}.npz", folder / f"{name}.json"
     if not content.exists():
         began = time.perf_counter()
-        solution = search(design, options).whole().best.solution
+        solution = solve_multistart(design, options).whole().best.solution
         motion, own = sample_motion(design, solution), [s.effect for s in design.springs if not s.known]
         engine = measure([(p.t, p.tau_load[list(design.task.moving)]) for p in resimulate(design, solution, motion).phases])
         write_npz(file, vars(motion) | {"joints": np.array(design.task.joints)})

@@ -19,8 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import SearchOptions, continued
+from rrr_oc.codesign.multistart import continue_from
 from rrr_oc.codesign.optimum import Motion, describe, sample_motion
+from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, load_task
 from rrr_oc.codesign.transfer import describe_transfer, reference_phases, repaired
 from rrr_oc.diagnosis.procedure import diagnose
@@ -141,7 +142,7 @@ def _again(played: Played, model: CalibratedModel) -> Played:
         )
     known = [spring.lower for spring in design.springs[len(played.design.springs) :]]
     guess = Guess(tuple(phases), np.concatenate([played.parameters, *known]))
-    optima = continued([(design, guess)], SearchOptions(jobs=1, refinement=Refinement(1e-5)))
+    optima = continue_from([(design, guess)], SearchOptions(jobs=1, refinement=Refinement(1e-5)))
     if not optima:
         raise UserError("the repaired model's optimum was lost on the way from the nominal one")
     solution = optima[0][1].solution

@@ -1,20 +1,19 @@
 """The co-design problem: motion, durations and springs of a task together, as an optimal-control problem."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from rrr_oc.codesign.task import PHASES, Task, tool_height
 from rrr_oc.effects import Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Phase, Problem
 from rrr_oc.robot.drives import Actuators
 from rrr_oc.robot.parameters import check_names
 
@@ -322,48 +321,3 @@ def _held(spring: SpringBounds, hardware: Mapping[str, float], keep_free: Sequen
 def torque_path(joint: str) -> str:
     """Name of the path that a joint's torque limit bounds."""
     return f"load torque of {joint}"
-
-
-def motion_guess(
-    design: CoDesign, parameters: np.ndarray, durations: Sequence[float] | np.ndarray, via: np.ndarray | None = None
-) -> Guess:
-    """A rest-to-rest motion through points, minimum-jerk in time along a cubic spline.
-
-    Args:
-        design: The problem.
-        parameters: Its parameters (np,).
-        durations: Of the phases [s].
-        via: Points passed at equal fractions of the way [rad], (phases, m, K); default none.
-    """
-    return Guess(
-        tuple(
-            _phase_guess(design.task, i, T, np.empty((len(design.task.moving), 0)) if via is None else via[i])
-            for i, T in enumerate(durations)
-        ),
-        np.asarray(parameters, float),
-    )
-
-
-def _phase_guess(task: Task, index: int, T: float, via: np.ndarray) -> PhaseGuess:
-    start, end = task.ends(index)
-    points = np.column_stack([start, via, end])
-    along = np.linspace(0, 1, points.shape[1])
-    path: Callable = CubicSpline(along, points, axis=1) if points.shape[1] > 2 else _line(points)
-
-    def states(s: np.ndarray) -> np.ndarray:
-        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
-        q = np.clip(path(sigma), task.lower[:, None], task.upper[:, None])
-        return np.vstack([q, np.clip(path(sigma, 1) * rate, -task.speed[:, None], task.speed[:, None])])
-
-    def controls(s: np.ndarray) -> np.ndarray:
-        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
-        curve = 60 * s * (1 - s) * (1 - 2 * s) / T**2
-        limit = task.acceleration[:, None]
-        return np.clip(path(sigma, 2) * rate**2 + path(sigma, 1) * curve, -limit, limit)
-
-    return PhaseGuess(T, states, controls)
-
-
-def _line(points: np.ndarray) -> Callable:
-    slope = (points[:, 1] - points[:, 0])[:, None]
-    return lambda s, order=0: (points[:, :1] + slope * s, slope + 0 * s, 0 * slope * s)[order]

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.codesign.certificate import exact_cost
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
-from rrr_oc.codesign.multistart import LAYERS, SearchOptions, Start, reach, search
+from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.codesign.multistart import Start, solve_multistart, starts_to_reach
 from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
+from rrr_oc.codesign.proposals import LAYERS, SearchOptions, motion_guess
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Encoding, load_torque
@@ -76,7 +77,9 @@ def run_gradient(store: Path, labels: Mapping[str, Any], starts: int, seed: int)
     def show(start: Start) -> None:
         rows.append((time.process_time() - began, start.polished))
 
-    result = search(design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show).whole()
+    result = solve_multistart(
+        design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show
+    ).whole()
     core_s = time.process_time() - began
     solution = result.best.solution
     motion, engine = sample_motion(design, solution), None
@@ -147,9 +150,11 @@ def run_race(store: Path, labels: Mapping[str, Any], target: float, starts: int,
         return labels, found
     task = load_task(labels["preset"])
     options = SearchOptions(starts=starts, seed=seed, jobs=1)
-    reach(experiment(task, labels["experiment"], labels["ends"]), SearchOptions(starts=1, seed=seed + 1, jobs=1), np.inf)
+    starts_to_reach(
+        experiment(task, labels["experiment"], labels["ends"]), SearchOptions(starts=1, seed=seed + 1, jobs=1), np.inf
+    )
     began, wall = time.process_time(), time.perf_counter()
-    needed, solution = reach(experiment(task, labels["experiment"], labels["ends"]), options, target)
+    needed, solution = starts_to_reach(experiment(task, labels["experiment"], labels["ends"]), options, target)
     found = {
         "reached": None if solution is None else solution.cost,
         "starts": needed,

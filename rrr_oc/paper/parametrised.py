@@ -13,8 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rrr_oc.codesign.design_problem import motion_guess
-from rrr_oc.codesign.multistart import decode, dimensions, sobol_points
+from rrr_oc.codesign.proposals import decode, dimensions, motion_guess, sobol_points
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.numerics import akima
 from rrr_oc.optimal_control.problem import Guess
