@@ -22,7 +22,7 @@ from rrr_oc.parallel import check_jobs
 from rrr_oc.recordings.importers import import_mcap, import_prototype
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.recording import RecordingSet, load_recordings
-from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.console import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.storage import check_file, check_folder, write_json
 

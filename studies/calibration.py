@@ -28,7 +28,7 @@ from rrr_oc.codesign.design_problem import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split
 from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings
-from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.console import wide_console
 from rrr_oc.report.figures import save_figure
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.simulation.replay import Replayed, replay, tracking_controller

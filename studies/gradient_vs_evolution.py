@@ -30,7 +30,7 @@ from rrr_oc import parallel
 from rrr_oc.codesign.design_problem import CONFIGURATIONS
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise, tables
+from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise
 from rrr_oc.paper.encoding import Encoding
 from rrr_oc.paper.engine_population import STEPS
 from rrr_oc.paper.evolution import Protocol
@@ -50,6 +50,7 @@ from rrr_oc.paper.experiments import (
     stored_motion,
 )
 from rrr_oc.paper.run_store import Run, all_runs
+from rrr_oc.report.comparison_report import tables
 from rrr_oc.report.figures import draw_comparison
 from rrr_oc.storage import write_json, write_npz, write_text
 

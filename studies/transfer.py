@@ -45,9 +45,10 @@ from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.recordings.header import Spring, spring_json
 from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings, write_set
-from rrr_oc.report.design_report import markdown, wide_console
+from rrr_oc.report.console import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.figures import save_figure
+from rrr_oc.report.tables import markdown
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.storage import write_json, write_npz, write_text
 

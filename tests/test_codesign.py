@@ -21,7 +21,7 @@ from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Solution, Solver
 from rrr_oc.optimal_control.transcription import Transcription
-from rrr_oc.report.design_report import published_springs
+from rrr_oc.paper.published import published_springs
 from rrr_oc.robot.drives import load_actuators
 
 TASK = load_task("paper")

@@ -24,8 +24,8 @@ from rrr_oc.paper.encoding import Encoding, load_torque
 from rrr_oc.paper.evolution import Protocol, evolve
 from rrr_oc.paper.fixed_motion import best_springs
 from rrr_oc.paper.parametrised import RestrictedDesign, proposals
+from rrr_oc.paper.published import published_springs
 from rrr_oc.paper.run_store import Run
-from rrr_oc.report.design_report import published_springs
 
 EXPERIMENTS = (*CONFIGURATIONS, *(f"{name}*" for name in CONFIGURATIONS if name != "SA"))
 ENDS = ("rest", "free")
