@@ -40,7 +40,8 @@ from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.recordings.recording import Recording, load_recordings
-from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.diagnosis_words import sentence
 from rrr_oc.robot.inertial_parameters import precision, prior
 from rrr_oc.simulation.replay import pieces
 from validation.concealed.build import build
