@@ -50,8 +50,8 @@ from rrr_oc.paper.experiments import (
     stored_motion,
 )
 from rrr_oc.paper.run_store import Run, all_runs
+from rrr_oc.report.comparison_figures import draw_comparison
 from rrr_oc.report.comparison_report import tables
-from rrr_oc.report.figures import draw_comparison
 from rrr_oc.storage import write_json, write_npz, write_text
 
 STAGES = ("engine", "model", "gradient", "restricted", "again", "race", "fixed", "transfer", "tables")

@@ -39,8 +39,8 @@ from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.paper.published import published_springs
 from rrr_oc.parallel import check_jobs
 from rrr_oc.report.console import wide_console
+from rrr_oc.report.design_figures import draw_all
 from rrr_oc.report.design_report import report
-from rrr_oc.report.figures import draw_all
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.storage import check_folder, write_json, write_npz, write_text
 

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -12,6 +11,7 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.report.figures import plt
 
 WIDE = 30.0  # ratio of an axis' ends from which only powers of ten are labelled
 POINTS = 4000  # of a map, at most
