@@ -1,7 +1,4 @@
-"""What a store of runs says: each way's best and distribution, its cost in processor time, tests, tables beside the paper's.
-
-All is made from the runs' files alone; nothing is solved.
-"""
+"""Summary of a store of runs: best and distribution of each way, processor times, rank-sum tests. Nothing is solved here."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -25,16 +22,16 @@ WAYS = {
     "multistart": "gradient, Sobol (b)",
     "cma-ipopt": "gradient, CMA-ES (c)",
 }
-EVOLVED = ("evolution-engine", "evolution-analytic")  # the first that there is stands for evolution
+EVOLVED = ("evolution-engine", "evolution-analytic")  # the first of these that was run stands for evolution in tables
 FREE_MOTION, AKIMA = ("multistart", "cma-ipopt"), ("restricted", "again-analytic", "evolution-engine", "evolution-analytic")
 PAIRS = (("PEA", "SA"), ("BPEA", "SA"), ("PEA+BPEA", "SA"), ("BPEA", "PEA"), ("PEA+BPEA", "BPEA"))
 STARRED = (("PEA*", "SA"), ("BPEA*", "SA"), ("PEA+BPEA*", "SA"), ("BPEA*", "PEA*"), ("PEA+BPEA*", "BPEA*"))
 CURVE = 24  # points of an anytime curve
-NEAR = 1.01  # of the best known
+NEAR = 1.01  # [1] times the best known cost counts as having reached it; times to it would shorten with a larger one
 
 
 def summarise(store: Path, preset: str) -> dict[str, Any]:
-    """Plain data of everything in a store that belongs to a preset: by ends, experiment and way; tests; races; fixed motions."""
+    """Plain data on all runs of a preset: by ends, experiment and way; rank-sum tests; races; fixed motions."""
     runs = [run for run in all_runs(store) if run.asked.get("preset") == preset]
     found: dict[str, Any] = {"preset": preset}
     for ends in ENDS:
@@ -61,7 +58,7 @@ def _way_of(asked: Mapping[str, Any]) -> str:
 
 
 def _way(preset: str, name: str, ends: str, way: str, runs: list[Run]) -> dict[str, Any] | None:
-    """One way's runs of an experiment."""
+    """Summary of one way's runs of an experiment; None where there are none."""
     if not runs:
         return None
     runs = sorted(runs, key=lambda r: r.asked["seed"])
@@ -98,14 +95,14 @@ def _way(preset: str, name: str, ends: str, way: str, runs: list[Run]) -> dict[s
 
 
 def _reached(run: Run, cost: float) -> float | None:
-    """Processor time until a trial's best is no more than `cost` [s]; None where it never is."""
+    """Processor time until a trial's best is at most `cost` [s]; None where it never is."""
     arrays = run.arrays
     k = np.flatnonzero(arrays["best"] <= cost)
     return float(arrays["core_s"][k[0]]) if k.size else None
 
 
 def _curve(runs: list[Run], evolved: bool, final: Sequence[float]) -> dict[str, list]:
-    """Best so far against processor time: least, median and largest over the runs."""
+    """Best cost so far against processor time [s]: least, median and largest over the runs."""
     times, values = [], []
     for run, last in zip(runs, final, strict=True):
         arrays = run.arrays
@@ -123,7 +120,7 @@ def _curve(runs: list[Run], evolved: bool, final: Sequence[float]) -> dict[str, 
 
 
 def _near(entry: dict[str, Any]) -> None:
-    """Best known of an experiment, of all ways and within the parametrisation; and when each way's median came within 1 % of each."""
+    """Add the best known cost of an experiment, of all ways and within the parametrisation, and when each way came within `NEAR` of it."""
     for key, ways in (("best_known", tuple(WAYS)), ("best_akima", AKIMA)):
         bests = [entry[w]["best"] for w in ways if w in entry]
         known = min(bests) if bests else None
@@ -140,21 +137,21 @@ def _races(runs: Iterable[Run], kind: str) -> dict[str, dict[str, Any]]:
     for run in runs:
         if run.asked["way"] == kind and run.asked["ends"] == "rest":
             found.setdefault(run.asked["experiment"], []).append((run.asked["target"], run.found))
-    rows = {}
-    for name, races in found.items():
-        won = [f["core_s"] for _, f in races if f["reached"] is not None]
-        rows[name] = {
-            "target": races[0][0],
-            "races": len(races),
-            "won": len(won),
-            "core_s": float(np.median([f["core_s"] if f["reached"] is not None else np.inf for _, f in races]))
-            if won
-            else None,
-            "starts": [f["starts"] for _, f in races],
-            "reached": [f["reached"] for _, f in races],
-        }
-        rows[name]["core_s"] = rows[name]["core_s"] if rows[name]["core_s"] not in (None, np.inf) else None
-    return rows
+    return {name: _race(*zip(*races, strict=True)) for name, races in found.items()}
+
+
+def _race(targets: Sequence[float], results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Races of one experiment; `core_s` is the median over all of them, None where half or more did not reach the target."""
+    times = [f["core_s"] for f in results if f["reached"] is not None]
+    median = float(np.median([*times, *[np.inf] * (len(results) - len(times))]))
+    return {
+        "target": targets[0],
+        "races": len(results),
+        "won": len(times),
+        "core_s": median if np.isfinite(median) else None,
+        "starts": [f["starts"] for f in results],
+        "reached": [f["reached"] for f in results],
+    }
 
 
 def _tests(experiments: Mapping[str, Any], way: str) -> dict[str, Any] | None:
