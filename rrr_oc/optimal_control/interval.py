@@ -14,10 +14,10 @@ from rrr_oc.optimal_control.scheme import Scheme
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Functions of one interval, of z = (p, T, x_0, x_1, own stages, stage controls), unscaled; their outputs are dense.
+    """Functions of the unscaled variables of one interval, z = (p, T, x_0, x_1, stages that are no nodes, controls); dense outputs.
 
-    Rows: the stages' defects, the step's defect where the last stage is not the node, then the path constraints at each
-    stage; defects are divided by the states' scales.
+    Rows: the defects of the stages, the defect of the step where the last stage is not the node, then the path constraints of each
+    stage. Defects are divided by the states' scales.
 
     Attributes:
         rows: Number of rows.
@@ -38,6 +38,7 @@ class Interval:
 
 @lru_cache(maxsize=64)
 def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float, compiled: bool) -> Interval:
+    """The functions of an interval of a phase, which has n_p parameters and n_d data; the 64 used last are kept, by the phase's identity."""
     nx, nu = len(phase.states), len(phase.controls)
     own = s.d - s.shares_first - s.shares_last
     p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)

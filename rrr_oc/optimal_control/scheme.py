@@ -25,9 +25,9 @@ class Scheme:
 
     Attributes:
         name: One of `SCHEMES`.
-        c: Stages in [0, 1], shape (d,).
+        c: Stages within an interval, in [0, 1], shape (d,).
         A, b: Runge–Kutta coefficients, shapes (d, d) and (d,).
-        order: Of the Runge–Kutta method. The optimal cost converges with it for smooth problems; so do the states, except
+        order: Order of the Runge–Kutta method. The optimal cost converges with it for smooth problems; so do the states, except
             that controls shared at the nodes hold the states of Lobatto's methods back to order 4.
     """
 
@@ -67,7 +67,7 @@ class Scheme:
 
 @lru_cache
 def scheme(name: str = "gauss", stages: int = 3) -> Scheme:
-    """A collocation scheme of so many stages; Hermite–Simpson always has 3."""
+    """A collocation scheme with `stages` stages; Hermite–Simpson always has 3. Raises `UserError` for unknown ones."""
     if name not in SCHEMES:
         raise UserError(f"unknown collocation scheme {name!r}; there are {', '.join(SCHEMES)}")
     fewest = 2 if name == "lobatto" else 1

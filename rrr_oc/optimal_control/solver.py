@@ -15,7 +15,7 @@ from rrr_oc.optimal_control.transcription import Transcription
 
 
 class SolverFailure(Exception):
-    """IPOPT found no optimum. Carries what it had: `status`, `iterations`, `violation` and `violated` (in words)."""
+    """IPOPT found no optimum; has its `status` and `iterations`, and the largest `violation` (scaled) of what is `violated`."""
 
     def __init__(self, status: str, iterations: int, violation: float, violated: str) -> None:
         self.status, self.iterations, self.violation, self.violated = status, iterations, violation, violated
@@ -25,14 +25,14 @@ class SolverFailure(Exception):
 
 @dataclass(frozen=True)
 class Options:
-    """How IPOPT runs.
+    """Settings of IPOPT.
 
     Attributes:
-        tolerance: Of the optimality conditions, scaled.
-        iterations: Limit.
-        barrier: Initial barrier parameter; None is IPOPT's own choice. Small for a warm start.
-        linear_solver: One that the casadi wheel carries (mumps, spral).
-        seconds: Limit of wall time [s].
+        tolerance: Tolerance of the scaled optimality conditions.
+        iterations: Largest number of iterations.
+        barrier: Initial barrier parameter, small for a warm start; None for IPOPT's adaptive strategy.
+        linear_solver: One of the casadi wheel (mumps, spral).
+        seconds: Largest wall time [s].
     """
 
     tolerance: float = 1e-8
@@ -74,8 +74,8 @@ class Solution:
         w: Scaled variables.
         lam_g, lam_w: Multipliers of the constraints and of the bounds, of the scaled problem.
         cost: The problem's cost, in its own unit.
-        status: IPOPT's word.
-        iterations, seconds: Effort.
+        status: IPOPT's return status.
+        iterations, seconds: Number of iterations and wall time [s].
     """
 
     transcription: Transcription
@@ -89,7 +89,7 @@ class Solution:
 
     @property
     def problem(self) -> Problem:
-        """What was solved."""
+        """The problem that was solved."""
         return self.transcription.problem
 
     @cached_property
@@ -108,7 +108,7 @@ class Solution:
         return np.array([self.values[block.duration] for block in self.transcription.blocks])
 
     def sample(self, phase: int, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The method's own interpolants at points inside every interval of a phase.
+        """The collocation method's own interpolants at points inside every interval of a phase.
 
         Args:
             phase: Index of the phase.
@@ -139,7 +139,7 @@ class Solution:
         return f.reshape(len(f), *shape), cost.reshape(shape), path.reshape(len(path), *shape)
 
     def guess(self) -> Guess:
-        """This solution as a start for another mesh."""
+        """This solution as a starting point on any mesh."""
         phases = []
         for i, block in enumerate(self.transcription.blocks):
             phases.append(
@@ -163,7 +163,7 @@ class Solution:
 
 
 class Solver:
-    """A transcription made ready for IPOPT; solves from many starts without being built again."""
+    """IPOPT for one transcription, built once for solves from many starting points."""
 
     def __init__(self, transcription: Transcription, options: Options | None = None) -> None:
         self.transcription = transcription
@@ -180,13 +180,17 @@ class Solver:
         check: bool = True,
         parameters: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Solution:
-        """Solve from a guess, from scaled variables, or from a solution on the same mesh (its multipliers serve too).
+        """Solve from a guess, from scaled variables, or from a solution on the same mesh, whose multipliers are used too.
 
         Args:
-            start: Where to start. A solution starts IPOPT warm.
-            data: Values of d; default the problem's.
-            check: Raise `SolverFailure` unless IPOPT reports an optimum; otherwise the solution carries the status.
-            parameters: Bounds of the parameters for this solve only; default the problem's.
+            start: Starting point. A solution starts IPOPT warm.
+            data: Values of d (nd,); default the problem's.
+            check: Whether to raise `SolverFailure` unless IPOPT reports an optimum.
+            parameters: Bounds of the parameters for this solve only, (np,) each; default the problem's.
+
+        Raises:
+            SolverFailure: See `check`.
+            UserError: The start or the data do not fit this mesh.
         """
         transcription = self.transcription
         problem = transcription.problem if data is None else replace(transcription.problem, data=np.asarray(data, float))
@@ -252,7 +256,7 @@ def solve(
 
 
 def continue_in(solver: Solver, solution: Solution, values: Sequence[np.ndarray]) -> Solution:
-    """Follow an optimum while the problem's data move through `values`, each solve started warm from the last."""
+    """Numerical continuation: solve for each of the data `values` in turn, each time warm from the solution before."""
     for data in values:
         solution = solver.solve(solution, data)
     return solution

@@ -14,7 +14,7 @@ from rrr_oc.optimal_control.scheme import Scheme
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Where one phase's variables and rows stand."""
+    """Indices of one phase's variables and rows."""
 
     duration: int
     nodes: np.ndarray  # (nx, N + 1)
@@ -26,7 +26,7 @@ class _Block:
 
 @dataclass(frozen=True, eq=False)
 class Transcription:
-    """A problem on a mesh. Variables w = (p, and a phase at a time T, nodes, stages, controls), scaled.
+    """A problem on a mesh. The scaled variables are w = (p, then for each phase T, nodes, stages, controls).
 
     Attributes:
         mesh: For each phase the intervals' fractions of its duration, each (N,).
@@ -136,7 +136,7 @@ class Transcription:
         return np.concatenate([*lower, np.full(n_design, -np.inf)]), np.concatenate([*upper, np.zeros(n_design)])
 
     def row_name(self, row: int) -> str:
-        """What a constraint is about, in words."""
+        """The name of a constraint and its instant, for messages."""
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
             if row < block.rows.stop:
                 per_interval = self._interval(phase).rows
@@ -161,9 +161,8 @@ class Transcription:
         return len(phase.states) * (s.d - s.shares_first + (not s.shares_last))
 
     def _interval(self, phase: Phase) -> Interval:
-        problem = self.problem
-        sizes = len(problem.parameters), problem.data.size
-        return interval_functions(phase, self.scheme, *sizes, problem.cost_scale, self.compiled)
+        p, d = len(self.problem.parameters), self.problem.data.size
+        return interval_functions(phase, self.scheme, p, d, self.problem.cost_scale, self.compiled)
 
     def pack(self, guess: Guess) -> np.ndarray:
         """Scaled variables from a guess, states and controls sampled at the mesh's nodes and stages."""
