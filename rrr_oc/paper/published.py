@@ -1,4 +1,4 @@
-"""The paper's Tables 3 and 4, read from `data/paper_results.json`, where they are typed once."""
+"""The paper's Tables 2 to 4, read from `data/paper_results.json`, where they are typed once."""
 
 import importlib.resources
 import json
@@ -10,7 +10,8 @@ _UNITS = {"_deg": np.pi / 180, "_mm": 1e-3}
 
 
 def published() -> dict[str, Any]:
-    """Tables 3 and 4 as printed: "decrease_percent" (simulation), "real_world_percent" and "springs", by configuration."""
+    """The tables as printed: of Table 2 the "nrmse" of stiff actuation, which the paper smooths by an amount that it does not say; of
+    Table 3 "decrease_percent" (simulation) and "real_world_percent" by configuration; of Table 4 "springs" by configuration."""
     return json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper_results.json").read_text())
 
 
