@@ -102,9 +102,9 @@ def main(
             out, name, asked, lambda name=name, design=design: _solve(name, design, options, shop, catalogue_search, out)
         )
     for name, c in found.items():
-        c["calibrated"] = (
-            None if calibrated is None else plain(_transferred(out, name, c, designs[name.rstrip("*")], calibrated))
-        )
+        design = designs[name.rstrip("*")]
+        c["calibrated"] = None if calibrated is None else plain(_transferred(out, name, c, design, calibrated))
+    names = sorted(found, key=lambda name: (name.endswith("*"), list(CONFIGURATIONS).index(name.rstrip("*"))))
     summary = {
         "preset": task.name,
         "cost": {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}[cost],
@@ -113,9 +113,7 @@ def main(
         "wall_s": time.perf_counter() - began,
         "versions": {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},
         "options": plain(asdict(options)),
-        "configurations": dict(
-            sorted(found.items(), key=lambda item: (item[0].endswith("*"), list(CONFIGURATIONS).index(item[0].rstrip("*"))))
-        ),
+        "configurations": {name: found[name] for name in names},
     }
     write_json(out / "summary.json", summary)
     text = report(summary) + transfer_table(summary["configurations"])
@@ -126,7 +124,7 @@ def main(
 
 
 def _once(out: Path, name: str, asked: dict, solve) -> dict[str, Any]:
-    """The results of a configuration, solved unless this very run has already left them in the folder."""
+    """The results of a configuration, from the folder if a run with the same settings has left them there, else solved."""
     saved = out / f".{name}.json"
     key = json.loads(json.dumps(plain(asked)))
     if saved.is_file():
@@ -192,14 +190,11 @@ def _search(name: str, design: CoDesign, options: SearchOptions) -> SearchResult
 def _buy(name: str, design: CoDesign, result: SearchResult, shop, options: SearchOptions, method: str) -> CatalogueResult:
     with _progress() as progress:
         row = progress.add_task(name, total=None, best="")
-        return search_catalogue(
-            design,
-            result.best.solution,
-            shop,
-            options,
-            method,
-            lambda done: progress.update(row, completed=done, best="choices solved"),
-        )
+
+        def show(done: int) -> None:
+            progress.update(row, completed=done, best="choices solved")
+
+        return search_catalogue(design, result.best.solution, shop, options, method, show)
 
 
 def _progress() -> Progress:
@@ -214,7 +209,7 @@ def _progress() -> Progress:
 
 
 def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions, began: float) -> dict[str, Any]:
-    """What summary.json holds of a configuration; writes its motion beside."""
+    """The entry of a configuration in summary.json; writes its motion to an npz."""
     design, solution = result.design, result.best.solution
     motion = sample_motion(design, solution)
     described = describe(design, motion.metrics()) | {
@@ -260,9 +255,8 @@ def _published(name: str, design: CoDesign, options: SearchOptions) -> float | N
     if not springs or not {"joint2", "joint3"} <= set(task.joints):
         return None
     held = CoDesign(task, spring_bounds(task, name.rstrip("*")), design.cost, design.actuators).with_fixed(springs)
-    return (
-        solve_multistart(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)).whole().best.solution.cost
-    )
+    few = replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)
+    return solve_multistart(held, few).whole().best.cost
 
 
 def plain(value: Any) -> Any:

@@ -127,7 +127,7 @@ def _evolved(design: CoDesign, runs: Sequence[Run], name: str) -> Played | None:
 
 
 def _again(played: Played, model: CalibratedModel) -> Played:
-    """The optimum re-optimised with what the repaired model has on the links and in the body, from where it was."""
+    """The optimum re-optimised from itself on the repaired model's links and rigid body."""
     design, phases = repaired(played.design, model, ("", "")), []  # set-ups are not told apart here
     for k in played.motion.phases():
         t = played.motion.t[k] - played.motion.t[k[0]]
@@ -195,7 +195,7 @@ def _played(designs: Mapping[str, Played], model: CalibratedModel, built: Built)
 
 
 def _command(phase, t: np.ndarray, lead: int, gain: np.ndarray) -> np.ndarray:
-    """What P-controllers are told, (n, T): the reference plus the expected torque over their gain; still before and after."""
+    """Position commands of the P-controllers, (n, T): the reference plus the expected torque over the gain; constant before and after."""
     ahead = phase.tau_load / gain[:, None]
     q = np.stack([np.interp(t, phase.t, row) for row in phase.q + ahead])
     return np.concatenate([np.repeat(q[:, :1], lead, axis=1), q], axis=1)
