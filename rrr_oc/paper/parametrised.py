@@ -141,7 +141,7 @@ class RestrictedDesign:
             return None
         return np.array(solved["x"]).ravel() * self._scale, float(solved["f"]) * self.encoding.design.problem.cost_scale
 
-    def _path(self, i: int, T: ca.MX, via: ca.MX, width: ca.MX) -> "_Path":
+    def _path(self, i: int, T: ca.MX, via: ca.MX, width: Any) -> "_Path":
         design, h = self.encoding.design, T / (self.encoding.via + 1)
         start, end = (ca.MX(x) for x in design.task.ends(i))
         cubics = akima.cubics([start, *ca.horzsplit(via), end], design.at_rest, width)

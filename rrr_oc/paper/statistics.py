@@ -58,7 +58,7 @@ def holm(p: Sequence[float]) -> list[float]:
     """p-values corrected for as many tests as there are (Holm, Scand. J. Statist. 6, 1979, 65–70)."""
     from statsmodels.stats.multitest import multipletests  # which takes a second to import
 
-    return multipletests(p, method="holm")[1].tolist()
+    return np.asarray(multipletests(p, method="holm")[1]).tolist()
 
 
 @dataclass(frozen=True)
