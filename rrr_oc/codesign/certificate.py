@@ -7,13 +7,14 @@ from itertools import pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, HARDWARE, CoDesign, torque_path
+from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
 from rrr_oc.codesign.local_optima import Optimum
 from rrr_oc.codesign.multistart import SearchResult
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.solver import Solution
 
+SI_UNITS = {"deg": "rad", "mm": "m"}  # by the suffix of a task's key
 _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
 
 
@@ -143,15 +144,20 @@ def _parameter_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]
 
 
 def _hardware_bounds(design: CoDesign, kkt: Kkt) -> list[ActiveBound]:
-    """The multipliers of `hardware_exists`, passed on to the bounds of k_b, q_0 and the radii that it depends on."""
+    """The sensitivity of the cost to the bounds of springs' hardware, of which the parameters are functions."""
     found, solution = [], kkt.solution
-    gradient = -kkt.data_gradient  # fall of the cost by one unit of each datum
+    gradient = -kkt.data_gradient  # decrease of the cost by one unit of each datum
+    units = {
+        q.symbol: SI_UNITS.get(q.key.rsplit("_", 1)[-1], "Nm/rad")
+        for s in design.springs
+        if s.hardware
+        for q in s.form.quantities
+    }
     for name, value, gain in zip(design.data_names, solution.problem.data, gradient, strict=True):
-        words = name.split()
-        if words[0] in HARDWARE:
-            unit = {"k_b": "Nm/rad", "q_0": "rad"}.get(words[0], "m")
-            outward = gain if words[1] == "upper" else -gain
-            found.append(_bound(design, solution, f"the {words[1]} bound of {words[0]}", float(value), unit, float(outward)))
+        symbol, _, side = name.rpartition(" ")
+        if symbol in units:
+            outward = gain if side == "upper" else -gain
+            found.append(_bound(design, solution, f"the {side} bound of {symbol}", float(value), units[symbol], float(outward)))
     return found
 
 
