@@ -215,9 +215,9 @@ def test_a_catalogue_file(tmp_path):
 WRONG = {
     "unknown key": ({"colour": 1}, "unknown key 'colour'"),
     "other format": ({"format": "x"}, "rrr_oc-catalogue/1"),
-    "no list": ({"parallel_springs_Nm_per_rad": {"joint2": 3}}, "joint2 must be a list of numbers above 0, got 3"),
-    "empty list": ({"parallel_springs_Nm_per_rad": {"joint2": []}}, "must be a list of numbers above 0"),
-    "negative": ({"parallel_springs_Nm_per_rad": {"joint2": [-3]}}, "must be a list of numbers above 0"),
+    "no list": ({"parallel_springs_Nm_per_rad": {"joint2": 3}}, "joint2: found 3; a list with at least one entry"),
+    "empty list": ({"parallel_springs_Nm_per_rad": {"joint2": []}}, r"joint2: found \[\]; a list with at least one entry"),
+    "negative": ({"parallel_springs_Nm_per_rad": {"joint2": [-3]}}, r"joint2\[0\]: found -3; a finite number above 0"),
     "unknown pulley": ({"biarticular_spring": {"r_9_mm": [1]}}, "unknown key 'r_9_mm'"),
     "list of springs": ({"parallel_springs_Nm_per_rad": [1, 2]}, "parallel_springs_Nm_per_rad"),
     "pulleys missing": ({"biarticular_spring": {"k_b_Nm_per_rad": [1]}}, "r_1_mm"),
@@ -231,7 +231,7 @@ def test_a_wrong_catalogue_is_explained(tmp_path, changes, message):
 
 
 def test_a_wrong_catalogue_file_is_explained(tmp_path):
-    with pytest.raises(UserError, match="no catalogue at 'nowhere'; give a JSON file or 'prototype'"):
+    with pytest.raises(UserError, match="no catalogue at 'nowhere'; give the path of a JSON file or a preset: prototype"):
         load_catalogue("nowhere")
     file = tmp_path / "shop.json"
     for content in (b"{", b"[]", b"\xff\xfe"):

@@ -13,9 +13,10 @@ import pytest
 from recorded import Plant, as_set, multisine, real, record
 from typer.testing import CliRunner
 
-from rrr_oc.calibration.calibrated_model import Estimate, Term, load_model, nominal_term, save_model
+from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.friction_width import widened, with_widths
 from rrr_oc.calibration.inverse_dynamics import fit_terms, identify, plain_model
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import Rows, prepare, rows
 from rrr_oc.cli import app
@@ -39,7 +40,8 @@ from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
-from rrr_oc.recordings.recording import Recording, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import sentence
 from rrr_oc.robot.inertial_parameters import precision, prior

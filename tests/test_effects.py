@@ -13,8 +13,9 @@ import pytest
 from recorded import Plant, as_set, record
 from scipy.integrate import solve_ivp
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, load_model, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.regression import prepare
 from rrr_oc.diagnosis.signatures import columns, context, table, trials, view
 from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial

@@ -1,21 +1,21 @@
 """What can be bought: a catalogue of springs and pulleys, and the distinct choices that it offers for the springs of a design."""
 
-import importlib.resources
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta, field
 
 from rrr_oc.codesign.design_problem import CoDesign, SpringBounds
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
-from rrr_oc.robot.parameters import check_names, read_object
+from rrr_oc.schema import Positive, Schema, Text, check_names, read_preset
 
 RELATIVE = 1e-4  # [1] by which hardware may be outside the task's bounds: lists are printed with four or five digits
 
@@ -34,40 +34,31 @@ class Catalogue:
     lists: Mapping[str, Mapping[str, tuple[float, ...]]]
 
 
+Sizes = Annotated[list[Positive], Meta(min_length=1)]
+
+
 def load_catalogue(source: str | Path = "prototype") -> Catalogue:
     """The bundled catalogue of the prototype, or a JSON file of the same form; raises `UserError`."""
-    if str(source) == "prototype":
-        text, where = importlib.resources.files("rrr_oc.data").joinpath("catalogue.json").read_text(), "catalogue 'prototype'"
-    elif Path(source).is_file():
-        text, where = Path(source).read_bytes(), str(source)
-    else:
-        raise UserError(f"no catalogue at {str(source)!r}; give a JSON file or 'prototype'")
-    try:
-        content = json.loads(text)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{where}: not valid JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("format") != "rrr_oc-catalogue/1":
-        raise UserError(f'{where}: expected an object with "format": "rrr_oc-catalogue/1"')
     forms = {label: kind.design for label, kind in design_forms().items() if kind.design is not None and kind.design.shop}
-    check_names(content, ("format", "name", *(form.shop for form in forms.values())), where)
-    lists = {label: _lists(where, form, content.get(form.shop, {})) for label, form in forms.items()}
-    return Catalogue(str(content.get("name", source)), lists)
+    keys: list[Any] = [("format", Literal["rrr_oc-catalogue/1"]), ("name", Text | None, None)]
+    keys += [(form.shop, dict[str, Sizes], field(default_factory=dict)) for form in forms.values()]
+    schema = msgspec.defstruct("CatalogueFile", keys, bases=(Schema,))
+    where, given = read_preset("catalogue", source, {"prototype": "catalogue.json"}, schema)
+    lists = {label: _lists(f"{where}: {form.shop}", form, getattr(given, form.shop)) for label, form in forms.items()}
+    return Catalogue(given.name or str(source), lists)
 
 
-def _lists(where: str, form: DesignForm, content: Any) -> dict[str, tuple[float, ...]]:
+def _lists(where: str, form: DesignForm, given: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
     """What can be bought of one kind of spring, as `Catalogue.lists` holds it."""
     if len(form.bought) == 1:
-        by_joint = read_object(where, form.shop, content, tuple(content) if isinstance(content, dict) else ("joints",))
-        return {joint: _list(where, joint, values, form.bought[0].unit) for joint, values in by_joint.items()}
-    keys = tuple(q.key for q in form.bought)
-    content = read_object(where, form.shop, content, keys, keys if content else ())
-    return {q.symbol: _list(where, q.key, content[q.key], q.unit) for q in form.bought} if content else {}
-
-
-def _list(where: str, key: str, values: object, unit: float) -> tuple[float, ...]:
-    if not isinstance(values, list) or not values or not all(isinstance(v, int | float) and v > 0 for v in values):
-        raise UserError(f"{where}: {key} must be a list of numbers above 0, got {values!r}")
-    return tuple(sorted({float(v) * unit for v in values}))
+        names = {joint: (joint, form.bought[0].unit) for joint in given}
+    else:
+        names = {q.symbol: (q.key, q.unit) for q in form.bought}
+        check_names(given, [key for key, _ in names.values()], where)
+        missing = [key for key, _ in names.values() if key not in given]
+        if given and missing:
+            raise UserError(f"{where}: key {missing[0]!r} is missing; required are {', '.join(q.key for q in form.bought)}")
+    return {name: tuple(sorted({size * unit for size in given[key]})) for name, (key, unit) in names.items() if given}
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rrr_oc.codesign.task import PHASES, Task, tool_height
+from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Phase, Problem
 from rrr_oc.robot.drives import Actuators
-from rrr_oc.robot.parameters import check_names
+from rrr_oc.schema import check_names
 
 
 def configurations() -> dict[str, tuple[str, ...]]:
@@ -230,7 +230,7 @@ class CoDesign:
         tau = self._load_torque(x[:m], x[m:], u, payload, p, d[1 : 1 + self.model.widths.size])[0]
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for i in limited])
         if np.isfinite(task.floor):
-            path = ca.vertcat(path, tool_height(task, self.model.body, self._all_joints(x[:m])))
+            path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m])))
         return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), self._cost_rate(x[m:], u, tau), path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from typing import Any
 
-from rrr_oc.calibration.calibrated_model import Term, number
+from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.storage import number
 
 FORMAT = "rrr_oc-diagnosis/1"
 

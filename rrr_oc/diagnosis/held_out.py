@@ -8,11 +8,12 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from rrr_oc import parallel
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import SIGNALS, Errors, evaluate_simulated
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.storage import number
 
 LEVEL, RESAMPLES = 0.95, 4000
 LEAST_RECORDINGS = 3  # for a bootstrap interval
@@ -86,7 +87,7 @@ def in_closed_loop(diagnosis: Diagnosis, jobs: int = -1) -> dict[str, Any]:
 def _tracked(model: CalibratedModel, recordings: RecordingSet) -> Errors | str:
     """Errors of the simulated signals, or the reason why there are none."""
     try:
-        return evaluate_simulated(replace(model, compiled={}), recordings)
+        return evaluate_simulated(model, recordings)
     except UserError as error:
         return str(error)
 

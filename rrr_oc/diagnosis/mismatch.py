@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import f as fisher
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import through_filter
 from rrr_oc.diagnosis.contest import Finding
 from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted
+from rrr_oc.storage import number
 
 LEAST_GROWTH = 0.005  # of the squared residual without the effects from which a joint has a mismatch; twice as much marks fewer
 BINS = 12  # of a variable for the range with the largest error; more bins give narrower ranges

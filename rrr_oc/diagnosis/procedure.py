@@ -320,7 +320,7 @@ def _held_out(
     """
     fold, rest = folds[number], [i for i in range(len(bench.prepared)) if i not in folds[number]]
     train = bench.part(rest)
-    plain = after = refit(train, replace(start, compiled={}))
+    plain = after = refit(train, start)
     if look:
         after = select_effects(train, plain.model, lawless=lawless).fitted
         inner = [(train, [rest.index(i) for i in other]) for k, other in enumerate(folds) if k != number]
@@ -329,7 +329,7 @@ def _held_out(
         if doubtful and not set(doubtful) <= set(_worth_keeping(inner, plain.model, found)[0]):
             after = select_effects(train, plain.model, lawless="never").fitted
     before, then = (_errors(bench.part(fold), fitted.model) for fitted in (plain, after))
-    return Fold(tuple(fold), replace(plain.model, compiled={}), replace(after.model, compiled={}), before, then)
+    return Fold(tuple(fold), plain.model, after.model, before, then)
 
 
 def _errors(bench: Bench, model: CalibratedModel) -> np.ndarray:

@@ -139,15 +139,9 @@ class Rig:
         rows, high = [torque[int(i)] for i in bounded], [*self.limits.torque[bounded]]
         low, names = [-limit for limit in high], ["torque"] * len(high)
         if math.isfinite(self.limits.floor):
-            rows, low, high, names = [*rows, self._height(q)], [*low, self.limits.floor], [*high, math.inf], [*names, "floor"]
+            height = self.model.tool_height(q)
+            rows, low, high, names = [*rows, height], [*low, self.limits.floor], [*high, math.inf], [*names, "floor"]
         return PathLimits(ca.Function("path", [q, dq, ddq], [ca.vertcat(*rows)]), np.array(low), np.array(high), tuple(names))
-
-    def _height(self, q: ca.SX) -> ca.SX:
-        """Of the tool against gravity [m]."""
-        tool, gravity = self.model.tool, self.model.robot.gravity
-        frame = self.model.body.joint_frames(q)[:, tool.joint]
-        position = ca.reshape(frame[:9], 3, 3) @ ca.DM(tool.position) + frame[9:]
-        return -ca.dot(ca.DM(gravity), position) / max(float(np.linalg.norm(gravity)), 1e-12)
 
     def excess(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> dict[str, float]:
         """By how much a motion (n, K) breaks each limit at worst, in the limit's unit; negative or zero where it is kept."""

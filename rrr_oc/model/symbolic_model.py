@@ -41,6 +41,10 @@ class Model:
         """The rigid-body Functions of the robot."""
         return rigid_body(self.robot)
 
+    def tool_height(self, q):
+        """Height of the tool against gravity, from the base [m]; `q` (n,) and the result are casadi's or numbers."""
+        return self.body.tool_height(q, self.tool, self.robot.gravity)
+
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters of all effects, in the order of `theta`."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from rrr_oc.calibration.calibrated_model import save_model
+from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.held_out import intervals
