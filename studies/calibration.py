@@ -25,7 +25,7 @@ from rrr_oc.calibration.inverse_dynamics import labels
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
-from rrr_oc.codesign.design_problem import CONFIGURATIONS
+from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split
 from rrr_oc.paper.published import published

@@ -27,7 +27,7 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import parallel
-from rrr_oc.codesign.design_problem import CONFIGURATIONS
+from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise

@@ -27,11 +27,12 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.certificate import certify
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
 from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
 from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, search_catalogue
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
 from rrr_oc.errors import UserError, entry_point

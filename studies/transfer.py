@@ -32,10 +32,11 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.calibration.response import calibrate_response
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.multistart import solve_multistart
 from rrr_oc.codesign.optimum import Motion, resimulate, sample_motion
 from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.diagnosis.procedure import diagnose

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from rrr_oc.codesign.catalogue import Catalogue, load_catalogue
-from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.multistart import SearchResult, solve_multistart
 from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement

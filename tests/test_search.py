@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.local_optima import same_optimum
 from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
 from rrr_oc.codesign.proposals import SearchOptions, decode, dimensions, motion_guess
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement

@@ -28,8 +28,9 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq, root
 from scipy.special import j0, j1
 
-from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.proposals import motion_guess
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.model.symbolic_model import Model

@@ -11,7 +11,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta, field
 
-from rrr_oc.codesign.design_problem import CoDesign, SpringBounds
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.stats import qmc
 
-from rrr_oc.codesign.design_problem import CoDesign, drawn_bounds, from_drawn
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import Task
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess

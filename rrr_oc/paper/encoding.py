@@ -16,7 +16,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rrr_oc.codesign.design_problem import CoDesign, drawn_bounds, from_drawn
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.errors import UserError
 from rrr_oc.numerics import akima

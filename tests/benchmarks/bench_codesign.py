@@ -11,9 +11,10 @@ the saved json (`--benchmark-json`) beside each time.
 import numpy as np
 import pytest
 
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.multistart import solve_multistart
 from rrr_oc.codesign.proposals import SearchOptions, decode, dimensions, motion_guess
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
