@@ -16,6 +16,7 @@ from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.parallel import once_per_process
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(
@@ -192,3 +193,16 @@ def test_proposals_cost_what_their_motion_costs():
         total += np.trapezoid((tau**2).sum(axis=0), s * motion.duration)
     assert start.proposed == pytest.approx(total, rel=2e-3)  # clipped accelerations have kinks inside the 40 intervals
     assert start.polished < start.proposed
+
+
+def test_a_process_makes_a_value_once_for_each_piece_of_work():
+    """Two in turn for the same key are one value; another key replaces it, and the first is made anew when it comes back."""
+    made: list[str] = []
+
+    def value_of(key: str) -> list[str]:
+        return once_per_process(key, lambda: made.append(key) or [key])
+
+    assert value_of("a") is value_of("a")
+    assert value_of("b") == ["b"]
+    assert value_of("a") == ["a"]
+    assert made == ["a", "b", "a"]
