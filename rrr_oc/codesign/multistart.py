@@ -7,14 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import (
-    Optimum,
-    follow_to_fine_mesh,
-    hopped,
-    join_optimum,
-    refined,
-    transcribed,
-)
+from rrr_oc.codesign.local_optima import Optimum, follow_to_fine_mesh, hopped, join_optimum, refined, transcribed
 from rrr_oc.codesign.proposals import (
     LAYERS,
     SearchOptions,
