@@ -41,9 +41,9 @@ Sizes = Annotated[list[Positive], Meta(min_length=1)]
 def load_catalogue(source: str | Path = "prototype") -> Catalogue:
     """The bundled catalogue of the prototype, or a JSON file of the same form; raises `UserError`."""
     forms = {label: kind.design for label, kind in design_forms().items() if kind.design is not None and kind.design.shop}
-    keys: list[Any] = [("format", Literal["rrr_oc-catalogue/1"]), ("name", Text | None, None)]
+    keys: list[Any] = [("format", Literal["rrr_oc-catalogue/1"]), ("name", Text | None, None)]  # pyright: ignore[reportOperatorIssue]
     keys += [(form.shop, dict[str, Sizes], field(default_factory=dict)) for form in forms.values()]
-    schema = msgspec.defstruct("CatalogueFile", keys, bases=(Schema,))
+    schema: Any = msgspec.defstruct("CatalogueFile", keys, bases=(Schema,))
     where, given = read_preset("catalogue", source, {"prototype": "catalogue.json"}, schema)
     lists = {label: _lists(f"{where}: {form.shop}", form, getattr(given, form.shop)) for label, form in forms.items()}
     return Catalogue(given.name or str(source), lists)
