@@ -26,7 +26,7 @@ from rrr_oc.recordings.importers import JointStates, import_mcap, import_prototy
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.console import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.storage import check_file, check_folder, write_json
 

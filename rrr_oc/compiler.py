@@ -1,4 +1,4 @@
-"""C code as a shared library, compiled once and kept in a cache."""
+"""C code compiled to shared libraries, which are kept in a cache on disk."""
 
 import hashlib
 import os
@@ -15,7 +15,7 @@ _FLAGS = ("-fPIC", "-shared", "-fvisibility=hidden")
 
 
 def digest(*parts: str) -> str:
-    """A name for what is compiled here from these sources and flags."""
+    """A hash of sources, flags and platform, as a name for the library that is compiled from them."""
     key = "\0".join([*parts, platform.system(), platform.machine(), *_FLAGS])
     return hashlib.sha256(key.encode()).hexdigest()[:24]
 

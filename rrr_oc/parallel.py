@@ -2,38 +2,49 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import joblib
 
 from rrr_oc.errors import UserError
 
+_T = TypeVar("_T")
 LOCAL = "local"
-PATIENCE = 30.0  # [s] for a scheduler to answer
+SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error
+_made: dict[str, Any] = {}  # the one value of this process that `once_per_process` keeps
 
 
 def check_jobs(jobs: int) -> None:
-    """Raise `UserError` where `jobs` is no number of processes."""
+    """Raise `UserError` unless `jobs` is a positive number of processes, or -1."""
     if jobs == 0 or jobs < -1:
         raise UserError(f"--jobs is {jobs}; allowed are 1 or more, and -1 for all cores")
 
 
 def unordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = -1) -> Iterator[Any]:
-    """Results of `function(*a)` for each a in `arguments`, as they come, from `jobs` processes (-1: one a core)."""
+    """Results of `function(*a)` for each a in `arguments`, in the order in which they finish, from `jobs` processes (-1: one a core)."""
     pool = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=cast(Any, 1))
     return cast(Iterator[Any], pool(joblib.delayed(function)(*a) for a in arguments))
 
 
 def ordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = -1) -> list[Any]:
-    """The same, in the order of the arguments."""
+    """Results of `function(*a)` for each a in `arguments`, in their order, from `jobs` processes (-1: one a core)."""
     pool = joblib.Parallel(n_jobs=jobs, batch_size=cast(Any, 1))
     return cast(list[Any], pool(joblib.delayed(function)(*a) for a in arguments))
 
 
+def once_per_process(key: str, make: Callable[[], _T]) -> _T:
+    """The value of `make`, made once in each process for a key and kept until another key is asked for. A key must name the work and
+    never come again for another, as uuid4 does: worker processes outlive the work."""
+    if key not in _made:
+        _made.clear()
+        _made[key] = make()
+    return _made[key]
+
+
 @contextmanager
 def workers(where: str = LOCAL) -> Iterator[None]:
-    """Within this context the calls above run on processes of this machine ("local"), or on the Dask cluster whose scheduler has the
-    address `where`, as in tcp://host:8786; its workers need this package, and the files that are written, at the same paths.
+    """Run the calls above on processes of this machine ("local"), or on the Dask cluster whose scheduler has the address `where`, as
+    in tcp://host:8786. Its workers need this package and the files that are written at the same paths.
 
     Raises `UserError` where Dask is not installed or no scheduler answers.
     """
@@ -45,7 +56,7 @@ def workers(where: str = LOCAL) -> Iterator[None]:
     except ImportError:
         raise UserError("a Dask cluster needs the package distributed: pip install 'rrr_oc[cluster]'") from None
     try:
-        client = Client(where, timeout=PATIENCE)
+        client = Client(where, timeout=SCHEDULER_TIMEOUT)
     except (OSError, ValueError) as error:
         raise UserError(
             f"no Dask scheduler answers at {where!r} ({error}); give 'local' or an address as tcp://host:8786"

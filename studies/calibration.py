@@ -26,13 +26,15 @@ from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.calibration.prediction_error import recorded_controller
 from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
-from rrr_oc.codesign.design_problem import CONFIGURATIONS
+from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split
+from rrr_oc.paper.published import published
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
-from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.console import wide_console
 from rrr_oc.report.figures import save_figure
+from rrr_oc.report.tables import markdown
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.simulation.replay import replay
 from rrr_oc.simulation.rollout import Simulated
@@ -40,10 +42,6 @@ from rrr_oc.storage import check_folder, write_json, write_text
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load by Eq. 10", "tau_load of the engine", "tau_load of the engine, own drives")
 EQ10 = SIGNALS[4]
-PAPER = {  # Table 2, calibration data; the paper does not say by how much it smooths
-    "without springs": (0.0900, 0.0806, 0.1058, 0.1764, 0.4470),
-    "with springs": (0.0704, 0.0776, 0.1038, 0.1662, 0.3750),
-}
 ENDS = ((0.15, 0.1), (3.0, 5.0))  # window and time dropped at both ends [s]: the contract's, and those of the authors' code
 NEAR = np.radians([5.0, 5.0])  # a motion is covered where a recorded (q, dq) lies within 5° and 5 °/s
 EQUAL = 1.01  # objectives within 1 % count as equal
@@ -215,45 +213,52 @@ def draw_overlays(runs: Sequence[Run], drives: Actuators, window: float = 0.15) 
 
 def report(summary: dict[str, Any]) -> str:
     """The tables in Markdown."""
-    lines = ["# Calibration", "", "## Table 2: NRMSE, mean over joints 2 and 3 and the recordings", ""]
-    lines += ["|  | smoothed over, dropped [s] | " + " | ".join(SIGNALS) + " |", "| --- " * (len(SIGNALS) + 2) + "|"]
-    for kind, values in PAPER.items():
-        lines.append(f"| paper, {kind} |  | " + " | ".join(f"{v:.4f}" for v in values) + " |  |  |")
-    for entry in summary["table"]:
-        for kind, values in entry["nrmse"].items():
-            numbers = " | ".join(f"{v:.4f}" for v in values)
-            lines.append(f"| {entry['way']}, {kind} | {entry['window_s']:g}, {entry['dropped_s']:g} | {numbers} |")
-    lines += ["", "Load torques of the recorded motor torque, by Eq. 10 and by the calibrated drives, differ by (NRMSE)", ""]
+    parts = ["# Calibration\n", "## Table 2: NRMSE, mean over joints 2 and 3 and the recordings\n", _nrmse(summary)]
+    parts.append("Load torques of the recorded motor torque, by Eq. 10 and by the calibrated drives, differ by (NRMSE)\n")
     for entry in summary["table"]:
         both = ", ".join(f"{value:.4f} {kind}" for kind, value in entry["drives_apart"].items())
-        lines.append(f"- {entry['way']}, {entry['window_s']:g} s, {entry['dropped_s']:g} s: {both}")
-    lines += ["", "## Parameters", "", "| parameter | gradient | 95 % interval | evolution |", "| --- | --- | --- | --- |"]
+        parts.append(f"- {entry['way']}, {entry['window_s']:g} s, {entry['dropped_s']:g} s: {both}")
+    rows = []
     for name, p in summary["parameters"].items():
         interval = "not compared" if p["interval"] is None else f"{p['interval'][0]:.3f} … {p['interval'][1]:.3f}"
-        other = "" if p["evolution"] is None else f"{p['evolution']:.3f}"
-        lines.append(f"| {name} | {p['gradient']:.3f} | {interval} | {other} |")
-    r = summary["race"]
-    if r:
+        rows.append([name, f"{p['gradient']:.3f}", interval, "" if p["evolution"] is None else f"{p['evolution']:.3f}"])
+    parts += ["\n## Parameters\n", markdown(["parameter", "gradient", "95 % interval", "evolution"], rows)]
+    if r := summary["race"]:
         seconds = {way: "never" if s is None else f"{s:.1f} s" for way, s in r["seconds"].items()}
-        lines += [
-            "",
-            "## Two ways to one objective",
-            "",
-            "|  | objective | evaluations | wall | within 1 % of the better after |",
-        ]
-        lines += ["| --- | --- | --- | --- | --- |"]
-        lines += [
-            f"| {way} | {r['objective'][way]:.4f} | {r['evaluations'][way]} | {r['wall_s'][way]:.1f} s | {seconds[way]} |"
+        rows = [
+            [way, f"{r['objective'][way]:.4f}", str(r["evaluations"][way]), f"{r['wall_s'][way]:.1f} s", seconds[way]]
             for way in ("gradient", "evolution")
         ]
-        lines += ["", f"Speed-up: {r['speed_up']:.0f}" if r["speed_up"] else "The objectives differ by more than 1 %."]
-    if summary["outside"]:
-        joints = sorted({j for by_joint in summary["outside"].values() for j in by_joint})
-        lines += ["", "## Share of the optimised tasks that lies outside the recorded (q, dq)", ""]
-        lines += ["| task | " + " | ".join(joints) + " |", "| --- " * (len(joints) + 1) + "|"]
-        for task, by_joint in summary["outside"].items():
-            lines.append(f"| {task} | " + " | ".join(f"{by_joint[j]:.0%}" if j in by_joint else "" for j in joints) + " |")
-    return "\n".join(lines) + "\n"
+        header = ["", "objective", "evaluations", "wall", "within 1 % of the better after"]
+        parts += ["## Two ways to one objective\n", markdown(header, rows)]
+        parts.append(f"Speed-up: {r['speed_up']:.0f}\n" if r["speed_up"] else "The objectives differ by more than 1 %.\n")
+    if outside := summary["outside"]:
+        joints = sorted({j for by_joint in outside.values() for j in by_joint})
+        rows = [[task, *(f"{shares[j]:.0%}" if j in shares else "" for j in joints)] for task, shares in outside.items()]
+        parts += ["## Share of the optimised tasks that lies outside the recorded (q, dq)\n", markdown(["task", *joints], rows)]
+    return "\n".join(parts)
+
+
+def _nrmse(summary: dict[str, Any]) -> str:
+    paper = published()["nrmse"]
+    rows = [
+        [f"paper, {kind.removeprefix('training, ')}", "", *(f"{v:.4f}" for v in values), "", ""]
+        for kind, values in paper.items()
+        if kind.startswith("training")
+    ]
+    for entry in summary["table"]:
+        for kind, values in entry["nrmse"].items():
+            ends = f"{entry['window_s']:g}, {entry['dropped_s']:g}"
+            rows.append([f"{entry['way']}, {kind}", ends, *(f"{v:.4f}" for v in values)])
+    return markdown(["", "smoothed over, dropped [s]", *SIGNALS], rows)
+
+
+def _parameters(models: dict[str, CalibratedModel]) -> dict[str, dict[str, Any]]:
+    """Each parameter's value by either way, and its interval by the gradient way."""
+    estimates = {way: [e for term in m.terms for e in term.estimates] for way, m in models.items()}
+    evolved = [e.value for e in estimates["evolution"]] if "evolution" in models else [None] * len(estimates["gradient"])
+    rows = zip(labels(models["gradient"]), estimates["gradient"], evolved, strict=True)
+    return {name: {"gradient": g.value, "interval": g.interval, "evolution": other} for name, g, other in rows}
 
 
 def main(
@@ -289,7 +294,6 @@ def main(
     runs = {f"{way}, training": [follow(m, recordings, r, drives) for r in recordings.recordings] for way, m in models.items()}
     runs["gradient, left out"] = left_out(recordings, drives, timestep)
     shares, motions = coverage(recordings, tasks)
-    estimates = {way: [e for term in m.terms for e in term.estimates] for way, m in models.items()}
     summary = {
         "recordings": [r.file for r in recordings.recordings],
         "joints": list(drives.joints),
@@ -305,14 +309,7 @@ def main(
             for way, some in runs.items()
             for window, dropped in ENDS
         ],
-        "parameters": {
-            name: {
-                "gradient": g.value,
-                "interval": g.interval,
-                "evolution": estimates["evolution"][i].value if generations else None,
-            }
-            for i, (name, g) in enumerate(zip(labels(models["gradient"]), estimates["gradient"], strict=True))
-        },
+        "parameters": _parameters(models),
         "race": race(raced, models["evolution"]) | {"seconds_of_each": race_seconds} if raced else None,
         "outside": shares,
     }

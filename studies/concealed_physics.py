@@ -44,8 +44,9 @@ from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.report.design_report import wide_console
+from rrr_oc.report.console import wide_console
 from rrr_oc.report.figures import save_figure
+from rrr_oc.report.tables import markdown
 from rrr_oc.storage import write_json, write_text
 
 matplotlib.use("Agg")
@@ -468,13 +469,13 @@ def report(summary: Mapping[str, Any]) -> str:
         ("95 % intervals that hold the true value", summary["coverage"]),
     ]
     lines = ["# Concealed physics", "", f"{summary['cases']} sealed cases, {len(summary['failed'])} of them failed.", ""]
-    lines += ["|  | of | share | its own 95 % interval |", "| --- | --- | --- | --- |", *(row(*r) for r in rows), ""]
+    lines += [markdown(["", "of", "share", "its own 95 % interval"], [row(*r) for r in rows])]
     how = ", ".join(f"{n} as {w}" for w, n in summary["how"].items()) or "none"
     lines += [f"Named: {how} (`rival`: listed as indistinguishable; `equal`: equal on these data by the plant's Jacobian).", ""]
     if summary["unseen_nrmse"]:
         lines += ["NRMSE on recordings of other motions, mean over joints, quantiles over the cases with an effect:", ""]
-        lines += ["|  | " + " | ".join(f"{100 * x:g} %" for x in QUANTILES) + " |", "| --- | --- | --- | --- | --- |"]
-        lines += [f"| {k} | " + " | ".join(f"{x:.3f}" for x in v) + " |" for k, v in summary["unseen_nrmse"].items()] + [""]
+        table = [[k, *(f"{x:.3f}" for x in v)] for k, v in summary["unseen_nrmse"].items()]
+        lines += [markdown(["", *(f"{100 * x:g} %" for x in QUANTILES)], table)]
     curve = summary["sensitivity"]
     if curve:
         lines += [
@@ -482,24 +483,23 @@ def report(summary: Mapping[str, Any]) -> str:
             f"for detects them (p < {DETECTED:g}; {curve['cases']} cases, of which {percent(curve['lapse'])} are missed however strong).",
             "",
         ]
-    lines += ["| time per case | median [s] | longest [s] |", "| --- | --- | --- |"]
-    lines += [f"| {k} | {a:.1f} | {b:.1f} |" for k, (a, b) in summary["seconds"].items()]
-    lines += ["", "`half at`: the same of each effect; a bound where all or none of its cases were named.", ""]
-    lines += ["| effect | of | named | its own 95 % interval | half at | intervals | hold |"]
-    lines += ["| --- | --- | --- | --- | --- | --- | --- |"]
+    seconds = [[k, f"{a:.1f}", f"{b:.1f}"] for k, (a, b) in summary["seconds"].items()]
+    lines += [markdown(["time per case", "median [s]", "longest [s]"], seconds)]
+    lines += ["`half at`: the same of each effect; a bound where all or none of its cases were named.", ""]
+    effects = []
     for name, s in summary["by_effect"].items():
         c, half = s["coverage"], curve and curve["by_effect"].get(name)
         at = f"{half['bound'] or ''} {half['half_named']:.2f}".strip() if half else ""
-        lines.append(f"{row(name, s['named'])} {at} | {c['of']} | {percent(c['share'])} |")
+        effects.append([*row(name, s["named"]), at, str(c["of"]), percent(c["share"])])
+    lines += [markdown(["effect", "of", "named", "its own 95 % interval", "half at", "intervals", "hold"], effects)]
     missed = [s for s in summary["scores"] if (not s["true"] and s["alarm"]) or not all(e["named"] for e in s["true"])]
-    lines += ["", "## Missed", "", "| case | key | found |", "| --- | --- | --- |"]
-    lines += [f"| {s['case']} | {s['key']} | {'; '.join(s['found']) or s['first']} |" for s in missed]
-    return "\n".join([*lines, "", "![confusion](confusion.png)"]) + "\n"
+    cases = [[s["case"], s["key"], "; ".join(s["found"]) or str(s["first"])] for s in missed]
+    return "\n".join([*lines, "## Missed", "", markdown(["case", "key", "found"], cases), "![confusion](confusion.png)"]) + "\n"
 
 
-def row(name: str, s: Mapping[str, Any]) -> str:
+def row(name: str, s: Mapping[str, Any]) -> list[str]:
     interval = "" if s["interval"] is None else " … ".join(percent(x) for x in s["interval"])
-    return f"| {name} | {s['of']} | {percent(s['share'])} | {interval} |"
+    return [name, str(s["of"]), percent(s["share"]), interval]
 
 
 def percent(x: float | None) -> str:

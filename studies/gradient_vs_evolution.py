@@ -4,13 +4,14 @@
     python studies/gradient_vs_evolution.py --protocol full --jobs 4    # the paper's budget
     python studies/gradient_vs_evolution.py --workers tcp://host:8786   # the same on a Dask cluster that shares the folder
 
-What does each find, at what cost, and do the paper's conclusions stand? For each experiment (SA, PEA, BPEA, both, and with purchasable
+What does each find, at what cost, and do the paper's conclusions hold? For each experiment (SA, PEA, BPEA, both, and with purchasable
 hardware): (a) the paper's CMA-ES, ten trials of 64 × 1000 evaluations in MuJoCo, and the same in the analytic model; (b) IPOPT from Sobol
-points; (c) CMA-ES over IPOPT; (d) IPOPT within the paper's Akima parametrisation; (e) evolution that begins at (d). Then how long the
-gradient takes to what evolution found; springs alone on a fixed motion; and the optima played on an arm whose physics the model lacks.
+points; (c) CMA-ES over IPOPT; (d) IPOPT within the paper's Akima parametrisation; (e) evolution that starts at (d). Then the time
+that the gradient needs to reach evolution's cost; springs alone on a fixed motion; and the optima played on an arm whose physics the
+model lacks.
 
-Every run is a folder of the store `OUT/runs`; a study that was interrupted goes on with the same command. Tables and figures are made
-from the store.
+Every run is a folder of the store `OUT/runs`; the same command continues an interrupted study. Tables and figures are made from the
+store.
 """
 
 import json
@@ -22,15 +23,14 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import parallel
-from rrr_oc.codesign.design_problem import CONFIGURATIONS
+from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise, tables
+from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise
 from rrr_oc.paper.encoding import Encoding
 from rrr_oc.paper.engine_population import STEPS
 from rrr_oc.paper.evolution import Protocol
@@ -50,19 +50,26 @@ from rrr_oc.paper.experiments import (
     stored_motion,
 )
 from rrr_oc.paper.run_store import Run, all_runs
-from rrr_oc.report.figures import draw_comparison
+from rrr_oc.report.comparison_figures import draw_comparison
+from rrr_oc.report.comparison_report import tables
+from rrr_oc.report.console import wide_console
 from rrr_oc.storage import write_json, write_npz, write_text
 
 STAGES = ("engine", "model", "gradient", "restricted", "again", "race", "fixed", "transfer", "tables")
-console = Console()
-if not console.is_terminal:
-    console.width = 160  # a log's lines may be longer than the 80 columns that are assumed of it
+console = wide_console()
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is run: evolutionary trials and generations, with their population and steps in the engine; trials from the restricted
-    optimum; starts of IPOPT; starts within the parametrisation; races; durations of the fixed motion [s]."""
+    """Size of a study.
+
+    Attributes:
+        trials, generations, population, steps: Evolutionary trials, generations, candidates a generation, engine steps a phase.
+        again: Evolutionary trials from the restricted optimum.
+        starts, restricted: Starting points of IPOPT, and of IPOPT within the parametrisation.
+        races: Races an experiment and target.
+        durations: Durations of a phase of the fixed motion [s].
+    """
 
     trials: int = 10
     generations: int = 1000
@@ -75,7 +82,7 @@ class Size:
     durations: tuple[float, ...] = (2.0, 3.0, 4.0)
 
     def protocol(self, model: str, sigma: float = 0.15) -> Protocol:
-        """The evolution's."""
+        """Settings of the evolution."""
         return Protocol(model, self.generations, self.population, sigma, steps=self.steps)  # pyright: ignore[reportArgumentType]
 
 
@@ -137,7 +144,7 @@ def main(
 
 
 def _motions(out: Path, preset: str, summary: dict) -> None:
-    """The motions of Figure 5, torques summed over the joints, as files for the figure: best evolutionary trial, gradient optimum."""
+    """Write the motions of Figure 5, torques summed over the joints: the best evolutionary trial and the gradient optimum."""
     task, runs = (
         load_task(preset),
         [r for r in all_runs(out / "runs") if r.asked["preset"] == preset and r.asked["ends"] == "rest"],
@@ -172,7 +179,7 @@ def _listed(option: str, given: str, known: Iterable[str]) -> list[str]:
 
 
 def _run(stage: str, jobs: list[Job], processes: int) -> None:
-    """All runs of a stage, with a bar; those that the store has take no time."""
+    """All runs of a stage, with a progress bar; runs that have ended are read from the store."""
     columns = (
         TextColumn("{task.description:12}"),
         BarColumn(),
@@ -199,7 +206,7 @@ def _labels(preset: str, name: str, ends: str, way: str, **more: str) -> dict[st
 
 
 def _evolutions(store: Path, preset: str, names: list[str], size: Size, model: str, ends: str) -> Iterable[Job]:
-    """Seed by seed, so that an interrupted study has as many of each."""
+    """Seed by seed, so that an interrupted study has equally many trials of each experiment."""
     for seed in range(size.trials):
         for name in names:
             labels = _labels(preset, name, ends, "evolution", model=model)
@@ -240,7 +247,7 @@ def _again(store: Path, preset: str, names: list[str], size: Size) -> Iterable[J
 
 
 def _race(store: Path, preset: str, names: list[str], size: Size) -> Iterable[Job]:
-    """To the best of the evolutionary trials in the engine (in the model where there are none), and to 1 % above the best known."""
+    """Races to the best evolutionary trial in the engine (in the model where there is none), and to 1 % above the best known cost."""
     rest = summarise(store, preset)["rest"]
     for seed in range(size.races):
         for name in names:

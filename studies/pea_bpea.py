@@ -25,18 +25,24 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
+from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.certificate import certify
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, search
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_simulation, sample_motion
-from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, load_catalogue, search_catalogue
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, search_catalogue
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.optimal_control.solver import Refinement, SolverFailure
+from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.paper.published import published_springs
 from rrr_oc.parallel import check_jobs
-from rrr_oc.report.design_report import published_springs, report, wide_console
-from rrr_oc.report.figures import draw_all
+from rrr_oc.report.console import wide_console
+from rrr_oc.report.design_figures import draw_all
+from rrr_oc.report.design_report import report
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.storage import check_folder, write_json, write_npz, write_text
 
@@ -98,9 +104,9 @@ def main(
             out, name, asked, lambda name=name, design=design: _solve(name, design, options, shop, catalogue_search, out)
         )
     for name, c in found.items():
-        c["calibrated"] = (
-            None if calibrated is None else plain(_transferred(out, name, c, designs[name.rstrip("*")], calibrated))
-        )
+        design = designs[name.rstrip("*")]
+        c["calibrated"] = None if calibrated is None else plain(_transferred(out, name, c, design, calibrated))
+    names = sorted(found, key=lambda name: (name.endswith("*"), list(CONFIGURATIONS).index(name.rstrip("*"))))
     summary = {
         "preset": task.name,
         "cost": {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}[cost],
@@ -109,9 +115,7 @@ def main(
         "wall_s": time.perf_counter() - began,
         "versions": {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},
         "options": plain(asdict(options)),
-        "configurations": dict(
-            sorted(found.items(), key=lambda item: (item[0].endswith("*"), list(CONFIGURATIONS).index(item[0].rstrip("*"))))
-        ),
+        "configurations": {name: found[name] for name in names},
     }
     write_json(out / "summary.json", summary)
     text = report(summary) + transfer_table(summary["configurations"])
@@ -122,7 +126,7 @@ def main(
 
 
 def _once(out: Path, name: str, asked: dict, solve) -> dict[str, Any]:
-    """The results of a configuration, solved unless this very run has already left them in the folder."""
+    """The results of a configuration, from the folder if a run with the same settings has left them there, else solved."""
     saved = out / f".{name}.json"
     key = json.loads(json.dumps(plain(asked)))
     if saved.is_file():
@@ -164,7 +168,7 @@ def _search(name: str, design: CoDesign, options: SearchOptions) -> SearchResult
             progress.update(row, advance=1, best=f"best so far {best[0]:.3f}")
 
         try:
-            return search(design, options, show)
+            return solve_multistart(design, options, show)
         except SolverFailure as failure:
             limits = "; ".join(
                 f"{j}: {np.degrees(lo):.0f} … {np.degrees(hi):.0f}°, {np.degrees(v):.0f} °/s, {np.degrees(a):.0f} °/s², "
@@ -188,14 +192,11 @@ def _search(name: str, design: CoDesign, options: SearchOptions) -> SearchResult
 def _buy(name: str, design: CoDesign, result: SearchResult, shop, options: SearchOptions, method: str) -> CatalogueResult:
     with _progress() as progress:
         row = progress.add_task(name, total=None, best="")
-        return search_catalogue(
-            design,
-            result.best.solution,
-            shop,
-            options,
-            method,
-            lambda done: progress.update(row, completed=done, best="choices solved"),
-        )
+
+        def show(done: int) -> None:
+            progress.update(row, completed=done, best="choices solved")
+
+        return search_catalogue(design, result.best.solution, shop, options, method, show)
 
 
 def _progress() -> Progress:
@@ -210,7 +211,7 @@ def _progress() -> Progress:
 
 
 def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions, began: float) -> dict[str, Any]:
-    """What summary.json holds of a configuration; writes its motion beside."""
+    """The entry of a configuration in summary.json; writes its motion to an npz."""
     design, solution = result.design, result.best.solution
     motion = sample_motion(design, solution)
     described = describe(design, motion.metrics()) | {
@@ -256,7 +257,8 @@ def _published(name: str, design: CoDesign, options: SearchOptions) -> float | N
     if not springs or not {"joint2", "joint3"} <= set(task.joints):
         return None
     held = CoDesign(task, spring_bounds(task, name.rstrip("*")), design.cost, design.actuators).with_fixed(springs)
-    return search(held, replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)).whole().best.solution.cost
+    few = replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)
+    return solve_multistart(held, few).whole().best.cost
 
 
 def plain(value: Any) -> Any:

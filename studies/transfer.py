@@ -32,9 +32,11 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.nrmse import error
 from rrr_oc.calibration.response import calibrate_response
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions, search
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import solve_multistart
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, resimulate, sample_motion
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.diagnosis.procedure import diagnose
@@ -43,14 +45,16 @@ from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, Sweep, protocol, sweep
 from rrr_oc.model.metrics import measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import smooth
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.paper.published import published
 from rrr_oc.recordings.header import Spring, spring_json
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.writer import write_set
-from rrr_oc.report.design_report import markdown, wide_console
+from rrr_oc.report.console import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.figures import save_figure
+from rrr_oc.report.tables import markdown
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.storage import write_json, write_npz, write_text
 
@@ -69,11 +73,6 @@ import matplotlib.pyplot as plt
 STEP = 2e-3  # of the plant [s]
 NOISE = 0.25  # of the recorded torque, about 1 % of joint 2's [Nm]
 GROUPS = ("payload", "bare")  # set-up of the arm in the task's phases, as in the protocol's recordings
-TABLE_2 = {  # of the paper: q, dq, ddq, tau_a, tau_l by Eq. 10
-    "training, without springs": (0.0900, 0.0806, 0.1058, 0.1764, 0.4470),
-    "training, with springs": (0.0704, 0.0776, 0.1038, 0.1662, 0.3750),
-    "the task": (0.0552, 0.3872, 0.4470, 1.2748, 2.0031),
-}
 console = wide_console()
 
 
@@ -239,7 +238,7 @@ def designed(folder: Path, name: str, design: CoDesign, options: SearchOptions) 
     file, content = folder / f"{name}.npz", folder / f"{name}.json"
     if not content.exists():
         began = time.perf_counter()
-        solution = search(design, options).whole().best.solution
+        solution = solve_multistart(design, options).whole().best.solution
         motion, own = sample_motion(design, solution), [s.effect for s in design.springs if not s.known]
         engine = measure([(p.t, p.tau_load[list(design.task.moving)]) for p in resimulate(design, solution, motion).phases])
         write_npz(file, motion.arrays | {"joints": np.array(design.task.joints)})
@@ -519,7 +518,9 @@ def report(summary: Mapping[str, Any]) -> str:
 
 
 def _failure_report(f: Mapping[str, Any], truth: Sequence[Mapping[str, Any]]) -> list[str]:
-    rows = [["the paper's Table 2", kind, *(f"{v:.4f}" for v in values)] for kind, values in TABLE_2.items()]
+    paper = published()["nrmse"]
+    kinds_of_paper = [kind for kind in paper if kind != "signals"]
+    rows = [["the paper's Table 2", kind, *(f"{v:.4f}" for v in paper[kind])] for kind in kinds_of_paper]
     for name, kinds in f["table"].items():
         if isinstance(kinds, str):
             rows.append([name, kinds, *["–"] * 5])

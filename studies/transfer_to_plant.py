@@ -19,15 +19,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import SearchOptions, continued
+from rrr_oc.codesign.multistart import continue_from
 from rrr_oc.codesign.optimum import SampledMotion, describe, sample_motion
+from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, load_task
 from rrr_oc.codesign.transfer import describe_transfer, reference_phases, repaired
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.comparison import FREE_MOTION
 from rrr_oc.paper.encoding import Encoding
 from rrr_oc.paper.experiments import candidate_motion, experiment, stored_motion
@@ -126,7 +127,7 @@ def _evolved(design: CoDesign, runs: Sequence[Run], name: str) -> Played | None:
 
 
 def _again(played: Played, model: CalibratedModel) -> Played:
-    """The optimum re-optimised with what the repaired model has on the links and in the body, from where it was."""
+    """The optimum re-optimised from itself on the repaired model's links and rigid body."""
     design, phases = repaired(played.design, model, ("", "")), []  # set-ups are not told apart here
     for k in played.motion.phases():
         t = played.motion.t[k] - played.motion.t[k[0]]
@@ -141,7 +142,7 @@ def _again(played: Played, model: CalibratedModel) -> Played:
         )
     known = [spring.lower for spring in design.springs[len(played.design.springs) :]]
     guess = Guess(tuple(phases), np.concatenate([played.parameters, *known]))
-    optima = continued([(design, guess)], SearchOptions(jobs=1, refinement=Refinement(1e-5)))
+    optima = continue_from([(design, guess)], SearchOptions(jobs=1, refinement=Refinement(1e-5)))
     if not optima:
         raise UserError("the repaired model's optimum was lost on the way from the nominal one")
     solution = optima[0][1].solution
@@ -194,7 +195,7 @@ def _played(designs: Mapping[str, Played], model: CalibratedModel, built: Built)
 
 
 def _command(phase, t: np.ndarray, lead: int, gain: np.ndarray) -> np.ndarray:
-    """What P-controllers are told, (n, T): the reference plus the expected torque over their gain; still before and after."""
+    """Position commands of the P-controllers, (n, T): the reference plus the expected torque over the gain; constant before and after."""
     ahead = phase.tau_load / gain[:, None]
     q = np.stack([np.interp(t, phase.t, row) for row in phase.q + ahead])
     return np.concatenate([np.repeat(q[:, :1], lead, axis=1), q], axis=1)

@@ -16,7 +16,8 @@ from rrr_oc.diagnosis.procedure import Diagnosis, Fold, Shares
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
-from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.diagnosis_words import sentence
 
 STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import Akima1DInterpolator
 
-from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.elastic.biarticular_spring import reduced
 from rrr_oc.errors import UserError

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions, SearchResult, search
-from rrr_oc.codesign.purchasable import Catalogue, CatalogueResult, load_catalogue, search_catalogue
+from rrr_oc.codesign.catalogue import Catalogue, load_catalogue
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import SearchResult, solve_multistart
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(
@@ -25,7 +28,7 @@ BIARTICULAR = {"k_b": (3.0, 12.0), "r_1": (0.014, 0.028), "r_2": (0.036,), "r_3"
 
 
 def continuous(configuration: str) -> SearchResult:
-    return search(CoDesign(TASK, spring_bounds(TASK, configuration)), OPTIONS)
+    return solve_multistart(CoDesign(TASK, spring_bounds(TASK, configuration)), OPTIONS)
 
 
 def shop(result: SearchResult, parallel=None, biarticular=None, **options) -> CatalogueResult:
@@ -68,7 +71,7 @@ def brute_force(result: SearchResult, names: list[str], lists: list[tuple[float,
     for values in itertools.product(*lists):
         hardware = dict(zip(names, values, strict=True))
         held = result.design.with_fixed(hardware, free)
-        found.append((search(held, OPTIONS).best.solution.cost, hardware))
+        found.append((solve_multistart(held, OPTIONS).best.solution.cost, hardware))
     return sorted(found, key=lambda row: row[0])
 
 
@@ -111,7 +114,7 @@ def test_coverage_of_both_kinds_does_not_claim_what_was_not_solved():
     lists = {"joint2": (2.0, 7.0, 13.0), "joint3": (0.1, 0.6, 1.2)}
     short = {"k_b": (13.0,), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.019,)}
     few = replace(OPTIONS, coarse=6, fine=8)
-    cover = shop(search(CoDesign(TASK, spring_bounds(TASK, "PEA+BPEA")), few), lists, short, settings=few).coverage
+    cover = shop(solve_multistart(CoDesign(TASK, spring_bounds(TASK, "PEA+BPEA")), few), lists, short, settings=few).coverage
     assert (cover.combinations, cover.distinct) == (9, 9)
     assert 1 <= cover.solved <= 4
     assert (cover.complete, cover.neighbours) == (False, True)

@@ -12,14 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
-from rrr_oc.codesign.multistart import decode, dimensions
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.proposals import decode, dimensions, motion_guess
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.effects.elastic.biarticular_spring import reduced
 from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.refinement import mesh_error
+from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Solution, Solver
-from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
-from rrr_oc.report.design_report import published_springs
+from rrr_oc.optimal_control.transcription import Transcription
+from rrr_oc.paper.published import published_springs
 from rrr_oc.robot.drives import load_actuators
 
 TASK = load_task("paper")
@@ -185,8 +188,8 @@ def test_with_fixed_leaves_equilibria_free_within_their_bounds():
 def test_e1_of_a_solve_is_the_trapezoid_of_independent_torques(optima, name):
     design, solution = optima[name]
     # 1600 points a phase leave 1e-6; the scheme's own quadrature 1e-5 (SA) and 1e-3 (PEA) on this coarse mesh, as `error` says
-    assert trapezoid(design, solution) == pytest.approx(solution.cost, rel=2 * solution.error.quadrature + 1e-5)
-    assert solution.error.quadrature < 2e-3
+    assert trapezoid(design, solution) == pytest.approx(solution.cost, rel=2 * mesh_error(solution).quadrature + 1e-5)
+    assert mesh_error(solution).quadrature < 2e-3
     known = {"SA": 563.22, "PEA": 66.75}[name]  # facts.md, mesh-converged; the coarse mesh reads up to 0.5 % lower
     assert solution.cost == pytest.approx(known, rel=5e-3)
 
@@ -233,7 +236,9 @@ def test_costs_differ_and_are_what_they_say():
         design = design_of("SA", cost=cost, actuators=drives)
         solution = solved(design, 12)
         # tanh(20 dq) is steep for 12 intervals: the scheme's quadrature is 1 to 2 % off, and says so
-        assert trapezoid(design, solution, rate) == pytest.approx(solution.cost, rel=1.1 * solution.error.quadrature + 1e-4)
+        assert trapezoid(design, solution, rate) == pytest.approx(
+            solution.cost, rel=1.1 * mesh_error(solution).quadrature + 1e-4
+        )
         table[cost] = [trapezoid(design, solution, other) for other in rates.values()]
     for column, cost in enumerate(rates):
         assert table[cost][column] == min(row[column] for row in table.values())

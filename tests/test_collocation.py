@@ -10,7 +10,8 @@ import pytest
 
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
-from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
+from rrr_oc.optimal_control.transcription import Transcription
 
 R3, R5, R6 = np.sqrt([3, 5, 6])
 # Hairer & Wanner, "Solving Ordinary Differential Equations II", tables IV.5.1, 5.6 and 5.7 (Lobatto IIIA), in (A, c); b follows

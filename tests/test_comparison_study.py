@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from commands import run
 
-from rrr_oc.paper.comparison import summarise, tables
+from rrr_oc.paper.comparison import summarise
 from rrr_oc.paper.run_store import Run, all_runs
+from rrr_oc.report.comparison_report import tables
 
 STUDY = Path(__file__).resolve().parents[1] / "studies" / "gradient_vs_evolution.py"
 

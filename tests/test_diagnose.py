@@ -43,7 +43,8 @@ from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording
-from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.diagnosis_words import sentence
 from rrr_oc.robot.inertial_parameters import precision, prior
 from rrr_oc.robot.robot import ToolPoint
 from rrr_oc.simulation.replay import pieces

@@ -132,6 +132,6 @@ def test_unusable_protocols_are_refused(wrong):
 
 def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(parallel, "PATIENCE", 0.5)
+    monkeypatch.setattr(parallel, "SCHEDULER_TIMEOUT", 0.5)
     with pytest.raises(UserError, match="no Dask scheduler answers"), parallel.workers("tcp://127.0.0.1:9"):
         pass

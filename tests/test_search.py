@@ -1,4 +1,4 @@
-"""The global search on coarse meshes: reproducible, honest about what it found, and clear about what it did not."""
+"""The multistart on coarse meshes: reproducible, honest about what it found, and clear about what it did not."""
 
 import gc
 from collections.abc import Callable
@@ -7,11 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rrr_oc.codesign.design_problem import CoDesign, motion_guess, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, decode, dimensions, same, search
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.local_optima import same_optimum
+from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
+from rrr_oc.codesign.proposals import SearchOptions, decode, dimensions, motion_guess
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.solver import Refinement, SolverFailure
+from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.parallel import once_per_process
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(
@@ -28,7 +33,7 @@ PEA = design_of("PEA")
 
 @pytest.fixture(scope="module")
 def found() -> SearchResult:
-    return search(PEA, OPTIONS)
+    return solve_multistart(PEA, OPTIONS)
 
 
 def fingerprint(result: SearchResult) -> list[tuple[str, float]]:
@@ -64,13 +69,13 @@ def test_layers_count_what_the_starts_say(found):
 
 
 def test_odd_starts_go_to_sobol_and_one_start_is_enough():
-    result = search(PEA, replace(OPTIONS, starts=1, within=0.0))
+    result = solve_multistart(PEA, replace(OPTIONS, starts=1, within=0.0))
     assert [s.layer for s in result.starts] == ["sobol"]
     assert list(result.layers()) == ["sobol"]
 
 
 def test_optima_are_distinct_and_sorted(found):
-    """Any two differ visibly in cost, durations, springs or path, by the thresholds that `same` states."""
+    """Any two differ visibly in cost, durations, springs or path, by the thresholds that `same_optimum` states."""
     costs = [o.solution.cost for o in found.optima]
     assert costs == sorted(costs)
     assert sum(o.reached for o in found.optima) <= len(found.starts)
@@ -82,20 +87,20 @@ def test_optima_are_distinct_and_sorted(found):
             s = np.linspace(0, 1, 200)
             paths = [np.abs(a.solution.at(k, s)[0][:2] - b.solution.at(k, s)[0][:2]).max() > 0.029 for k in (0, 1)]
             assert apart or any(paths)
-    assert all(same(o.solution, o.solution) for o in found.optima)
+    assert all(same_optimum(o.solution, o.solution) for o in found.optima)
 
 
 def test_the_result_depends_on_the_seed_alone(found):
     """Neither on the run nor on the number of processes."""
-    again = search(PEA, OPTIONS)
+    again = solve_multistart(PEA, OPTIONS)
     assert fingerprint(again) == fingerprint(found)
     assert again.best.solution.cost == found.best.solution.cost
-    other = search(PEA, replace(OPTIONS, seed=1, starts=2))
+    other = solve_multistart(PEA, replace(OPTIONS, seed=1, starts=2))
     assert fingerprint(other) != fingerprint(found)[:2]
 
 
 def test_the_result_does_not_depend_on_the_number_of_processes(found):
-    parallel = search(PEA, replace(OPTIONS, jobs=2))
+    parallel = solve_multistart(PEA, replace(OPTIONS, jobs=2))
     assert fingerprint(parallel) == fingerprint(found)
     assert parallel.best.solution.cost == found.best.solution.cost
     np.testing.assert_array_equal(parallel.best.solution.w, found.best.solution.w)
@@ -105,8 +110,8 @@ def test_the_result_does_not_depend_on_the_number_of_processes(found):
 def test_options_are_heeded_when_the_same_design_is_searched_again(change):
     """What a process keeps from an earlier search must not leak into the next."""
     design, few = design_of("PEA"), replace(OPTIONS, starts=1, within=0.0)
-    search(design, few)
-    other, fresh = search(design, replace(few, **change)), search(design_of("PEA"), replace(few, **change))
+    solve_multistart(design, few)
+    other, fresh = solve_multistart(design, replace(few, **change)), solve_multistart(design_of("PEA"), replace(few, **change))
     assert fingerprint(other) == fingerprint(fresh)
 
 
@@ -115,18 +120,18 @@ def test_a_design_at_a_recycled_address_is_not_taken_for_the_old_one():
     few = replace(OPTIONS, starts=4, within=0.0, jobs=2)
     loaded, empty = design_of("SA"), replace(TASK, payload=0.0)
     address = id(loaded)
-    assert min(s.polished for s in search(loaded, few).starts) > 500  # facts.md: 563
+    assert min(s.polished for s in solve_multistart(loaded, few).starts) > 500  # facts.md: 563
     del loaded
     gc.collect()
     others: list[CoDesign] = []
     while id(others[-1] if others else None) != address and len(others) < 20_000:
         others.append(CoDesign(empty, ()))
-    assert max(s.polished for s in search(others[-1], few).starts) < 100  # 72 without payload
+    assert max(s.polished for s in solve_multistart(others[-1], few).starts) < 100  # 72 without payload
 
 
 def test_hopping_over_durations_never_loses():
     """It starts from the best optimum, and what it leaves is no start's: `reached` counts starts only."""
-    still, hopped = (search(PEA, replace(OPTIONS, starts=1, within=0.0, hops=n)) for n in (0, 1))
+    still, hopped = (solve_multistart(PEA, replace(OPTIONS, starts=1, within=0.0, hops=n)) for n in (0, 1))
     best = {name: min(o.solution.cost for o in result.optima) for name, result in (("still", still), ("hopped", hopped))}
     assert best["hopped"] <= best["still"] * (1 + 1e-3)  # refined on other meshes, each to 1e-3
     assert sum(o.reached for o in hopped.optima) <= 1
@@ -136,7 +141,7 @@ def test_an_infeasible_task_names_the_constraint():
     """Holding the load at the release needs 27.6 Nm of joint 2; it may give 5."""
     task = replace(TASK, torque=np.array([5.0, np.inf]))
     with pytest.raises(SolverFailure, match=r"load torque of joint2 at .* of phase 'go'") as failure:
-        search(design_of("SA", task), replace(OPTIONS, starts=2))
+        solve_multistart(design_of("SA", task), replace(OPTIONS, starts=2))
     assert failure.value.violation > 1
     assert failure.value.status != "Solve_Succeeded"
 
@@ -146,7 +151,7 @@ def test_without_a_compiler_it_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(UserError, match="needs a C compiler, but none of cc, gcc, clang is on PATH"):
-        search(design_of("SA"), replace(OPTIONS, starts=1))
+        solve_multistart(design_of("SA"), replace(OPTIONS, starts=1))
 
 
 def stopping_after(number: int) -> Callable[[Start], None]:
@@ -162,7 +167,7 @@ def stopping_after(number: int) -> Callable[[Start], None]:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_ctrl_c_keeps_what_was_found(jobs):
-    result = search(PEA, replace(OPTIONS, jobs=jobs, starts=4), stopping_after(3))
+    result = solve_multistart(PEA, replace(OPTIONS, jobs=jobs, starts=4), stopping_after(3))
     assert result.interrupted
     assert len(result.starts) == 3
     assert result.best.solution.cost == pytest.approx(66.75, rel=5e-3)
@@ -170,7 +175,7 @@ def test_ctrl_c_keeps_what_was_found(jobs):
 
 def test_progress_sees_every_start():
     seen: list[Start] = []
-    result = search(PEA, replace(OPTIONS, starts=3, within=0.0), seen.append)
+    result = solve_multistart(PEA, replace(OPTIONS, starts=3, within=0.0), seen.append)
     assert tuple(seen) == result.starts
 
 
@@ -188,3 +193,16 @@ def test_proposals_cost_what_their_motion_costs():
         total += np.trapezoid((tau**2).sum(axis=0), s * motion.duration)
     assert start.proposed == pytest.approx(total, rel=2e-3)  # clipped accelerations have kinks inside the 40 intervals
     assert start.polished < start.proposed
+
+
+def test_a_process_makes_a_value_once_for_each_piece_of_work():
+    """Two in turn for the same key are one value; another key replaces it, and the first is made anew when it comes back."""
+    made: list[str] = []
+
+    def value_of(key: str) -> list[str]:
+        return once_per_process(key, lambda: made.append(key) or [key])
+
+    assert value_of("a") is value_of("a")
+    assert value_of("b") == ["b"]
+    assert value_of("a") == ["a"]
+    assert made == ["a", "b", "a"]

@@ -214,7 +214,7 @@ def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, a
 
 def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypatch, capsys, tmp_path):
     (tmp_path / "results").write_text("mine")
-    monkeypatch.setattr(study, "search", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(study, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"

@@ -9,8 +9,9 @@ from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
-from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SAVED, SampledMotion
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, reference_phases, transfer_table
 from rrr_oc.effects import CATALOGUE

@@ -9,8 +9,9 @@ import pytest
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
-from rrr_oc.codesign.design_problem import CoDesign, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.effects.body.payload_mass import PayloadMass
@@ -19,7 +20,7 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP
 from rrr_oc.model.motion import Motion
-from rrr_oc.optimal_control.solver import Refinement
+from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from studies import transfer as study
 
@@ -121,7 +122,7 @@ def test_the_loop_on_a_model_that_is_known(task, tmp_path, monkeypatch):
     assert abs(two["predicted"] / two["on_arm"]["E1"] - 1) < 0.05
     assert abs(one["predicted"] / one["steered"]["E1"] - 1) > 0.2
     assert two["engine"] == pytest.approx(two["predicted"], rel=0.02)
-    monkeypatch.setattr(study, "search", lambda *_: pytest.fail("searched again"))
+    monkeypatch.setattr(study, "solve_multistart", lambda *_: pytest.fail("searched again"))
     monkeypatch.setattr(study, "cost_on", lambda *_: pytest.fail("driven again"))
     assert study.loop(tmp_path, arm, task, PROTOTYPE_SWEEP, ["SA"], options, 1) == json.loads(json.dumps(content))
     truth = {"payload": arm.truth()}

@@ -28,13 +28,17 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq, root
 from scipy.special import j0, j1
 
-from rrr_oc.codesign.design_problem import CoDesign, motion_guess, spring_bounds
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.proposals import motion_guess
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
-from rrr_oc.optimal_control.solver import Options, Refinement, Solution, Solver, refine, solve
-from rrr_oc.optimal_control.transcription import Scheme, Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.refinement import Refinement, mesh_error, refine
+from rrr_oc.optimal_control.scheme import Scheme, scheme, uniform_mesh
+from rrr_oc.optimal_control.solver import Options, Solution, Solver, solve
+from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.report.figures import save_figure
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.storage import write_json, write_text
@@ -502,7 +506,7 @@ def refined(case: Case, tolerance: float) -> dict:
         "title": case.title,
         "tolerance": tolerance,
         "rows": rows,
-        "error_estimate": last.error.largest,
+        "error_estimate": mesh_error(last).largest,
         **_errors(case, last),
         "seconds": time.perf_counter() - began,
     }

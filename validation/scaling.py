@@ -21,10 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rrr_oc.codesign.design_problem import CoDesign, motion_guess
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.proposals import motion_guess
 from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.optimal_control.refinement import mesh_error
+from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solver
-from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.report.figures import save_figure
 from rrr_oc.storage import write_json, write_text
 
@@ -121,7 +124,7 @@ def measure(joints: int, intervals: int, repeats: int) -> Row:
         solutions.append(solution)
     best = min(solutions, key=lambda s: s.seconds)
     size, rows = best.w.size, best.lam_g.size
-    return Row(joints, intervals, size, rows, min(builds), best.seconds, best.iterations, best.cost, best.error.largest)
+    return Row(joints, intervals, size, rows, min(builds), best.seconds, best.iterations, best.cost, mesh_error(best).largest)
 
 
 def table(results: dict) -> str:

@@ -1,3 +1,7 @@
-"""Springs and motion of a task as one problem: multistart, purchasable hardware, certificates, transfer to a calibrated model.
+"""Springs and motion of a task as one problem.
+
+`task`, `springs` and `design_problem` state it; `proposals`, `local_optima` and `multistart` solve it globally; `catalogue`, `screening` and
+`purchasable` find the best hardware that can be bought; `certificate` says how good an optimum is; `optimum` samples and simulates it;
+`transfer` takes it to a calibrated model.
 
 Imports `optimal_control`, `simulation`, `calibration` and what stands below them."""

@@ -1,13 +1,17 @@
-"""A certificate with every optimum: how optimal it is, what holds it back, and how far it can be trusted."""
+"""The certificate of an optimum: optimality conditions, active bounds, discretisation and smoothing errors."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
-from rrr_oc.codesign.multistart import Optimum, SearchResult
+from rrr_oc.codesign.local_optima import Optimum
+from rrr_oc.codesign.multistart import SearchResult
 from rrr_oc.optimal_control.optimality import Kkt
+from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.solver import Solution
 
 _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
@@ -15,13 +19,13 @@ _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s�
 
 @dataclass(frozen=True)
 class ActiveBound:
-    """A bound that holds the optimum back.
+    """A bound that is active at the optimum and costs something.
 
     Attributes:
-        name: Of what, and which side.
+        name: What is bounded, and on which side.
         value: The bound, in `unit`.
-        unit: A unit that a designer reads.
-        saving: Relative fall of the cost for moving the bound outward by one unit, to first order.
+        unit: Degrees and millimetres rather than SI units.
+        saving: Relative decrease of the cost for moving the bound outward by one unit, to first order.
         sentence: The same in words.
     """
 
@@ -34,25 +38,24 @@ class ActiveBound:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is known of an optimum.
+    """What is known of an optimum. Residuals and errors have no unit.
 
     Attributes:
         primal, dual, complementarity: Residuals of the optimality conditions, scaled; infinity norms.
-        second_order: "strict" if the Hessian of the Lagrangian is positive definite on the directions that the active
-            constraints leave (kappa, rho, phi stand for the biarticular spring, so its null directions are gone);
-            "weak" if it is so only with bounds held that are touched with next to no multiplier (the cost may still fall
-            inward from one of these: less than the necessary condition); "violated" otherwise.
-        curvature: Its smallest eigenvalue there, variables scaled and weighted by their share of time, cost relative.
-        flattest: The variables that dominate that eigenvector.
+        second_order: "strict", "weak" or "violated", see `Kkt.second_order`. The biarticular spring stands with kappa, rho and
+            phi, so equivalent hardware makes no null directions.
+        curvature: Smallest eigenvalue of the Hessian of the Lagrangian on the null space of the active constraints, variables
+            scaled and weighted by their share of time, cost relative.
+        flattest: The variables that dominate its eigenvector.
         active: Bounds with their multipliers, largest saving first.
         sensitivity: Relative change of the cost by one more kg of payload.
-        mesh: Largest error between the nodes, the quadrature's, and the cost's last change from mesh to mesh, all relative;
-            and whether error and change are within the tolerance.
-        violation: Largest excess of a limit between the nodes, relative to its scale; no part of `mesh`.
+        mesh: Largest error between the nodes, error of the quadrature, and last change of the cost from mesh to mesh, all
+            relative; and whether error and change are within the tolerance.
+        violation: Largest excess of a limit between the nodes, relative to its scale.
         smoothing: Relative change of the cost with exact, non-smooth springs on the same motion.
         exact_cost: The cost with exact springs.
-        reintegration: Differences after an adaptive integrator (DOP853) has run the controls: states, and cost (relative).
-        share: Of the starts that reached this optimum; 0 where it was found on the way from another one.
+        reintegration: See `reintegrate`.
+        share: Share of the starts that reached this optimum; 0 where it was found from another one.
     """
 
     primal: float
@@ -81,7 +84,7 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
     kkt = Kkt(solution)
     second_order, curvature, direction = kkt.second_order()
     exact = exact_cost(design, solution)
-    last = optimum.meshes[-1]
+    error, last = mesh_error(solution), optimum.meshes[-1]
     return Certificate(
         primal=kkt.primal,
         dual=kkt.dual,
@@ -92,12 +95,12 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
         active=_active(design, solution, kkt),
         sensitivity=float(kkt.data_gradient[0]) / solution.cost,
         mesh={
-            "error": solution.error.largest,
-            "quadrature": solution.error.quadrature,
+            "error": error.largest,
+            "quadrature": error.quadrature,
             "change": last.get("change", float("nan")),
             "converged": last.get("converged", False),
         },
-        violation=solution.error.violation,
+        violation=error.violation,
         smoothing=abs(exact - solution.cost) / solution.cost,
         exact_cost=exact,
         reintegration=reintegrate(solution),
@@ -140,15 +143,15 @@ def _parameter_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]
 
 
 def _hardware_bounds(design: CoDesign, kkt: Kkt) -> list[ActiveBound]:
-    """The multipliers of `DesignForm.exists`, passed on to the bounds of the hardware that it depends on."""
+    """The sensitivity of the cost to the bounds of springs' hardware, of which the parameters are functions."""
     found, solution = [], kkt.solution
+    gradient = -kkt.data_gradient  # decrease of the cost by one unit of each datum
     units = {q.symbol: q.si for s in design.springs if s.hardware for q in s.form.quantities}
-    gradient = -kkt.data_gradient  # fall of the cost by one unit of each datum
     for name, value, gain in zip(design.data_names, solution.problem.data, gradient, strict=True):
-        words = name.split()
-        if (unit := units.get(words[0])) is not None:
-            outward = gain if words[1] == "upper" else -gain
-            found.append(_bound(design, solution, f"the {words[1]} bound of {words[0]}", float(value), unit, float(outward)))
+        symbol, _, side = name.rpartition(" ")
+        if symbol in units:
+            outward = gain if side == "upper" else -gain
+            found.append(_bound(design, solution, f"the {side} bound of {symbol}", float(value), units[symbol], float(outward)))
     return found
 
 
@@ -213,28 +216,33 @@ def exact_cost(design: CoDesign, solution: Solution) -> float:
 
 
 def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float]:
-    """Run the controls through an adaptive integrator, interval by interval without a reset.
+    """Run the controls through an adaptive integrator (DOP853), interval by interval without resetting the states.
 
     Returns:
         `state`: largest difference of the states at the phases' ends, over their scales; `cost`: relative difference.
     """
     worst, cost = 0.0, 0.0
-    p, d = solution.parameters, solution.problem.data
     for i, phase in enumerate(solution.problem.phases):
-        block, nx = solution.transcription.blocks[i], len(phase.states)
+        nodes, nx = solution.values[solution.transcription.blocks[i].nodes], len(phase.states)
         edges = np.r_[0, np.cumsum(solution.transcription.mesh[i])] * solution.durations[i]
-        y = np.r_[solution.values[block.nodes[:, 0]], 0.0]
-        u_stages = solution.values[block.stage_u]
-        for k in range(len(edges) - 1):
-            controls = u_stages[:, :, k]
-
-            def rates(t, y, start=edges[k], end=edges[k + 1], controls=controls, phase=phase, nx=nx):
-                weights = solution.transcription.scheme.at(np.array([(t - start) / (end - start)]))[0][0]
-                f, cost_rate, _ = phase.rates(y[:nx], controls @ weights, p, d)
-                return np.r_[np.array(f).ravel(), float(cost_rate)]
-
-            run = solve_ivp(rates, (edges[k], edges[k + 1]), y, method="DOP853", rtol=tolerance, atol=tolerance)
-            y = run.y[:, -1]
-        worst = max(worst, float((np.abs(y[:nx] - solution.values[block.nodes[:, -1]]) / phase.x_scale).max()))
+        y = np.r_[nodes[:, 0], 0.0]
+        for k, span in enumerate(pairwise(edges)):
+            rates = _rates_in_interval(solution, i, k, span)
+            y = solve_ivp(rates, span, y, method="DOP853", rtol=tolerance, atol=tolerance).y[:, -1]
+        worst = max(worst, float((np.abs(y[:nx] - nodes[:, -1]) / phase.x_scale).max()))
         cost += y[nx]
     return {"state": worst, "cost": abs(cost - solution.cost) / abs(solution.cost)}
+
+
+def _rates_in_interval(solution: Solution, i: int, k: int, span: tuple[float, float]) -> Callable:
+    """(t, y) -> dy/dt of y = (states, cost) in interval k of phase i, which lasts from span[0] to span[1] [s]."""
+    phase, (start, end) = solution.problem.phases[i], span
+    controls = solution.values[solution.transcription.blocks[i].stage_u[:, :, k]]
+    p, d, scheme = solution.parameters, solution.problem.data, solution.transcription.scheme
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        weights = scheme.at(np.array([(t - start) / (end - start)]))[0][0]
+        f, cost_rate, _ = phase.rates(y[:-1], controls @ weights, p, d)
+        return np.r_[np.array(f).ravel(), float(cost_rate)]
+
+    return rates

@@ -1,128 +1,23 @@
 """The co-design problem: motion, durations and springs of a task together, as an optimal-control problem."""
 
-import itertools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicSpline
 
+from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.effects import Effect, design_forms
-from rrr_oc.effects.design_form import DesignForm
+from rrr_oc.effects import Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Phase, Problem
 from rrr_oc.robot.drives import Actuators
-from rrr_oc.schema import check_names
 
-
-def configurations() -> dict[str, tuple[str, ...]]:
-    """Names of the effects that each configuration has: "SA" none, then every combination of those that have a design form."""
-    kinds = {label: kind.name for label, kind in design_forms().items()}
-    some = [labels for count in range(1, len(kinds) + 1) for labels in itertools.combinations(kinds, count)]
-    return {"SA": ()} | {"+".join(labels): tuple(kinds[label] for label in labels) for labels in some}
-
-
-CONFIGURATIONS = configurations()  # of the springs that are known as this module is imported
 COSTS = ("load", "motor", "energy")
 FLOOR = "height of the tool"
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
-
-
-@dataclass(frozen=True, eq=False)
-class SpringBounds:
-    """One spring that a design may use.
-
-    Attributes:
-        effect: The spring.
-        lower, upper: Bounds of its parameters, in their order.
-        hardware: Of a spring whose parameters are functions of its hardware (`DesignForm.derived`), the bounds of that by symbol
-            in SI units; else empty.
-        fixed: Of such a spring of given hardware, the hardware in SI units; else empty.
-        known: Whether it is there in any case, with `lower` = `upper`, and no part of the design: then it may be any effect on
-            the links or of the rigid body.
-    """
-
-    effect: Effect
-    lower: np.ndarray
-    upper: np.ndarray
-    hardware: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    fixed: Mapping[str, float] = field(default_factory=dict)
-    known: bool = False
-
-    @property
-    def form(self) -> DesignForm:
-        """The spring's form in a co-design; raises `UserError` where it has none."""
-        if self.effect.design is None:
-            raise UserError(f"{self.effect.name} has no form in a co-design")
-        return self.effect.design
-
-
-def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
-    """The springs of a configuration (`configurations`) with the task's bounds; raises `UserError` for crossed ones."""
-    every, known = configurations(), [kind.name for kind in design_forms().values()]
-    if configuration not in every:
-        raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(every)}")
-    kinds = every[configuration]
-    for entry in task.springs:
-        if entry.get("effect") not in known:
-            raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
-    springs = tuple(_spring(task, entry) for entry in task.springs if entry.get("effect") in kinds)
-    missing = [k for k in kinds if k not in {s.effect.name for s in springs}]
-    if missing:
-        raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
-    return springs
-
-
-def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of the numbers that a search draws for springs: the hardware where parameters are functions of it and it is free, else
-    the effect's own parameters."""
-    lower = [[lo for lo, _ in s.hardware.values()] if s.hardware else s.lower for s in springs]
-    upper = [[hi for _, hi in s.hardware.values()] if s.hardware else s.upper for s in springs]
-    return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
-
-
-def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray:
-    """Parameters (p, ...) of a design from such numbers (drawn, ...), one after the other."""
-    rows, at = [np.zeros((0, *np.shape(drawn)[1:]))], 0
-    for spring in springs:
-        size = len(spring.hardware) or len(spring.lower)
-        numbers = np.asarray(drawn[at : at + size], float)
-        values = spring.form.parameters(numbers) if spring.hardware else numbers
-        bounds = (b.reshape(-1, *[1] * (values.ndim - 1)) for b in (spring.lower, spring.upper))
-        rows.append(np.clip(values, *bounds))
-        at += size
-    return np.concatenate(rows)
-
-
-def _spring(task: Task, entry: Mapping) -> SpringBounds:
-    where = f"task {task.name!r}: {entry['effect']}"
-    kind = next(kind for kind in design_forms().values() if kind.name == entry["effect"])
-    form, place = kind.design, "joints" if kind.placement == "pair" else "joint"
-    assert form is not None
-    check_names(entry, ("effect", place, *form.options, *(q.key for q in form.quantities)), where)
-    if place not in entry:
-        raise UserError(f"{where} lacks the key {place!r}")
-    names = entry[place] if place == "joints" else [entry[place]]
-    options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in form.options if key in entry}
-    effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
-    bounds = {q.symbol: _bounds(where, entry, q.key, q.unit) for q in form.quantities}
-    if (wrong := form.wrong(bounds)) is not None:
-        raise UserError(f"{where}: {wrong}")
-    return SpringBounds(effect, *form.box(bounds), bounds if form.derived else {})
-
-
-def _bounds(where: str, entry: Mapping, key: str, unit: float) -> tuple[float, float]:
-    try:
-        low, high = (float(v) for v in entry[key])
-    except (KeyError, TypeError, ValueError):
-        raise UserError(f"{where}: {key} must be two numbers [lower, upper], got {entry.get(key)!r}") from None
-    if not low <= high:
-        raise UserError(f"{where}: bounds of {key} are crossed: {low:g} … {high:g}; the lower must not be above the upper")
-    return low * unit, high * unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,64 +201,10 @@ class CoDesign:
 
     def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "CoDesign":
         """The same problem with springs fixed to hardware, except the names in `keep_free`."""
-        springs = tuple(_held(spring, hardware, keep_free) for spring in self.springs)
+        springs = tuple(spring.held(hardware, keep_free) for spring in self.springs)
         return replace(self, springs=springs)
-
-
-def _held(spring: SpringBounds, hardware: Mapping[str, float], keep_free: Sequence[str]) -> SpringBounds:
-    """The spring fixed to hardware, except the names in `keep_free`."""
-    if spring.known or spring.fixed:
-        return spring
-    box = spring.lower, spring.upper
-    lower, upper, fixed = spring.form.held(spring.effect.joints, box, spring.hardware, hardware, keep_free)
-    return SpringBounds(spring.effect, lower, upper, fixed=fixed)
 
 
 def torque_path(joint: str) -> str:
     """Name of the path that a joint's torque limit bounds."""
     return f"load torque of {joint}"
-
-
-def motion_guess(
-    design: CoDesign, parameters: np.ndarray, durations: Sequence[float] | np.ndarray, via: np.ndarray | None = None
-) -> Guess:
-    """A rest-to-rest motion through points, minimum-jerk in time along a cubic spline.
-
-    Args:
-        design: The problem.
-        parameters: Its parameters (np,).
-        durations: Of the phases [s].
-        via: Points passed at equal fractions of the way [rad], (phases, m, K); default none.
-    """
-    return Guess(
-        tuple(
-            _phase_guess(design.task, i, T, np.empty((len(design.task.moving), 0)) if via is None else via[i])
-            for i, T in enumerate(durations)
-        ),
-        np.asarray(parameters, float),
-    )
-
-
-def _phase_guess(task: Task, index: int, T: float, via: np.ndarray) -> PhaseGuess:
-    start, end = task.ends(index)
-    points = np.column_stack([start, via, end])
-    along = np.linspace(0, 1, points.shape[1])
-    path: Callable = CubicSpline(along, points, axis=1) if points.shape[1] > 2 else _line(points)
-
-    def states(s: np.ndarray) -> np.ndarray:
-        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
-        q = np.clip(path(sigma), task.lower[:, None], task.upper[:, None])
-        return np.vstack([q, np.clip(path(sigma, 1) * rate, -task.speed[:, None], task.speed[:, None])])
-
-    def controls(s: np.ndarray) -> np.ndarray:
-        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
-        curve = 60 * s * (1 - s) * (1 - 2 * s) / T**2
-        limit = task.acceleration[:, None]
-        return np.clip(path(sigma, 2) * rate**2 + path(sigma, 1) * curve, -limit, limit)
-
-    return PhaseGuess(T, states, controls)
-
-
-def _line(points: np.ndarray) -> Callable:
-    slope = (points[:, 1] - points[:, 0])[:, None]
-    return lambda s, order=0: (points[:, :1] + slope * s, slope + 0 * s, 0 * slope * s)[order]

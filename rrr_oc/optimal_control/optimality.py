@@ -1,4 +1,4 @@
-"""First- and second-order optimality of a solution, measured on the nonlinear program itself."""
+"""First- and second-order optimality conditions of a solution, evaluated on the nonlinear program itself."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -10,12 +10,18 @@ from scipy.sparse.linalg import splu
 
 from rrr_oc.optimal_control.solver import Solution
 
-FLAT = 1e-4  # [1] curvature that is rounding: going 0.1 of a scale along it changes the cost by 5e-7 of its magnitude
-NEAR = 1e-3  # [1] of a variable's scale: a bound so near with next to no multiplier counts as weakly active
+FLAT = 1e-4  # [1] negative curvature up to this is taken for rounding and the condition for weakly met: a step of 0.1 of a scale along
+# it changes the cost by 5e-7 of its magnitude; doubled, flatter saddles pass
+NEAR = 1e-3  # [1] of a variable's scale: a bound this close counts as weakly active; doubled, "weak" is found more often
 
 
 class Kkt:
-    """Gradients, Jacobian and Hessian of a solution, of the scaled problem."""
+    """The Karush–Kuhn–Tucker conditions at a solution of the scaled problem: residuals, active set, Jacobian and Hessian.
+
+    Attributes:
+        dual, primal, complementarity: Residuals, infinity norms.
+        at_bound, active_rows: Active bounds of variables and active constraints; `near_bound`, `near_rows` weakly active ones too.
+    """
 
     def __init__(self, solution: Solution) -> None:
         self.solution = solution
@@ -47,7 +53,7 @@ class Kkt:
                 np.abs(lam[finite_row] * row_gap[finite_row]).max(initial=0.0),
             )
         )
-        # Active: the multiplier outweighs the distance, as strict complementarity has it; equalities always are.
+        # active if the multiplier exceeds the distance (strict complementarity); equalities always are
         self.at_bound = fixed | (np.abs(solution.lam_w) > gap)
         self.active_rows = (self.row_lower == self.row_upper) | (np.abs(lam) > row_gap)
         self.near_bound = self.at_bound | (gap < NEAR)
@@ -71,11 +77,10 @@ class Kkt:
         H + AᵀA/δ is positive definite, which for small δ is so exactly if H is on the null space of A (Debreu's lemma).
 
         Returns:
-            "strict": the sufficient condition holds. "weak": it holds only with bounds held that are touched, or nearly so,
-            with next to no multiplier. That is less than the necessary condition, which asks the same of directions inward
-            from such a bound too: the cost may still fall that way. "violated": not even that. The smallest curvature
-            (eigenvalue for variables weighted by their share of time), and its direction (size of w), unit length in those
-            weights.
+            The verdict. "strict": the sufficient condition holds. "weak": it holds only if weakly active bounds are kept active;
+            this is less than the necessary condition, because the cost may decrease inward from such a bound. "violated": not
+            even that. Then the smallest curvature (eigenvalue for variables weighted by their share of time), and its direction
+            (size of w,), of unit length in those weights.
         """
         verdict = self.verdict()
         value, direction = self._curvature(self.at_bound, self.active_rows)
@@ -111,7 +116,7 @@ class Kkt:
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Share of time that each variable stands for; 1 for parameters and durations."""
+        """Share of a phase's time that each variable stands for; 1 for parameters and durations."""
         t = self.solution.transcription
         weights = np.ones(t.size)
         for block, fractions in zip(t.blocks, t.mesh, strict=True):
@@ -121,7 +126,7 @@ class Kkt:
         return weights
 
     def dominant(self, direction: np.ndarray) -> tuple[str, ...]:
-        """The parameters and durations, or "motion", that make up most of a direction."""
+        """Names of the parameters and durations, or "motion", with more than 5 % of the squared length of a direction."""
         t, problem = self.solution.transcription, self.solution.problem
         energy: dict[str, float] = {}
         labels: dict[int, str] = dict(enumerate(problem.parameters))
@@ -139,11 +144,12 @@ def _sparse(matrix: ca.DM) -> scipy.sparse.csc_array:
 
 
 def _factor(H, A, diagonal: np.ndarray, delta: float = 1e-9):
-    """LDLᵀ-like factors of the quasi-definite optimality system (no pivoting, so U's signs are its inertia).
+    """Factors of the quasi-definite KKT matrix and its number of negative eigenvalues: without pivoting, the signs of U's diagonal
+    are the inertia.
 
-    AᵀA in the first block changes nothing on the null space of A, and gives variables without curvature of their own pivots of
-    the size of their constraints. What is left without a pivot, in neither H nor A, gets a positive one. A pivot that cancels
-    exactly is moved by a larger shift, up to 1e-8, far below `FLAT`.
+    Adding AᵀA to the first block changes nothing on the null space of A, and gives variables without curvature pivots of the size
+    of their constraints. The shift gives variables in neither H nor A a positive pivot. Where a pivot cancels exactly, the shift is
+    increased, up to 1e-8, far below `FLAT`. Raises `ArithmeticError` if that is not enough.
     """
     rows, quadratic = A.shape[0], H + A.T @ A
     for shift in (1e-12, 1e-10, 1e-8):
@@ -158,12 +164,13 @@ def _factor(H, A, diagonal: np.ndarray, delta: float = 1e-9):
 
 
 def _below(H, A, weights: np.ndarray, shift: float) -> int:
-    """Number of eigenvalues of the reduced Hessian below a shift: what the inertia exceeds the number of rows by."""
+    """Number of eigenvalues of the reduced Hessian below a shift: negative eigenvalues of the KKT matrix beyond the number of rows."""
     return _factor(H, A, -shift * weights)[1] - A.shape[0]
 
 
 def _smallest(H, A, weights: np.ndarray) -> tuple[float, np.ndarray]:
-    """The smallest eigenvalue of H x = λ diag(weights) x on the null space of A, by bisection on inertia, and its vector."""
+    """Smallest eigenvalue of H x = λ diag(weights) x on the null space of A, by bisection on the inertia, and its eigenvector by inverse
+    iteration."""
 
     def below(shift: float) -> int:
         return _below(H, A, weights, shift)

@@ -1,4 +1,4 @@
-"""Optimal-control problems: what is minimised, over which motion, within which bounds."""
+"""Optimal-control problems of several phases: cost, dynamics, bounds, and starting points."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,17 +11,19 @@ from rrr_oc.errors import UserError
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """One phase of motion, with a clock of its own.
+    """One phase of motion, whose time starts at 0.
 
     Attributes:
-        name: Used in messages.
+        name: Name for messages.
         rates: casadi Function (x, u, p, d) -> (dx/dt (nx,), cost rate (1,), path (ng,)): states, controls, the problem's
             parameters and its data.
         states, controls, paths: Their names, for messages.
-        x_lower, x_upper, u_lower, u_upper, path_lower, path_upper: Bounds along the phase.
-        start, end: Values of the states at both ends; NaN leaves a state free there.
-        duration: Bounds of the phase's duration [s]; equal bounds fix it.
-        x_scale, u_scale: Typical magnitudes, by which the solver's variables are scaled.
+        x_lower, x_upper (nx,), u_lower, u_upper (nu,), path_lower, path_upper (ng,): Bounds along the phase.
+        start, end: States at both ends (nx,); NaN leaves a state free there.
+        duration: Bounds of the duration [s]; equal bounds fix it.
+        x_scale (nx,), u_scale (nu,): Typical magnitudes, by which the solver's variables are scaled.
+
+    Raises `UserError` for wrong shapes and for bounds that contradict each other.
     """
 
     name: str
@@ -75,12 +77,12 @@ class Problem:
     """Minimise the integral of the cost rates, summed over the phases.
 
     Attributes:
-        phases: In their order; they share the parameters.
+        phases: The phases in their order; they share the parameters.
         parameters: Names of the decision parameters p (np,).
         p_lower, p_upper, p_scale: Their bounds and typical magnitudes.
-        data: Values of d (nd,): fixed in a solve, but the optimum's sensitivity to them is reported.
+        data: Values of d (nd,), fixed in a solve; `Kkt.data_gradient` is the sensitivity of the optimal cost to them.
         design: (p, d) -> inequalities ≤ 0 on the parameters, or None.
-        designs: Their names.
+        designs: Names of these inequalities.
         cost_scale: Typical magnitude of the cost.
     """
 
@@ -108,10 +110,10 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class PhaseGuess:
-    """A motion to start from: states and controls over normalised time s in [0, 1].
+    """Starting point of a phase: states and controls over normalised time s in [0, 1].
 
     Attributes:
-        duration: [s].
+        duration: Its duration [s].
         states: s (K,) -> (nx, K).
         controls: s (K,) -> (nu, K).
     """
@@ -123,7 +125,7 @@ class PhaseGuess:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Where a solve starts: a motion a phase, and the parameters."""
+    """Starting point of a solve: the motion of each phase, and the parameters (np,)."""
 
     phases: tuple[PhaseGuess, ...]
     parameters: np.ndarray

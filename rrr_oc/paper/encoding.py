@@ -1,14 +1,13 @@
-"""The paper's parametrisation of a co-design, and what a population of it costs in the analytic model.
+"""The paper's parametrisation of a co-design, and the cost of a population in the analytic model.
 
 A candidate is a vector in [0, 1]: the springs' hardware, the durations of both phases, and five points a phase and joint between the
-ends, each uniform within its bounds; through the points runs Akima's path (`akima`). Where the design is at rest at the ends of a
-phase, the path's slope is set to zero there, which is all that rest takes; where it is not, Akima's own slopes stand, as in the
-authors' code.
+ends, each uniform within its bounds. The path through the points is Akima's spline (`numerics.akima`). Where the design is at rest at
+the ends of a phase, the path's slope is zero there; where it is not, Akima's own slopes are used, as in the authors' code.
 
-Limits are penalties: cost = E1 + `WEIGHT` · (magnitude of E1) · excess, where the excess adds up by how much the largest angle [rad],
-speed and acceleration (relative to their limits) of each joint and phase exceed what is allowed, exactly, and by how much the load
-torque (relative) and the tool's depth below the floor [m] do at the nodes of the quadrature. The weight is so large that
-exceeding never pays: it must exceed the limits' multipliers.
+Limits are penalties: cost = E1 + `WEIGHT` · (magnitude of E1) · excess. The excess is the sum, over joints and phases, of the largest
+violations of the limits of angle [rad], speed and acceleration (relative to their limits), exact along the path, and of load torque
+(relative) and of the tool's depth below the floor [m], at the nodes of the quadrature. The penalty is exact if the weight exceeds the
+limits' multipliers.
 """
 
 from dataclasses import dataclass
@@ -17,25 +16,28 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rrr_oc.codesign.design_problem import CoDesign, drawn_bounds, from_drawn
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.errors import UserError
 from rrr_oc.numerics import akima
 from rrr_oc.numerics.along import along
 
-VIA = 5  # the paper's
-MARGIN = 0.25
-WEIGHT = 5.0
+VIA = 5  # path points per phase and joint in the paper
+MARGIN = (
+    0.25  # [1] of the range from start to release by which the region of initial path points is wider, as in the authors' code
+)
+WEIGHT = 5.0  # [1] of the penalty; doubled, optima stay and the landscape outside the limits is steeper
 NODES = 12  # Gauss–Legendre points an interval
 
 
 @dataclass(frozen=True)
 class Scores:
-    """What K candidates cost.
+    """Costs of K candidates.
 
     Attributes:
         E1: ∫ load torque² dt over both phases [N²m²s], (K,).
-        excess: Over limits, (K,); 0 where all are kept.
+        excess: Sum of the violations of limits, (K,); 0 where all are kept.
         cost: E1 with the penalty, (K,).
     """
 
@@ -50,7 +52,7 @@ class Candidates:
 
     Attributes:
         theta: Parameters of the springs (p, K).
-        durations: Of the phases [s], (2, K).
+        durations: Durations of the phases [s], (2, K).
         cubics: Coefficients [rad] (4, phases, intervals, m, K), for s from 0 to 1 in every interval.
     """
 
@@ -60,7 +62,7 @@ class Candidates:
 
     @property
     def h(self) -> np.ndarray:
-        """How long an interval lasts [s], (phases, 1, 1, K)."""
+        """Duration of an interval [s], (phases, 1, 1, K)."""
         return self.durations[:, None, None] / self.cubics.shape[2]
 
     def motion(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -89,7 +91,7 @@ class Encoding:
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of everything that a vector stands for: springs as drawn, durations [s], points [rad] (phase, joint, point)."""
+        """Bounds of all decoded numbers: springs' hardware, durations [s], path points [rad] (phase, joint, point)."""
         task, low_high = self.design.task, drawn_bounds(self.design.springs)
         angles = [np.tile(np.repeat(b, self.via), len(PHASES)) for b in (task.lower, task.upper)]
         lower, upper = (
@@ -99,15 +101,15 @@ class Encoding:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Which of them a vector holds: those that no bounds fix."""
+        """Indices of the numbers that bounds do not fix: these are the elements of a vector."""
         lower, upper = self.bounds
         return np.flatnonzero(upper > lower)
 
     @cached_property
     def region(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where initial means lie, (size,) in [0, 1] each: points within the range from start to release, widened by `MARGIN` of it
-        on each side as in the authors' code; everything else anywhere. Paths through points all over the range are so wild that a
-        search first flees from penalties, and has converged on motion or springs before it comes to the load torque."""
+        """Lower and upper bounds of initial means, (size,) in [0, 1] each: path points within the range from start to release, widened
+        by `MARGIN` on each side as in the authors' code; everything else within its bounds. Means over the whole joint range give
+        paths with large penalties, and a search from there converges before it reduces the load torque."""
         task, (lower, upper) = self.design.task, self.bounds
         ends, low, high = np.array([task.start, task.release]), lower.copy(), upper.copy()
         widened = MARGIN * np.ptp(ends, axis=0)
@@ -123,7 +125,7 @@ class Encoding:
         return len(self.free)
 
     def values(self, x: np.ndarray) -> np.ndarray:
-        """What vectors (K, size) stand for, (all, K)."""
+        """Decoded numbers (all, K) of vectors (K, size)."""
         lower, upper = self.bounds
         values = np.repeat(lower[:, None], len(x), axis=1)
         values[self.free] += ((upper - lower)[self.free] * np.clip(x, 0, 1)).T

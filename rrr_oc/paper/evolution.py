@@ -1,9 +1,9 @@
-"""The paper's optimiser: CMA-ES on the paper's parametrisation, in the engine or in the analytic model; trials that can be killed.
+"""The paper's optimiser: CMA-ES on the paper's parametrisation, in MuJoCo or in the analytic model.
 
-Population 64, initial standard deviation 0.15 on variables normalised by the region of initial means
-(`candidates.Encoding.region`), a random initial mean there, at most 1000 generations ("The evolution strategy", "Elastic element and
-trajectory co-optimization"). The state of the strategy and of its random numbers is written every few generations, so that a trial
-that was killed ends with the numbers that it would have ended with.
+Population 64, initial standard deviation 0.15 on variables normalised by the region of initial means (`encoding.Encoding.region`), a
+random initial mean there, at most 1000 generations ("The evolution strategy", "Elastic element and trajectory co-optimization"). The
+state of the strategy and of its random numbers is saved every few generations, so that an interrupted trial continues to the same
+result.
 """
 
 import pickle
@@ -23,20 +23,20 @@ from rrr_oc.paper.engine_population import STEPS, Engine
 from rrr_oc.paper.run_store import Run
 
 Where = Literal["engine", "analytic"]
-FINE_NODES, FINE_STEPS = 40, 960  # with which the best candidate of a trial is judged
+FINE_NODES, FINE_STEPS = 40, 960  # nodes an interval and engine steps a phase with which the best candidate is evaluated
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """How candidates evolve.
+    """Settings of a trial.
 
     Attributes:
-        model: Where they are evaluated: "engine" is MuJoCo, "analytic" the symbolic model.
-        generations: Limit; pycma's own criteria of convergence may end a trial before.
+        model: Where candidates are evaluated: "engine" is MuJoCo, "analytic" the symbolic model.
+        generations: Largest number of generations; pycma's own criteria of convergence may end a trial before.
         population: Candidates a generation.
-        sigma: Initial standard deviation, of the extent of the region of initial means.
-        via: Points of a path, a phase and joint.
-        steps: Of the engine, a phase.
+        sigma: Initial standard deviation, relative to the extent of the region of initial means.
+        via: Path points per phase and joint.
+        steps: Steps of the engine per phase.
         every: Generations between two checkpoints.
     """
 
@@ -58,25 +58,25 @@ class Protocol:
             )
 
     def objective(self, encoding: Encoding) -> "Analytic | Engine":
-        """What is minimised."""
+        """The function that is minimised."""
         return Engine(encoding, self.steps) if self.model == "engine" else Analytic(encoding)
 
 
 def evolve(
     design: CoDesign, protocol: Protocol, seed: int, folder: Path, labels: Mapping[str, Any], start: np.ndarray | None = None
 ) -> dict[str, Any]:
-    """One trial in a run's folder: done, gone on with, or taken from there.
+    """One trial in a run's folder: run, continued from its checkpoint, or read if it has ended.
 
     Args:
-        seed: Of the initial mean and of everything else that is random.
-        labels: What the run stands for, kept with it.
+        seed: Seed of the initial mean and of everything else that is random.
+        labels: Description of the run, kept with it.
         start: The initial mean, (size of the encoding,); default uniform in the encoding's region.
 
     Returns:
-        "x", "cost", "E1", "excess" of the best candidate by the trial's own objective; "analytic" and "engine": E1 of that candidate
-        on a fine quadrature and with small steps, and "limits_exceeded" its excess; "parameters", "hardware", "durations";
-        "evaluations", "generations", "stopped" (pycma's word, or "generations"), "core_s" and "wall_s". The run's arrays: by
-        generation `evaluations`, `core_s` since the start [s], `best` so far and `median` of the generation.
+        "x", "cost", "E1", "excess" of the best candidate by the trial's own objective; "analytic" and "engine", E1 of that candidate
+        on a fine quadrature and with small steps, and its excess "limits_exceeded"; "parameters", "hardware", "durations";
+        "evaluations", "generations", "stopped" (pycma's criterion, or "generations"), "core_s" and "wall_s". The run's arrays hold
+        for each generation `evaluations`, `core_s` since the start [s], `best` so far and `median` of the generation.
     """
     encoding = Encoding(design, protocol.via)
     asked = {**labels, **asdict(protocol), "seed": seed, "start": None if start is None else start.tolist()}
@@ -96,7 +96,7 @@ def evolve(
 
 @dataclass
 class _State:
-    """A trial between two generations. Time is kept so that it adds up over all parts of an interrupted trial."""
+    """A trial between two generations. Times add up over all parts of an interrupted trial."""
 
     strategy: Any
     rows: list[tuple[float, float, float, float]]  # evaluations, core seconds, best so far, median
@@ -128,7 +128,7 @@ class _State:
 
 
 class _Normal:
-    """Standard normal numbers as pycma asks for them, from a generator that is pickled with the strategy."""
+    """Standard normal numbers for pycma, from a generator that is pickled with the strategy."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng

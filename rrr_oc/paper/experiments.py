@@ -1,8 +1,8 @@
-"""The paper's seven experiments, and one run of each way to solve them, in a store (`runs`).
+"""The paper's seven experiments, and one run of each way to solve them, kept in a store (`run_store`).
 
-Ways: "evolution" (the paper's protocol, in the engine or the analytic model), "multistart" (IPOPT from Sobol points), "cma-ipopt" (CMA-ES
-over IPOPT), "restricted" (IPOPT within the paper's parametrisation), "again" (evolution from the restricted optimum), "race" (how long the
-gradient takes to what evolution found), "fixed" (springs alone on a motion that is given).
+Ways: "evolution" (the paper's protocol, in MuJoCo or in the analytic model), "multistart" (IPOPT from Sobol points), "cma-ipopt"
+(CMA-ES over IPOPT), "restricted" (IPOPT within the paper's parametrisation), "again" (evolution from the restricted optimum), "race"
+(time that IPOPT needs to reach evolution's cost), "fixed" (springs alone on a given motion).
 """
 
 import time
@@ -13,32 +13,33 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.codesign.certificate import exact_cost
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
-from rrr_oc.codesign.multistart import LAYERS, SearchOptions, Start, reach, search
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import Start, solve_multistart, starts_to_reach
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_simulation, sample_motion
+from rrr_oc.codesign.proposals import LAYERS, SearchOptions, motion_guess
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Encoding, load_torque
 from rrr_oc.paper.evolution import Protocol, evolve
 from rrr_oc.paper.fixed_motion import best_springs
 from rrr_oc.paper.parametrised import RestrictedDesign, proposals
+from rrr_oc.paper.published import published_springs
 from rrr_oc.paper.run_store import Run
-from rrr_oc.report.design_report import published_springs
 
 EXPERIMENTS = (*CONFIGURATIONS, *(f"{name}*" for name in CONFIGURATIONS if name != "SA"))
 ENDS = ("rest", "free")
 GRADIENT = {"multistart": (LAYERS[0],), "cma-ipopt": (LAYERS[1],)}
-PER_INTERVAL = 30  # samples of a candidate's motion
+PER_INTERVAL = 30  # samples of a candidate's motion between two path points
 
 
 def experiment(task: Task, name: str, ends: str = "rest") -> CoDesign:
     """One of the paper's experiments.
 
-    A starred one has the purchasable stiffnesses and pulleys that the paper bought (Table 4), the same for every way; equilibria,
-    motion and durations are free.
+    A starred one has the stiffnesses and pulleys that the paper bought (Table 4); equilibria, motion and durations are free.
 
     Args:
-        ends: "rest", or "free": no rest at the ends of a phase is imposed, as in the authors' code.
+        ends: "rest" at the ends of each phase, or "free" as in the authors' code.
     """
     if name not in EXPERIMENTS or ends not in ENDS:
         raise UserError(
@@ -58,14 +59,14 @@ def folder_of(store: Path, labels: Mapping[str, Any], seed: int) -> Path:
 
 
 def run_evolution(store: Path, labels: Mapping[str, Any], protocol: Protocol, seed: int, start: list[float] | None = None):
-    """One trial of the paper's protocol; `labels` have preset, experiment, ends, way and model. The labels, and what was found."""
+    """One trial of the paper's protocol; returns `labels` (preset, experiment, ends, way and model) and the trial's results."""
     design = experiment(load_task(labels["preset"]), labels["experiment"], labels["ends"])
     at = None if start is None else np.array(start)
     return labels, evolve(design, protocol, seed, folder_of(store, labels, seed), labels, at)
 
 
 def run_gradient(store: Path, labels: Mapping[str, Any], starts: int, seed: int):
-    """IPOPT from the proposals of one layer, with hops and refinement, on one core; its motion is kept in the run's arrays."""
+    """Multistart with the starts of one layer, on one core; the best motion is kept in the run's arrays."""
     run = Run(folder_of(store, labels, seed), {**labels, "starts": starts, "seed": seed})
     if (found := run.found) is not None:
         return labels, found
@@ -75,7 +76,9 @@ def run_gradient(store: Path, labels: Mapping[str, Any], starts: int, seed: int)
     def show(start: Start) -> None:
         rows.append((time.process_time() - began, start.polished))
 
-    result = search(design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show).whole()
+    result = solve_multistart(
+        design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show
+    ).whole()
     core_s = time.process_time() - began
     solution = result.best.solution
     motion, engine = sample_motion(design, solution), None
@@ -137,18 +140,20 @@ def run_restricted(store: Path, labels: Mapping[str, Any], starts: int, seed: in
 
 
 def run_race(store: Path, labels: Mapping[str, Any], target: float, starts: int, seed: int):
-    """Processor time until IPOPT, from one Sobol point after the other, is at or below `target` with the mesh and springs reported.
+    """Processor time until IPOPT, from one Sobol point after the other, costs at most `target` on the fine mesh with narrow springs.
 
-    Everything counts that a run needs, but for compiling the generated C, which is kept from an earlier run; that is done before.
+    A start before the clock fills the cache of compiled C; everything else counts.
     """
     run = Run(folder_of(store, labels, seed), {**labels, "target": target, "starts": starts, "seed": seed})
     if (found := run.found) is not None:
         return labels, found
     task = load_task(labels["preset"])
     options = SearchOptions(starts=starts, seed=seed, jobs=1)
-    reach(experiment(task, labels["experiment"], labels["ends"]), SearchOptions(starts=1, seed=seed + 1, jobs=1), np.inf)
+    starts_to_reach(
+        experiment(task, labels["experiment"], labels["ends"]), SearchOptions(starts=1, seed=seed + 1, jobs=1), np.inf
+    )
     began, wall = time.process_time(), time.perf_counter()
-    needed, solution = reach(experiment(task, labels["experiment"], labels["ends"]), options, target)
+    needed, solution = starts_to_reach(experiment(task, labels["experiment"], labels["ends"]), options, target)
     found = {
         "reached": None if solution is None else solution.cost,
         "starts": needed,
@@ -174,13 +179,13 @@ def run_fixed(store: Path, labels: Mapping[str, Any], duration: float, seed: int
 
 
 def stored_motion(run: Run) -> SampledMotion:
-    """The motion that a gradient's run keeps."""
+    """The motion in the arrays of a multistart's run."""
     arrays = run.arrays
     return SampledMotion(**{name: arrays[name] for name in SAVED})
 
 
 def candidate_motion(encoding: Encoding, x: np.ndarray) -> SampledMotion:
-    """A candidate's motion with exact springs, sampled densely; accelerations that jump stand twice at one time."""
+    """A candidate's motion with exact springs, sampled densely; where the acceleration jumps, both values stand at one time."""
     design, candidate = encoding.design, encoding.decode(x[None])
     bare = CoDesign(design.task, (), at_rest=design.at_rest)
     m, s = len(design.task.moving), np.linspace(1e-9, 1 - 1e-9, PER_INTERVAL)

@@ -1,4 +1,4 @@
-"""Springs alone: the best of a design for a motion that is given, as where a trajectory is fixed before springs are chosen."""
+"""The best springs of a design for a given motion, as where the trajectory is fixed before springs are chosen."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,15 +7,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rrr_oc.codesign.design_problem import CoDesign, drawn_bounds, from_drawn
-from rrr_oc.codesign.multistart import sobol_points
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.proposals import sobol_points
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.optimal_control.problem import PhaseGuess
 from rrr_oc.optimal_control.solver import Options
 from rrr_oc.paper.encoding import load_torque
 
-SAMPLES = 400  # midpoints a phase
-WIDTHS = (0.3, 0.1, 0.03, 0.01, 0.003)  # of the springs [rad], from start to end
+SAMPLES = 400  # midpoints of the quadrature of a phase
+WIDTHS = (0.3, 0.1, 0.03, 0.01, 0.003)  # smoothing widths of the springs [rad], one solve after the other
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class SpringsAlone:
 
 
 def best_springs(design: CoDesign, phases: Sequence[PhaseGuess], starts: int = 8, seed: int = 0) -> SpringsAlone:
-    """Springs of a design for the motion of `phases`, the best of IPOPT from Sobol points."""
+    """The best springs for the motion of `phases` that IPOPT finds from `starts` Sobol points."""
     motion, h = _sampled(design, phases)
     problem, n = design.problem, len(design.problem.parameters)
     if not n:

@@ -1,30 +1,30 @@
-"""Gradient optima within the paper's parametrisation: what Akima's path through five points a phase costs against a free motion.
+"""Gradient optima within the paper's parametrisation, by IPOPT.
 
-The variables are the springs' parameters, the durations and the points of `candidates.Encoding`; the cost is E1 by the same quadrature,
-with derivatives through the path. Akima's weights have kinks where two neighbouring secants are equal, and so has a spring at its
-equilibrium: both are smoothed, and the widths driven down together. What is reported is the cost of the same point with exact weights,
-springs and penalties, as evolution sees it.
+The variables are the springs' parameters, the durations and the path points of `encoding.Encoding`; the cost is E1 by the same
+quadrature, differentiated through Akima's path. Akima's weights have kinks where two neighbouring secants are equal, and a spring has
+one at its equilibrium: both are smoothed, and the smoothing widths are reduced together. The reported cost is that of the same
+variables with exact weights, springs and penalties, as evolution sees it.
 """
 
-import time
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from rrr_oc.codesign.design_problem import motion_guess
-from rrr_oc.codesign.multistart import decode, dimensions, sobol_points
+from rrr_oc.codesign.proposals import dimensions, proposed_guess, sobol_points
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.numerics import akima
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options
 from rrr_oc.paper.encoding import NODES, Analytic, Encoding, Scores, excesses
 
-WIDTHS = (0.1, 0.01, 0.001)  # of Akima's weights [rad], which weigh differences between steps from point to point
-SPRINGS = (0.1, 0.02, 0.003)  # of the springs [rad], along with them
-TIGHTER = 4  # rounds in which limits are narrowed by what the path exceeds them between the samples
-FINE = 40  # nodes an interval of the reported cost
+PATH_WIDTHS = (0.1, 0.01, 0.001)  # smoothing widths of Akima's weights [rad], one solve after the other
+SPRING_WIDTHS = (0.1, 0.02, 0.003)  # smoothing widths of the springs [rad], along with those
+TIGHTENINGS = (
+    4  # rounds, at most, in which limits are narrowed by their excess between the samples; more would solve for less than 1e-9
+)
+FINE_NODES = 40  # Gauss–Legendre nodes an interval of the reported cost
 
 
 @dataclass(frozen=True)
@@ -32,16 +32,14 @@ class Restricted:
     """A local optimum within the parametrisation.
 
     Attributes:
-        x: As a vector of the encoding, (size,).
-        scores: Of that vector, by `Analytic` on a fine quadrature; arrays of one element.
-        smooth: The cost that IPOPT saw with the last widths.
-        core_s: Processor time [s].
+        x: The optimum as a vector of the encoding, (size,).
+        scores: Scores of that vector, by `Analytic` on a fine quadrature; arrays of one element.
+        smooth: Smoothed cost with the smallest widths [N²m²s].
     """
 
     x: np.ndarray
     scores: Scores
     smooth: float
-    core_s: float
 
     @property
     def cost(self) -> float:
@@ -63,7 +61,8 @@ class RestrictedDesign:
         data[1 : 1 + encoding.design.model.widths.size] = widths[1]
         cost, rows, highest = ca.MX(0), [], []
         for i in range(len(PHASES)):
-            more, above, bounds = self._phase(i, theta, T[i], via[i], widths[0], data, margin[:, i])
+            path = self._path(i, T[i], via[i], widths[0])
+            more, above, bounds = self._phase(i, path, theta, data, margin[:, i])
             cost, rows, highest = cost + more, [*rows, above], [*highest, bounds]
         if problem.design is not None:
             rows.append(problem.design(theta, data))
@@ -100,34 +99,32 @@ class RestrictedDesign:
 
     def solve(self, start: np.ndarray) -> Restricted | None:
         """The optimum near a start; None where IPOPT finds none."""
-        began, w = time.process_time(), start
+        w = start
         margin = np.zeros((3 * len(self.encoding.design.task.moving), len(PHASES)))
         smooth = np.inf
-        for k, widths in enumerate(zip(WIDTHS, SPRINGS, strict=True)):
+        for k, widths in enumerate(zip(PATH_WIDTHS, SPRING_WIDTHS, strict=True)):
             solved = self._run(k > 0, w, widths, margin)
             if solved is None:
                 return None
             w, smooth = solved
-        for _ in range(TIGHTER):
+        for _ in range(TIGHTENINGS):
             x = self._vector(w)
             over = excesses(self.encoding.design, self.encoding.decode(x[None]))[:, :, :, 0]  # (kinds, phases, m)
             if over.max() < 1e-9:
                 break
             margin += 1.02 * np.transpose(over, (0, 2, 1)).reshape(margin.shape) + 1e-9
-            solved = self._run(True, w, (WIDTHS[-1], SPRINGS[-1]), margin)
+            solved = self._run(True, w, (PATH_WIDTHS[-1], SPRING_WIDTHS[-1]), margin)
             if solved is None:
                 return None
             w, smooth = solved
         x = self._vector(w)
-        return Restricted(x, Analytic(self.encoding, FINE)(x[None]), smooth, time.process_time() - began)
+        return Restricted(x, Analytic(self.encoding, FINE_NODES)(x[None]), smooth)
 
     def _vector(self, w: np.ndarray) -> np.ndarray:
-        task, n = (
-            self.encoding.design.task,
-            len(self._box[0]) - len(PHASES) * (1 + len(self.encoding.design.task.moving) * self.encoding.via),
-        )
-        via = w[n + len(PHASES) :].reshape(len(PHASES), self.encoding.via, len(task.moving))
-        return self.encoding.encode(w[:n], w[n : n + len(PHASES)], np.swapaxes(via, 1, 2))
+        n, m = len(self.encoding.design.problem.parameters), len(self.encoding.design.task.moving)
+        parameters, durations, points = np.split(w, [n, n + len(PHASES)])
+        via = points.reshape(len(PHASES), self.encoding.via, m)
+        return self.encoding.encode(parameters, durations, np.swapaxes(via, 1, 2))
 
     def _run(self, warm: bool, w: np.ndarray, widths, margin: np.ndarray) -> tuple[np.ndarray, float] | None:
         lower, upper = (b / self._scale for b in self._box)
@@ -144,49 +141,60 @@ class RestrictedDesign:
             return None
         return np.array(solved["x"]).ravel() * self._scale, float(solved["f"]) * self.encoding.design.problem.cost_scale
 
-    def _phase(self, i: int, theta, T, via, width, data, margin) -> tuple[ca.MX, ca.MX, np.ndarray]:
-        """Cost of a phase, and rows that may not exceed the bounds that come third."""
-        design, m = self.encoding.design, via.shape[0]
-        phase, task, h = design.problem.phases[i], design.task, T / (self.encoding.via + 1)
-        start, end = (ca.MX(x) for x in task.ends(i))
-        points = [start, *ca.horzsplit(via), end]
+    def _path(self, i: int, T: ca.MX, via: ca.MX, width: Any) -> "_Path":
+        design, h = self.encoding.design, T / (self.encoding.via + 1)
+        start, end = (ca.MX(x) for x in design.task.ends(i))
+        cubics = akima.cubics([start, *ca.horzsplit(via), end], design.at_rest, width)
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
-        cubics = akima.cubics(points, design.at_rest, width)
         samples = [akima.motion(c, (s + 1) / 2, h) for c in cubics for s in nodes]
-        ends = [akima.motion(c, s, h) for c in cubics for s in (0, 0.25, 0.5, 0.75, 1)]
-        count = len(samples)
-        x = ca.horzcat(*[ca.vertcat(q, dq) for q, dq, _ in samples])
-        u = ca.horzcat(*[ddq for _, _, ddq in samples])
-        _, rate, path = phase.rates.map(count)(x, u, ca.repmat(theta, 1, count), ca.repmat(data, 1, count))
-        cost = h * ca.dot(rate, ca.DM(np.tile(weights / 2, len(cubics))).T)
+        between = [akima.motion(c, s, h) for c in cubics for s in (0, 0.25, 0.5, 0.75, 1)]
+        return _Path(h, samples, np.tile(weights / 2, len(cubics)), between)
+
+    def _phase(self, i: int, path: "_Path", theta: ca.MX, data: ca.MX, margin: ca.MX) -> tuple[ca.MX, ca.MX, np.ndarray]:
+        """Cost of a phase, expressions of its limits, and their upper bounds."""
+        design, count = self.encoding.design, len(path.samples)
+        phase, task, m = design.problem.phases[i], design.task, len(design.task.moving)
+        x = ca.horzcat(*[ca.vertcat(q, dq) for q, dq, _ in path.samples])
+        u = ca.horzcat(*[ddq for _, _, ddq in path.samples])
+        _, rate, values = phase.rates.map(count)(x, u, ca.repmat(theta, 1, count), ca.repmat(data, 1, count))
+        cost = path.h * ca.dot(rate, ca.DM(path.weights).T)
         rows, highest = [], []
         limits = (
             (0, task.lower, task.upper, np.ones(m)),
             *((k, -v, v, v) for k, v in ((1, task.speed), (2, task.acceleration))),
         )
         for kind, lower, upper, scale in limits:
-            known = np.flatnonzero(np.isfinite(upper)).tolist()
-            values = [point[kind] for point in (*ends, *(samples if kind < 2 else ()))]
-            for value in values:
-                for j in known:
+            points = path.between if kind == 2 else [*path.between, *path.samples]
+            for value in (point[kind] for point in points):
+                for j in np.flatnonzero(np.isfinite(upper)).tolist():
                     narrowed = margin[kind * m + j]
                     rows += [value[j] / scale[j] + narrowed, -value[j] / scale[j] + narrowed]
                     highest += [upper[j] / scale[j], -lower[j] / scale[j]]
-        flat = ca.vec(path)
+        flat = ca.vec(values)
         low, high = (np.tile(b, count) for b in (phase.path_lower, phase.path_upper))
         above, below = np.flatnonzero(np.isfinite(high)).tolist(), np.flatnonzero(np.isfinite(low)).tolist()
         rows += [flat[k] for k in above] + [-flat[k] for k in below]
         return cost, ca.vertcat(*rows), np.concatenate([highest, high[above], -low[below]])
 
 
+class _Path(NamedTuple):
+    """The motion of a phase, (q, dq, ddq) at every instant: `samples` at the quadrature nodes, whose weights are of an interval
+    of length h [s], and `between` at quarters of the intervals, where limits are kept too."""
+
+    h: ca.MX
+    samples: list[tuple]
+    weights: np.ndarray
+    between: list[tuple]
+
+
 def proposals(encoding: Encoding, count: int, seed: int) -> list[Guess]:
-    """Sobol starts as the free search's: springs, durations and smooth paths with two points a phase and joint."""
+    """Starting points as those of a multistart: Sobol points for springs, durations and paths with two points a phase and joint."""
     design, via = encoding.design, 2
-    return [motion_guess(design, *decode(design, x, via)) for x in sobol_points(dimensions(design, via), count, seed)]
+    return [proposed_guess(design, x, via) for x in sobol_points(dimensions(design, via), count, seed)]
 
 
 def _solver(nlp: dict[str, Any], options: Options, barrier: float | None) -> ca.Function:
-    """IPOPT for a program; with a barrier, begun from it as near an optimum."""
+    """IPOPT for a program; with an initial barrier parameter, for starts near an optimum."""
     ipopt = replace(options, barrier=None).ipopt()
     if barrier is not None:
         ipopt |= {"mu_strategy": "monotone", "mu_init": barrier}

@@ -1,8 +1,8 @@
-"""A store of runs: a folder each, written whole or not at all, from which interrupted work goes on and every table is made.
+"""A store of runs, one folder each, from which interrupted work continues and every table is made.
 
-A run's folder has `run.json` (what was asked, what was found) and `arrays.npz` when it has ended, and `checkpoint.npz` while it has
-not. What was asked is stored with both: results of another question are not taken for this one's. Workers on other machines need the
-store on a file system that they share.
+A run's folder has `run.json` (settings and results) and `arrays.npz` when it has ended, and `checkpoint.npz` while it has not. The
+settings are stored in both, so results of other settings are not taken for this run's. Workers on other machines need the store on a
+shared file system.
 """
 
 import json
@@ -22,8 +22,8 @@ class Run:
     """One run of a store.
 
     Attributes:
-        folder: Its own.
-        asked: What it is to do, as plain data.
+        folder: Its folder.
+        asked: Its settings, as plain data.
     """
 
     folder: Path
@@ -31,7 +31,7 @@ class Run:
 
     @property
     def found(self) -> dict[str, Any] | None:
-        """What it found; None where it has not ended. Raises `UserError` for a damaged file."""
+        """Its results; None where it has not ended. Raises `UserError` for a damaged file."""
         content = _read(self.folder / "run.json")
         return content["found"] if content is not None and content["asked"] == self._plain else None
 
@@ -41,13 +41,13 @@ class Run:
         return _load(self.folder / "arrays.npz")
 
     def finish(self, found: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-        """Write what was found, arrays first, and remove the checkpoint."""
+        """Write the results, arrays first, and remove the checkpoint."""
         write_npz(self.folder / "arrays.npz", arrays)
         write_json(self.folder / "run.json", {"asked": self._plain, "found": found})
         (self.folder / "checkpoint.npz").unlink(missing_ok=True)
 
     def save(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write a checkpoint in place of the last one."""
+        """Replace the checkpoint."""
         write_npz(self.folder / "checkpoint.npz", {"asked": np.array(self._key), **arrays})
 
     def saved(self) -> dict[str, np.ndarray] | None:

@@ -1,4 +1,4 @@
-"""Which of several ways does better, from the results of independent trials: rank-sum tests, effect sizes, confidence of a ranking."""
+"""Independent trials of several optimisers compared: rank-sum tests, effect sizes, bootstrap confidence of a ranking."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,18 +9,18 @@ from scipy.stats import mannwhitneyu
 
 from rrr_oc.errors import UserError
 
-RESAMPLES = 10_000
+RESAMPLES = 10_000  # of the bootstrap; doubled, the shares' standard error of at most 0.5 % falls by 1.4
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Costs of `better` against those of `worse`, as Mann and Whitney's rank-sum test sees them.
+    """Mann and Whitney's rank-sum test of the costs of `better` against those of `worse`.
 
     Attributes:
-        better, worse: Names.
-        p: Two-sided; exact where there are no ties.
-        p_paper: One-sided, normal approximation with continuity correction: with ten trials against ten that do not overlap, 0.000091,
-            which is what the paper prints.
+        better, worse: Names of the optimisers.
+        p: Two-sided p-value; exact where there are no ties.
+        p_paper: One-sided p-value by the normal approximation with continuity correction, as the paper prints it: 0.000091 for ten
+            trials against ten that do not overlap.
         p_holm: `p` corrected for all comparisons of a table (Holm).
         superiority: Probability that a trial of `better` costs less than one of `worse`, ties counted half [1] (Vargha and Delaney's A).
         delta: Cliff's delta, 2 superiority − 1 [1].
@@ -38,7 +38,7 @@ class Comparison:
 
 
 def compare(costs: Mapping[str, Sequence[float]], pairs: Sequence[tuple[str, str]]) -> list[Comparison]:
-    """Rank-sum tests of pairs (better, worse) of ways; raises `UserError` for a way with fewer than two trials."""
+    """Rank-sum tests of pairs (better, worse); raises `UserError` where one of them has fewer than two trials."""
     few = [name for pair in pairs for name in pair if len(costs.get(name, ())) < 2]
     if few:
         raise UserError(f"a rank-sum test needs at least two trials, and {few[0]} has {len(costs.get(few[0], ()))}")
@@ -55,22 +55,20 @@ def compare(costs: Mapping[str, Sequence[float]], pairs: Sequence[tuple[str, str
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """p-values corrected for so many tests (Holm, Scand. J. Statist. 6, 1979, 65–70)."""
-    order, corrected, largest = np.argsort(p), np.zeros(len(p)), 0.0
-    for rank, i in enumerate(order):
-        largest = max(largest, (len(p) - rank) * p[i])
-        corrected[i] = min(1.0, largest)
-    return corrected.tolist()
+    """p-values corrected for as many tests as there are (Holm, Scand. J. Statist. 6, 1979, 65–70)."""
+    from statsmodels.stats.multitest import multipletests  # which takes a second to import
+
+    return np.asarray(multipletests(p, method="holm")[1]).tolist()
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """An order of ways, cheapest first, and how sure it is.
+    """An order of optimisers, cheapest first, and its bootstrap confidence.
 
     Attributes:
         order: By the medians of the trials.
-        by_median: Share of bootstrap resamples of the trials whose medians stand in this order [1].
-        by_best: Share in which the best trials, as many as there were, stand in this order [1].
+        by_median: Share of bootstrap resamples in which the medians of the trials have this order [1].
+        by_best: Share of bootstrap resamples in which the best trials have this order [1].
     """
 
     order: tuple[str, ...]
@@ -79,7 +77,7 @@ class Ranking:
 
 
 def rank(costs: Mapping[str, Sequence[float]], seed: int = 0, resamples: int = RESAMPLES) -> Ranking:
-    """The order of ways by their trials; each way's trials are drawn anew with replacement, independently of the others."""
+    """The order by the medians of the trials, and how often resamples with replacement, drawn independently, keep it."""
     order = tuple(sorted(costs, key=lambda name: float(np.median(costs[name]))))
     rng = np.random.default_rng(seed)
     drawn = [np.asarray(costs[n], float)[rng.integers(len(costs[n]), size=(resamples, len(costs[n])))] for n in order]

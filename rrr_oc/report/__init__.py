@@ -1,3 +1,6 @@
 """Tables, figures and pages made from results. Only this folder and the command line print or plot.
 
+A design's, a comparison's and a diagnosis' report and figures each have a module; `tables` has what they share, `figures` how figures
+are saved, `console` where commands print.
+
 Imports everything else."""

@@ -1,44 +1,10 @@
-"""What commands print to, and the tables of a co-design study, made from its summary alone, beside the paper's."""
+"""The tables of a co-design study as Markdown, made from its summary alone, beside the paper's numbers."""
 
-import importlib.resources
-import json
 from typing import Any
 
-import numpy as np
-from rich.console import Console
-
+from rrr_oc.codesign.task import PHASES
 from rrr_oc.model.metrics import decrease
-
-_DEGREES = ("q_eq", "q_0")
-
-
-def wide_console(stderr: bool = False) -> Console:
-    """Where commands print: a log's lines may be longer than the 80 columns that are assumed of it, and names may hold brackets."""
-    console = Console(markup=False, stderr=stderr)
-    if not console.is_terminal:
-        console.width = 160
-    return console
-
-
-def published() -> dict[str, Any]:
-    """The paper's Tables 3 and 4 in clean form."""
-    return json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper_results.json").read_text())
-
-
-def published_springs(configuration: str) -> dict[str, float]:
-    """Table 4's hardware of a configuration in SI units and radians; empty for SA."""
-    units = {"_deg": np.pi / 180, "_mm": 1e-3}
-    springs = {}
-    for key, value in published()["springs"].get(configuration, {}).items():
-        unit = next((u for u in units if key.endswith(u)), "")
-        springs[key.removesuffix(unit)] = value * units.get(unit, 1.0)
-    return {k: v for k, v in springs.items() if not k.startswith("t_")}
-
-
-def markdown(header: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
+from rrr_oc.report.tables import SPRINGS, markdown, table_3, table_4
 
 
 def report(summary: dict[str, Any]) -> str:
@@ -57,8 +23,11 @@ def report(summary: dict[str, Any]) -> str:
         "strict is sufficient for a local optimum; weak is less, some bound is touched with next to no multiplier.\n",
     ]
     if "SA" in found:
-        parts += ["## Relative decrease against stiff actuation (Table 3, simulation columns): ours | paper\n", _table_3(found)]
-    parts += ["## Hardware and durations (Table 4): ours | paper\n", _table_4(found)]
+        parts += [
+            "## Relative decrease against stiff actuation (Table 3, simulation columns): ours | paper\n",
+            _decreases(found),
+        ]
+    parts += ["## Hardware and durations (Table 4): ours | paper\n", _hardware(found)]
     parts += ["## Certificates\n", *[_certificate(name, c) for name, c in found.items()]]
     return "\n".join(parts)
 
@@ -100,45 +69,15 @@ def _optima_table(found: dict) -> str:
     return markdown(header, rows)
 
 
-def _table_3(found: dict) -> str:
-    joints = list(found["SA"]["E1_joint"])
-    header = ["", *[f"{what} {joint}" for what in ("E1", "RMS", "peak") for joint in joints], "E1 total"]
-    theirs, rows = published()["decrease_percent"], []
-    for name, c in found.items():
-        if name == "SA":
-            continue
-        row, paper = [name], theirs.get(name, {})
-        for key, label in (("E1_joint", "E1"), ("rms", "rms"), ("peak", "peak")):
-            for i, joint in enumerate(joints):
-                ours = 100 * decrease(c[key][joint], found["SA"][key][joint])
-                beside = f"{paper[label][i]}" if label in paper and i < len(paper[label]) else "–"
-                row.append(f"{ours:.1f} \\| {beside}")
-        total = 100 * decrease(c["E1"], found["SA"]["E1"])
-        rows.append([*row, f"{total:.1f} \\| {paper.get('E1_total', '–')}"])
-    return "In percent.\n\n" + markdown(header, rows)
+def _decreases(found: dict) -> str:
+    return "In percent.\n\n" + table_3({n: [c] for n, c in found.items()}, list(found["SA"]["E1_joint"]), "E1", digits=1)
 
 
-def _table_4(found: dict) -> str:
-    names = [
-        n
-        for n in ("k_p2", "q_eq2", "k_p3", "q_eq3", "k_b", "q_0", "r_1", "r_2", "r_3")
-        if any(n in c["springs"] for c in found.values())
-    ]
-    names += sorted({n for c in found.values() for n in c["springs"]} - set(names))
-    theirs, rows = published()["springs"], []
-    for name, c in found.items():
-        paper, row = theirs.get(name, {}), [name]
-        for key in names:
-            unit = "_deg" if key.startswith(_DEGREES) else "_mm" if key.startswith("r_") else ""
-            factor = {"_deg": 180 / np.pi, "_mm": 1e3, "": 1.0}[unit]
-            ours = f"{c['springs'][key] * factor:.3f}" if key in c["springs"] else "–"
-            beside = f"{paper[key + unit]:g}" if key + unit in paper else "–"
-            row.append("–" if ours == beside == "–" else f"{ours} \\| {beside}")
-        for phase, key in (("go", "t_go"), ("return", "t_return")):
-            row.append(f"{c['durations'][phase]:.3f} \\| {paper.get(key, '–')}")
-        rows.append(row)
-    units = {n: "[°]" if n.startswith(_DEGREES) else "[mm]" if n.startswith("r_") else "[Nm/rad]" for n in names}
-    return markdown(["", *[f"{n} {units[n]}" for n in names], "t_go [s]", "t_return [s]"], rows)
+def _hardware(found: dict) -> str:
+    used = {n for c in found.values() for n in c["springs"]}
+    names = [n for n in SPRINGS if n in used] + sorted(used - set(SPRINGS))
+    ours = {n: [{"springs": c["springs"], "durations": [c["durations"][p] for p in PHASES]}] for n, c in found.items()}
+    return table_4(ours, names, digits=3)
 
 
 def _certificate(name: str, c: dict) -> str:

@@ -11,12 +11,15 @@ the saved json (`--benchmark-json`) beside each time.
 import numpy as np
 import pytest
 
-from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, motion_guess, spring_bounds
-from rrr_oc.codesign.multistart import SearchOptions, decode, dimensions, search
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import solve_multistart
+from rrr_oc.codesign.proposals import SearchOptions, decode, dimensions, motion_guess
+from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solver, continue_in
-from rrr_oc.optimal_control.transcription import Transcription, scheme, uniform_mesh
+from rrr_oc.optimal_control.transcription import Transcription
 
 INTERVALS = 40
 SCHEMES = {"hermite-simpson": scheme("hermite-simpson"), "lobatto-4": scheme("lobatto", 4)}
@@ -106,7 +109,7 @@ def test_solve_and_follow(benchmark, configuration, method):
 
 def test_search_of_one_configuration(benchmark):
     """20 starts of PEA with refinement to 1e-6, on two processes, these included."""
-    result = benchmark.pedantic(lambda: search(design_of("PEA"), SearchOptions(starts=20, jobs=2)), rounds=1)
+    result = benchmark.pedantic(lambda: solve_multistart(design_of("PEA"), SearchOptions(starts=20, jobs=2)), rounds=1)
     benchmark.extra_info["cost"] = result.best.solution.cost
     assert result.best.solution.cost <= GOOD["PEA"]
 
@@ -115,7 +118,7 @@ def test_search_of_all_configurations(benchmark):
     """Four configurations with 20 starts each, end to end, without catalogue and re-simulation."""
 
     def all_four():
-        return {c: search(design_of(c), SearchOptions(starts=20, jobs=2)).best.solution.cost for c in CONFIGURATIONS}
+        return {c: solve_multistart(design_of(c), SearchOptions(starts=20, jobs=2)).best.solution.cost for c in CONFIGURATIONS}
 
     benchmark.extra_info["costs"] = costs = benchmark.pedantic(all_four, rounds=1)
     assert all(costs[c] <= GOOD[c] for c in CONFIGURATIONS)

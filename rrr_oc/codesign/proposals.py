@@ -1,0 +1,145 @@
+"""Starting points of a multistart: springs, durations and coarse paths from Sobol points or from CMA-ES."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cma
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.stats import qmc
+
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
+from rrr_oc.codesign.task import Task
+from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.problem import Guess, PhaseGuess
+from rrr_oc.optimal_control.refinement import Refinement
+
+LAYERS = ("sobol", "cma-es")
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Settings of a multistart. Raises `UserError` for unknown layers.
+
+    Attributes:
+        starts: Number of starting points that IPOPT polishes, half of them from each layer.
+        layers: Sources of the starting points, of `LAYERS`.
+        seed: Seed of both layers.
+        jobs: Number of processes; -1 for all cores.
+        scheme, stages: Collocation scheme.
+        coarse: Intervals a phase of the mesh on which starts are polished.
+        fine: Intervals a phase of the first mesh of the optima that are kept.
+        width: Smoothing width of the springs on the coarse mesh [rad].
+        widths: Smoothing widths that follow on the fine mesh; the last one is reported [rad].
+        kept: Number of distinct optima that are solved on the fine mesh.
+        within: Of those, every one within this relative distance of the best is refined to the mesh tolerance.
+        hops: Rounds of basin hopping over the durations, from the best optimum on the fine mesh.
+        via: Points of a proposed path, per phase and joint.
+        population: Population of CMA-ES.
+        sigma: Initial step size of CMA-ES, on variables in [0, 1].
+        refinement: Mesh tolerance.
+    """
+
+    starts: int = 20
+    layers: tuple[str, ...] = LAYERS
+    seed: int = 0
+    jobs: int = -1
+    scheme: str = "lobatto"
+    stages: int = 4
+    coarse: int = 16
+    fine: int = 40
+    width: float = 0.1
+    widths: tuple[float, ...] = (0.03, 0.01, 0.003)
+    kept: int = 6
+    within: float = 0.005
+    hops: int = 2
+    via: int = 2
+    population: int = 8
+    sigma: float = 0.3
+    refinement: Refinement = field(default_factory=Refinement)
+
+    def __post_init__(self) -> None:
+        if self.layers not in (LAYERS, *((layer,) for layer in LAYERS)):
+            raise UserError(f"a search's layers are {LAYERS}, or one of them, got {self.layers}")
+
+
+def sobol_points(size: int, count: int, seed: int) -> np.ndarray:
+    """`count` points of a scrambled Sobol sequence in [0, 1], (count, size)."""
+    return qmc.Sobol(size, rng=seed).random(2 ** int(np.ceil(np.log2(max(count, 1)))))[:count]
+
+
+def cma_strategy(size: int, options: SearchOptions, left: int) -> cma.CMAEvolutionStrategy:
+    """A CMA-ES with a random mean, for `left` more evaluations; each restart has another seed."""
+    seed = options.seed * 1000 + left + 1
+    settings = {
+        "bounds": [0, 1],
+        "seed": seed,
+        "popsize": min(options.population, max(left, 2)),
+        "verbose": -9,
+        "tolfun": 1e-4,
+        "tolflatfitness": 3,
+    }
+    return cma.CMAEvolutionStrategy(np.random.default_rng(seed).uniform(0.2, 0.8, size), options.sigma, settings)
+
+
+def dimensions(design: CoDesign, via: int) -> int:
+    """Length of the vectors that `decode` takes."""
+    return len(drawn_bounds(design.springs)[0]) + 2 + 2 * len(design.task.moving) * via
+
+
+def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parameters (np,), durations [s] (2,) and path points [rad] (2, m, via) of a vector in [0, 1].
+
+    Biarticular springs are drawn as hardware, uniformly within its bounds, and then reduced to kappa, rho and phi.
+    """
+    task, m = design.task, len(design.task.moving)
+    low, high = drawn_bounds(design.springs)
+    springs, times, points = np.split(np.clip(vector, 0, 1), [len(low), len(low) + 2])
+    shortest, longest = task.duration
+    ends = np.array([task.start, task.release])
+    margin = 0.4 * np.ptp(ends, axis=0) + 0.05
+    lower = np.maximum(task.lower, ends.min(axis=0) - margin)[:, None]
+    upper = np.minimum(task.upper, ends.max(axis=0) + margin)[:, None]
+    parameters = from_drawn(design.springs, low + (high - low) * springs)
+    return parameters, shortest + (longest - shortest) * times, lower + (upper - lower) * points.reshape(2, m, via)
+
+
+def proposed_guess(design: CoDesign, vector: np.ndarray, via: int) -> Guess:
+    """The springs and the motion that a vector in [0, 1] stands for."""
+    return motion_guess(design, *decode(design, vector, via))
+
+
+def motion_guess(
+    design: CoDesign, parameters: np.ndarray, durations: Sequence[float] | np.ndarray, via: np.ndarray | None = None
+) -> Guess:
+    """A motion at rest at both ends of each phase: a cubic spline through points, run through with minimum jerk.
+
+    Args:
+        design: The problem.
+        parameters: Its parameters (np,).
+        durations: Durations of the phases [s].
+        via: Points at equal fractions of the path [rad], (phases, m, K); default none, a straight line in joint space.
+    """
+    via = np.empty((len(durations), len(design.task.moving), 0)) if via is None else via
+    phases = tuple(_phase_guess(design.task, i, T, via[i]) for i, T in enumerate(durations))
+    return Guess(phases, np.asarray(parameters, float))
+
+
+def _phase_guess(task: Task, index: int, T: float, via: np.ndarray) -> PhaseGuess:
+    start, end = task.ends(index)
+    points = np.column_stack([start, via, end])
+    path = CubicSpline(np.linspace(0, 1, points.shape[1]), points, axis=1)
+
+    def states(s: np.ndarray) -> np.ndarray:
+        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
+        q = np.clip(path(sigma), task.lower[:, None], task.upper[:, None])
+        return np.vstack([q, np.clip(path(sigma, 1) * rate, -task.speed[:, None], task.speed[:, None])])
+
+    def controls(s: np.ndarray) -> np.ndarray:
+        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
+        curve = 60 * s * (1 - s) * (1 - 2 * s) / T**2
+        limit = task.acceleration[:, None]
+        return np.clip(path(sigma, 2) * rate**2 + path(sigma, 1) * curve, -limit, limit)
+
+    return PhaseGuess(T, states, controls)

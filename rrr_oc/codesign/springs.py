@@ -1,0 +1,124 @@
+"""The springs that a design may use, their bounds, and the configurations that they form."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rrr_oc.codesign.task import Task
+from rrr_oc.effects import Effect, design_forms
+from rrr_oc.effects.design_form import DesignForm
+from rrr_oc.errors import UserError
+from rrr_oc.schema import check_names
+
+
+def configurations() -> dict[str, tuple[str, ...]]:
+    """Names of the effects that each configuration has: "SA" none, then every combination of those that have a design form."""
+    kinds = {label: kind.name for label, kind in design_forms().items()}
+    some = [labels for count in range(1, len(kinds) + 1) for labels in itertools.combinations(kinds, count)]
+    return {"SA": ()} | {"+".join(labels): tuple(kinds[label] for label in labels) for labels in some}
+
+
+CONFIGURATIONS = configurations()  # of the springs that are known as this module is imported
+
+
+@dataclass(frozen=True, eq=False)
+class SpringBounds:
+    """One spring that a design may use.
+
+    Attributes:
+        effect: The spring.
+        lower, upper: Bounds of its parameters, in their order.
+        hardware: Of a spring whose parameters are functions of its hardware (`DesignForm.derived`), the bounds of that by symbol
+            in SI units; else empty.
+        fixed: Of such a spring of given hardware, the hardware in SI units; else empty.
+        known: Whether it is there in any case, with `lower` = `upper`, and no part of the design: then it may be any effect on
+            the links or of the rigid body.
+    """
+
+    effect: Effect
+    lower: np.ndarray
+    upper: np.ndarray
+    hardware: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    known: bool = False
+
+    @property
+    def form(self) -> DesignForm:
+        """The spring's form in a co-design; raises `UserError` where it has none."""
+        if self.effect.design is None:
+            raise UserError(f"{self.effect.name} has no form in a co-design")
+        return self.effect.design
+
+    def held(self, hardware: Mapping[str, float], keep_free: Sequence[str]) -> "SpringBounds":
+        """The spring fixed to hardware, except the names in `keep_free`; itself where it is known or fixed already."""
+        if self.known or self.fixed:
+            return self
+        box = self.lower, self.upper
+        lower, upper, fixed = self.form.held(self.effect.joints, box, self.hardware, hardware, keep_free)
+        return SpringBounds(self.effect, lower, upper, fixed=fixed)
+
+
+def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
+    """The springs of a configuration (`configurations`) with the task's bounds; raises `UserError` for crossed ones."""
+    every, known = configurations(), [kind.name for kind in design_forms().values()]
+    if configuration not in every:
+        raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(every)}")
+    kinds = every[configuration]
+    for entry in task.springs:
+        if entry.get("effect") not in known:
+            raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
+    springs = tuple(_spring(task, entry) for entry in task.springs if entry.get("effect") in kinds)
+    missing = [k for k in kinds if k not in {s.effect.name for s in springs}]
+    if missing:
+        raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
+    return springs
+
+
+def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of the numbers that a search draws for springs: the hardware where parameters are functions of it and it is free, else
+    the effect's own parameters."""
+    lower = [[lo for lo, _ in s.hardware.values()] if s.hardware else s.lower for s in springs]
+    upper = [[hi for _, hi in s.hardware.values()] if s.hardware else s.upper for s in springs]
+    return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
+
+
+def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray:
+    """Parameters (p, ...) of a design from such numbers (drawn, ...), one after the other."""
+    rows, at = [np.zeros((0, *np.shape(drawn)[1:]))], 0
+    for spring in springs:
+        size = len(spring.hardware) or len(spring.lower)
+        numbers = np.asarray(drawn[at : at + size], float)
+        values = spring.form.parameters(numbers) if spring.hardware else numbers
+        bounds = (b.reshape(-1, *[1] * (values.ndim - 1)) for b in (spring.lower, spring.upper))
+        rows.append(np.clip(values, *bounds))
+        at += size
+    return np.concatenate(rows)
+
+
+def _spring(task: Task, entry: Mapping) -> SpringBounds:
+    where = f"task {task.name!r}: {entry['effect']}"
+    kind = next(kind for kind in design_forms().values() if kind.name == entry["effect"])
+    form, place = kind.design, "joints" if kind.placement == "pair" else "joint"
+    assert form is not None
+    check_names(entry, ("effect", place, *form.options, *(q.key for q in form.quantities)), where)
+    if place not in entry:
+        raise UserError(f"{where} lacks the key {place!r}")
+    names = entry[place] if place == "joints" else [entry[place]]
+    options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in form.options if key in entry}
+    effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
+    bounds = {q.symbol: _bounds(where, entry, q.key, q.unit) for q in form.quantities}
+    if (wrong := form.wrong(bounds)) is not None:
+        raise UserError(f"{where}: {wrong}")
+    return SpringBounds(effect, *form.box(bounds), bounds if form.derived else {})
+
+
+def _bounds(where: str, entry: Mapping, key: str, unit: float) -> tuple[float, float]:
+    try:
+        low, high = (float(v) for v in entry[key])
+    except (KeyError, TypeError, ValueError):
+        raise UserError(f"{where}: {key} must be two numbers [lower, upper], got {entry.get(key)!r}") from None
+    if not low <= high:
+        raise UserError(f"{where}: bounds of {key} are crossed: {low:g} … {high:g}; the lower must not be above the upper")
+    return low * unit, high * unit

@@ -1,0 +1,119 @@
+"""One interval of a collocated phase as CasADi functions with exact first and second derivatives."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.compiler import digest, library
+from rrr_oc.optimal_control.problem import Phase
+from rrr_oc.optimal_control.scatter import sum_into
+from rrr_oc.optimal_control.scheme import Scheme
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """Functions of the unscaled variables of one interval, z = (p, T, x_0, x_1, stages that are no nodes, controls); dense outputs.
+
+    Rows: the defects of the stages, the defect of the step where the last stage is not the node, then the path constraints of each
+    stage. Defects are divided by the states' scales.
+
+    Attributes:
+        rows: Number of rows.
+        value: (z, fraction, d) -> (cost, rows).
+        gradient: (z, fraction, d) -> gradient of the cost (nz,).
+        jacobian: (z, fraction, d) -> nonzeros of the rows' Jacobian, which stand at `jacobian_at` (rows, columns).
+        hessian: (z, fraction, d, lam_f, lam_g) -> nonzeros of one triangle of the Lagrangian's Hessian, at `hessian_at`.
+    """
+
+    rows: int
+    value: ca.Function
+    gradient: ca.Function
+    jacobian: ca.Function
+    jacobian_at: tuple[np.ndarray, np.ndarray]
+    hessian: ca.Function
+    hessian_at: tuple[np.ndarray, np.ndarray]
+
+
+@lru_cache(maxsize=64)
+def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float, compiled: bool) -> Interval:
+    """The functions of an interval of a phase, which has n_p parameters and n_d data; the 64 used last are kept, by the phase's identity."""
+    nx, nu = len(phase.states), len(phase.controls)
+    own = s.d - s.shares_first - s.shares_last
+    p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)
+    x0, x1, X, U = ca.SX.sym("x0", nx), ca.SX.sym("x1", nx), ca.SX.sym("X", nx, own), ca.SX.sym("U", nu, s.d)
+    stages = [*([x0] if s.shares_first else []), *ca.horzsplit(X), *([x1] if s.shares_last else [])]
+    rates = [phase.rates(x, U[:, i], p, d) for i, x in enumerate(stages)]
+    F, step = ca.horzcat(*[r[0] for r in rates]), h * T
+    defects = [x - x0 - step * (F @ ca.DM(s.A[i])) for i, x in enumerate(stages) if not (i == 0 and s.shares_first)]
+    if not s.shares_last:
+        defects.append(x1 - x0 - step * (F @ ca.DM(s.b)))
+    cost = step * sum(float(b) * r[1] for b, r in zip(s.b, rates, strict=True)) / cost_scale
+    rows = ca.vertcat(*[defect / phase.x_scale for defect in defects], *[r[2] for r in rates])
+    z = ca.vertcat(p, T, x0, x1, ca.vec(X), ca.vec(U))
+    slopes = ca.jacobian(rows, z)
+    jacobian_at = slopes.sparsity().get_triplet()
+    gradient, hessian, hessian_at = _by_stages(phase, s, n_p, n_d, cost_scale)
+    functions = [
+        ca.Function("value", [z, h, d], [cost, ca.densify(rows)]),
+        gradient,
+        ca.Function("jacobian", [z, h, d], [slopes.nz[:]]),
+        hessian,
+    ]
+    value, gradient, jacobian, hessian = _as_c(functions) if compiled else functions
+    at = (np.array(jacobian_at[0], int), np.array(jacobian_at[1], int))
+    return Interval(rows.numel(), value, gradient, jacobian, at, hessian, hessian_at)
+
+
+def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float):
+    """Gradient of an interval's cost and Hessian of its Lagrangian, from those of one stage at y = (p, T, x, u).
+
+    Stage j's share of the Lagrangian, but for terms linear in z, is T (σ l − ν·f) + μ·path, where l is the cost rate,
+    σ = h b_j lam_f / cost_scale, ν = h Σ_i A_ij λ_i / x_scale (and b_j times the step's multipliers), and λ_i and μ multiply
+    the stage's defects and paths.
+    """
+    nx, nu, ng, d = len(phase.states), len(phase.controls), len(phase.paths), s.d
+    y, data = ca.SX.sym("y", n_p + 1 + nx + nu), ca.SX.sym("d", n_d)
+    sigma, nu_f, mu = ca.SX.sym("sigma"), ca.SX.sym("nu", nx), ca.SX.sym("mu", ng)
+    p, T, x, u = ca.vertsplit(y, [0, n_p, n_p + 1, n_p + 1 + nx, y.numel()])
+    f, rate, path = phase.rates(x, u, p, data)
+    share = T * (sigma * rate - ca.dot(nu_f, f)) + ca.dot(mu, path)
+    second = ca.triu(ca.hessian(share, y)[0])
+    slope = ca.Function("slope", [y, data, sigma], [ca.densify(ca.gradient(T * sigma * rate, y))])
+    curvature = ca.Function("curvature", [y, data, sigma, nu_f, mu], [second.nz[:]])
+    i, j = (np.array(k, int) for k in second.sparsity().get_triplet())
+
+    own = d - s.shares_first - s.shares_last
+    shared, controls = np.arange(n_p + 1), n_p + 1 + (2 + own) * nx
+    places = []  # of each stage's y in z
+    for k in range(d):
+        position = 0 if k == 0 and s.shares_first else 1 if k == d - 1 and s.shares_last else 2 + k - s.shares_first
+        places.append(np.r_[shared, n_p + 1 + position * nx + np.arange(nx), controls + k * nu + np.arange(nu)])
+    nz, n_defects = controls + d * nu, d - s.shares_first + (not s.shares_last)
+    z, h, c = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("d", n_d)
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nx * n_defects + ng * d)
+    weights = np.vstack([s.A[int(s.shares_first) :], *([] if s.shares_last else [s.b])])  # (n_defects, d)
+    nu_all = ca.reshape(lam_g[: nx * n_defects], nx, n_defects) @ ca.DM(weights) * h / phase.x_scale
+    mu_all = ca.reshape(lam_g[nx * n_defects :], ng, d)
+    ys = [z[k.tolist()] for k in places]
+    slopes = [slope(ys[k], c, h * float(s.b[k]) / cost_scale) for k in range(d)]
+    summed = sum_into(nz, np.concatenate(places), ca.vertcat(*slopes))
+    gradient = ca.Function("gradient", [z, h, c], [ca.densify(summed)])  # nodes that are no stages have none
+    curvatures = [curvature(ys[k], c, h * float(s.b[k]) / cost_scale * lam_f, nu_all[:, k], mu_all[:, k]) for k in range(d)]
+    ends = [np.sort(np.vstack([k[i], k[j]]), axis=0) for k in places]
+    keys, slot = np.unique(np.hstack([a * nz + b for a, b in ends]), return_inverse=True)
+    hessian = ca.Function("hessian", [z, h, c, lam_f, lam_g], [sum_into(keys.size, slot, ca.vertcat(*curvatures))])
+    return gradient, hessian, (keys // nz, keys % nz)
+
+
+def _as_c(functions: list[ca.Function]) -> list[ca.Function]:
+    """The same functions from a compiled library."""
+    generator = ca.CodeGenerator("interval", {"with_header": False})
+    for function in functions:
+        generator.add(function)
+    code = generator.dump()
+    optimise = "-O1" if code.count("\n") < 20_000 else "-O0"  # gcc's time grows faster than the code: 40 s for 7 joints
+    flags = (optimise, "-DGCC_HASCLASSVISIBILITY")  # the latter exports what casadi marks
+    path = library(f"interval-{digest(code, *flags)}", code, flags)
+    return [ca.external(function.name(), str(path)) for function in functions]

@@ -1,0 +1,181 @@
+"""The figures of a co-design study, made from its saved files alone."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.codesign.task import PHASES, Task
+from rrr_oc.report.figures import COLOURS, FOOTER, plt, save_figure
+from rrr_oc.robot.rigid_body import rigid_body
+
+
+def draw_all(folder: Path, task: Task) -> list[Path]:
+    """Every figure of a run's folder; returns their paths."""
+    summary = json.loads((folder / "summary.json").read_text())
+    names = list(summary["configurations"])
+    motions = {name: dict(np.load(folder / f"{name}.npz")) for name in names}
+    drawn = [
+        save_figure(draw_torques(summary, motions), folder / "torques.png"),
+        save_figure(draw_landscape(summary), folder / "landscape.png"),
+    ]
+    for name in names:
+        drawn.append(save_figure(draw_trajectory(name, motions[name], task), folder / f"trajectory_{name}.png"))
+        drawn.append(
+            save_figure(
+                draw_arm(name, motions[name], task, summary["configurations"][name]["springs"]), folder / f"arm_{name}.png"
+            )
+        )
+    return drawn
+
+
+def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
+    """Load and spring torque over time, summed over the moving joints, both phases (as Figure 5)."""
+    rows = (len(motions) + 1) // 2
+    figure, axes = plt.subplots(rows, min(2, len(motions)), figsize=(12, 3.2 * rows), squeeze=False, sharey=True)
+    for axis, (name, m) in zip(axes.ravel(), motions.items(), strict=False):
+        load, spring = m["tau_load"].sum(axis=0), m["tau_spring"].sum(axis=0)
+        for i in range(len(PHASES)):
+            k = m["phase"] == i
+            axis.plot(m["t"][k], (load + spring)[k], color="0.6", lw=1, label="needed to move" if i == 0 else None)
+            axis.plot(m["t"][k], spring[k], color=COLOURS[1], lw=1.5, label="springs" if i == 0 else None)
+            axis.plot(m["t"][k], load[k], color=COLOURS[0], lw=1.8, label="load torque" if i == 0 else None)
+        change = m["t"][m["phase"] == 0][-1]
+        axis.axvline(change, color="0.7", lw=0.8, ls=":")
+        axis.annotate(
+            "payload released", (change, 0.97), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right", **FOOTER
+        )
+        axis.axhline(0, color="0.8", lw=0.8)
+        axis.set_title(f"{name}: E1 = {summary['configurations'][name]['E1']:.4g} N²m²s", fontsize=10)
+        axis.set_xlabel("time [s]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("sum over joints [Nm]")
+    for axis in axes.ravel()[len(motions) :]:
+        axis.axis("off")
+    axes.ravel()[len(motions) - 1].legend(fontsize=8, loc="upper right")
+    figure.tight_layout()
+    return figure
+
+
+def draw_trajectory(name: str, m: dict, task: Task) -> Any:
+    """Angles, speeds, accelerations and load torques of each moving joint over time, with their limits."""
+    quantities = (
+        ("q", "angle [°]", 180 / np.pi, task.lower, task.upper),
+        ("dq", "speed [°/s]", 180 / np.pi, -task.speed, task.speed),
+        ("ddq", "acceleration [°/s²]", 180 / np.pi, -task.acceleration, task.acceleration),
+        ("tau_load", "load torque [Nm]", 1.0, -task.torque, task.torque),
+    )
+    figure, axes = plt.subplots(
+        len(quantities), len(task.joints), figsize=(5.5 * len(task.joints), 9), sharex=True, squeeze=False
+    )
+    change = m["t"][m["phase"] == 0][-1]
+    for row, (key, label, unit, lower, upper) in zip(axes, quantities, strict=True):
+        for j, axis in enumerate(row):
+            for i, phase in enumerate(PHASES):
+                k = m["phase"] == i
+                axis.plot(m["t"][k], m[key][j, k] * unit, color=COLOURS[i], lw=1.5, label=phase)
+            top, bottom = axis.get_ylim()[1], axis.get_ylim()[0]
+            for limit in (lower[j] * unit, upper[j] * unit):
+                if np.isfinite(limit) and bottom - 0.4 * (top - bottom) <= limit <= top + 0.4 * (top - bottom):
+                    axis.axhline(limit, color="0.4", lw=0.9, ls="--")
+            axis.axvline(change, color="0.7", lw=0.8, ls=":")
+            axis.set_ylabel(label)
+    for j, joint in enumerate(task.joints):
+        axes[0, j].set_title(f"{name}: {joint}", fontsize=10)
+        axes[-1, j].set_xlabel("time [s]")
+    axes[0, 0].legend(fontsize=8)
+    figure.text(0.5, -0.01, "dashed: limits, where they are near", ha="center", **FOOTER)
+    figure.tight_layout()
+    return figure
+
+
+def draw_arm(name: str, m: dict, task: Task, springs: dict[str, float]) -> Any:
+    """The arm as a stick figure at equal times of each phase, the tool's path, and the springs at their joints."""
+    body = rigid_body(task.robot)
+    figure, axes = plt.subplots(1, len(PHASES), figsize=(12, 5), sharex=True, sharey=True)
+    stiff = [f"joint{n}: {k} = {springs[k]:.3g} Nm/rad" for n in range(1, task.robot.n + 1) if (k := f"k_p{n}") in springs]
+    for i, axis in enumerate(axes):
+        k = np.flatnonzero(m["phase"] == i)
+        q = task.full(m["q"][:, k])
+        tool = np.array(
+            [np.array(body.tool_position(column, task.tool.position)).ravel() for column in q.T[:: max(1, len(k) // 200)]]
+        )
+        axis.plot(tool[:, 0], tool[:, 2], color=COLOURS[1], lw=1.2, label="path of the tool")
+        times = np.linspace(m["t"][k[0]], m["t"][k[-1]], 9)
+        for n, column in enumerate(np.clip(np.searchsorted(m["t"][k], times), 0, len(k) - 1)):
+            points = _joints(body, q[:, column], task)
+            axis.plot(points[:, 0], points[:, 2], "o-", color=plt.cm.viridis(n / 8), lw=1.6, ms=3.5)
+            if "k_b" in springs and n in (0, 8):
+                a, b = (int(j) for j in task.moving[:2])
+                base, elbow, shoulder = np.zeros(3), points[b + 1], points[a + 1]
+                axis.plot(
+                    [base[0], shoulder[0], elbow[0]],
+                    [base[2], shoulder[2] + 0.02, elbow[2] + 0.02],
+                    color="crimson",
+                    lw=1,
+                    ls="-.",
+                )
+        for joint in task.moving:
+            if f"k_p{joint + 1}" in springs:
+                for column in (0, -1):
+                    x, _, z = _joints(body, q[:, column], task)[joint + 1]
+                    axis.plot(x, z, "o", mfc="none", mec="crimson", ms=13, mew=1.2)
+        payload = task.payloads[i]
+        axis.set_title(
+            f"{name}: {PHASES[i]}, {payload:g} kg, {m['t'][k[-1]] - m['t'][k[0]]:.2f} s (dark to light)", fontsize=10
+        )
+        axis.set_aspect("equal")
+        axis.set_xlabel("x [m]")
+    axes[0].set_ylabel("z [m]")
+    axes[0].legend(fontsize=8)
+    words = stiff + ([f"cable over both joints: k_b = {springs['k_b']:.3g} Nm/rad"] if "k_b" in springs else [])
+    figure.text(0.5, 0.0, "springs (red): " + ("; ".join(words) if words else "none"), ha="center", **FOOTER)
+    return figure
+
+
+def _joints(body, q: np.ndarray, task: Task) -> np.ndarray:
+    """Base, joints' origins and tool, (n + 2, 3) [m]."""
+    frames = np.array(body.joint_frames(q))
+    tool = np.array(body.tool_position(q, task.tool.position)).ravel()
+    return np.vstack([np.zeros(3), frames[9:].T, tool])
+
+
+def draw_landscape(summary: dict) -> Any:
+    """Where starts ended: cost against the two phases' durations, distinct optima marked by how often each was reached."""
+    names = [n for n, c in summary["configurations"].items() if c.get("optima")]
+    figure, axes = plt.subplots(2, max(len(names), 1), figsize=(3.4 * max(len(names), 1), 6.4), squeeze=False)
+    for column, name in enumerate(names):
+        optima = summary["configurations"][name]["optima"]
+        for row, phase in enumerate(PHASES):
+            axis = axes[row, column]
+            for o in optima:
+                axis.plot(
+                    o["durations"][phase],
+                    o["E1"],
+                    "o" if o["refined"] else "s",
+                    ms=5 + 2.5 * np.sqrt(max(o["reached"], 0)),
+                    mfc=COLOURS[0] if o["refined"] else "none",
+                    mec=COLOURS[0],
+                    alpha=0.8,
+                )
+                axis.annotate(
+                    str(o["reached"] or "hop"),
+                    (o["durations"][phase], o["E1"]),
+                    textcoords="offset points",
+                    xytext=(7, 3),
+                    **FOOTER,
+                )
+            axis.set_xlabel(f"duration of {phase} [s]")
+            if row == 0:
+                axis.set_title(name, fontsize=10)
+            middle, half = np.mean(axis.get_xlim()), max(0.25, 0.65 * np.ptp(axis.get_xlim()))
+            axis.set_xlim(middle - half, middle + half)
+            axis.margins(y=0.25)
+            axis.ticklabel_format(useOffset=False)
+    axes[0, 0].set_ylabel("E1 [N²m²s]")
+    axes[1, 0].set_ylabel("E1 [N²m²s]")
+    note = "filled: refined to the mesh tolerance; open: on the first fine mesh; number and size: starts that ended there (hop: by hopping)"
+    figure.text(0.5, -0.02, note, ha="center", **FOOTER)
+    figure.tight_layout()
+    return figure

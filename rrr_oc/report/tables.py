@@ -1,0 +1,95 @@
+"""Markdown tables, and our results in the form of the paper's Tables 3 and 4 beside the printed numbers."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.codesign.task import PHASES
+from rrr_oc.model.metrics import decrease
+from rrr_oc.paper.published import published
+
+SPRINGS = ("k_p2", "q_eq2", "k_p3", "q_eq3", "k_b", "q_0", "r_1", "r_2", "r_3")  # in the order of Table 4
+NONE = "–"
+Result = Mapping[str, Any]
+Results = Mapping[
+    str, Sequence[Result | None]
+]  # by configuration, of each way that stands in a column; None where it has no result
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def table_3(ours: Results, joints: Sequence[str], total: str, digits: int, measured: bool = False) -> str:
+    """Relative decrease of E1, RMS and peak load torque against stiff actuation [%], ours beside the paper's.
+
+    Args:
+        ours: Results with "E1_joint", "rms" and "peak" by joint, and their E1 under the key `total`.
+        digits: Decimals of our numbers.
+        measured: Whether to print the paper's real-world numbers instead of the simulated ones.
+    """
+    paper = published()["real_world_percent" if measured else "decrease_percent"]
+    columns = [
+        (key, label, i) for key, label in (("E1_joint", "E1"), ("rms", "rms"), ("peak", "peak")) for i in range(len(joints))
+    ]
+    rows = []
+    for name, results in ours.items():
+        if name == "SA":
+            continue
+        printed, row = paper.get(name, {}), [name]
+        for key, label, i in columns:
+            falls = _decreases(results, ours["SA"], digits, lambda r, k=key, j=joints[i]: r[k][j])
+            row.append(_beside(falls, str(printed[label][i]) if i < len(printed.get(label, ())) else NONE))
+        falls = _decreases(results, ours["SA"], digits, lambda r: r[total])
+        row.append(_beside(falls, None if measured else str(printed.get("E1_total", NONE))))
+        rows.append(row)
+    return markdown(["", *[f"{what} {joint}" for what in ("E1", "RMS", "peak") for joint in joints], "E1 total"], rows)
+
+
+def _decreases(results: Sequence[Result | None], stiff: Sequence[Result | None], digits: int, read) -> list[str]:
+    both = zip(results, stiff, strict=True)
+    return [NONE if a is None or b is None else f"{100 * decrease(read(a), read(b)):.{digits}f}" for a, b in both]
+
+
+def _beside(ours: Sequence[str], paper: str | None) -> str:
+    return " \\| ".join([*ours, *([] if paper is None else [paper])])
+
+
+def table_4(ours: Results, names: Sequence[str], digits: int, formats: tuple[str, str] = ("g", "g")) -> str:
+    """Hardware and durations, ours beside the paper's.
+
+    Args:
+        ours: Results with "springs" (by name, SI) and "durations" [s] of the phases.
+        names: Springs' names, one column each.
+        digits: Decimals of our numbers.
+        formats: Formats of the paper's springs and durations.
+    """
+    paper, rows = published()["springs"], []
+    for name, results in ours.items():
+        printed, row = paper.get(name, {}), [name]
+        for key in names:
+            suffix, factor, _ = _unit(key)
+            numbers = [None if r is None or key not in r["springs"] else r["springs"][key] * factor for r in results]
+            row.append(_numbers(numbers, digits, printed.get(key + suffix), formats[0]))
+        for i, phase in enumerate(PHASES):
+            numbers = [None if r is None else r["durations"][i] for r in results]
+            row.append(_numbers(numbers, digits, printed.get(f"t_{phase}"), formats[1], always=True))
+        rows.append(row)
+    return markdown(["", *[f"{n} [{_unit(n)[2]}]" for n in names], *[f"t_{p} [s]" for p in PHASES]], rows)
+
+
+def _numbers(ours: Sequence[float | None], digits: int, paper: float | None, form: str, always: bool = False) -> str:
+    """Our numbers and the paper's; a single dash where there is none at all, unless `always`."""
+    if not always and paper is None and all(v is None for v in ours):
+        return NONE
+    return _beside([NONE if v is None else f"{v:.{digits}f}" for v in ours], NONE if paper is None else f"{paper:{form}}")
+
+
+def _unit(spring: str) -> tuple[str, float, str]:
+    """Suffix of a spring's name in the published tables, factor from SI, and the unit to print."""
+    if spring.startswith(("q_eq", "q_0")):
+        return "_deg", 180 / np.pi, "°"
+    return ("_mm", 1e3, "mm") if spring.startswith("r_") else ("", 1.0, "Nm/rad")
