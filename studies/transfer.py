@@ -47,9 +47,10 @@ from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published
-from rrr_oc.recordings.header import Spring, spring_json
+from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.springs import spring_json
 from rrr_oc.recordings.writer import write_set
 from rrr_oc.report.console import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
