@@ -56,11 +56,12 @@ def number(value: float | None) -> float | None:
 
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays, compressed; an array of objects, which would need pickle, raises ValueError."""
-    objects = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
+    named: dict[str, Any] = dict(arrays)
+    objects = [name for name, array in named.items() if np.asarray(array).dtype.hasobject]
     if objects:  # before numpy 2.3, `savez_compressed` has no `allow_pickle` that would refuse them
         raise ValueError(f"{', '.join(objects)}: arrays of objects need pickle, which is not used")
     with new_file(path) as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **named)
 
 
 def check_file(path: str | Path) -> None:
