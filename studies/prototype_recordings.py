@@ -25,7 +25,7 @@ from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, Standar
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.nrmse import error
-from rrr_oc.calibration.regression import Prepared, prepare
+from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import entry_point
 from rrr_oc.recordings.recording import RecordingSet, load_recordings

@@ -17,8 +17,9 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, load_mode
 from rrr_oc.calibration.covariance import box_step, covariance, normal_equations, undetermined
 from rrr_oc.calibration.friction_width import widened, with_widths
 from rrr_oc.calibration.inverse_dynamics import calibrate, fit_terms, labels, plain_model, with_parameter_values
-from rrr_oc.calibration.regression import Rows, is_linear, prepare, rows, with_residuals
+from rrr_oc.calibration.regression import Rows, is_linear, rows, with_residuals
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
+from rrr_oc.calibration.samples import prepare
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.errors import UserError

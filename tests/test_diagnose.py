@@ -17,7 +17,8 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term, load_model, nomi
 from rrr_oc.calibration.friction_width import widened, with_widths
 from rrr_oc.calibration.inverse_dynamics import fit_terms, identify, plain_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
-from rrr_oc.calibration.regression import Rows, prepare, rows
+from rrr_oc.calibration.regression import Rows, rows
+from rrr_oc.calibration.samples import prepare
 from rrr_oc.cli import app
 from rrr_oc.diagnosis import selection as forward
 from rrr_oc.diagnosis.contest import Finding, contested

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, load_model, save_model
 from rrr_oc.calibration.inverse_dynamics import plain_model
-from rrr_oc.calibration.regression import prepare
+from rrr_oc.calibration.samples import prepare
 from rrr_oc.diagnosis.signatures import columns, context, table, trials, view
 from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial
 from rrr_oc.effects.black_box.echo import Echo

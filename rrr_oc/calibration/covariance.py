@@ -7,7 +7,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import t as student
 
-from rrr_oc.calibration.regression import CORRELATION, Rows
+from rrr_oc.calibration.regression import Rows
+from rrr_oc.calibration.samples import CORRELATION
 
 LEVEL = 0.95
 NULL = 1e-10  # eigenvalue of the scaled normal matrix, over the largest, below which nothing is known of a direction

@@ -10,7 +10,8 @@ from scipy.optimize import minimize_scalar
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
 from rrr_oc.calibration.covariance import box_step, normal_equations, scales
-from rrr_oc.calibration.regression import CORRELATION, STRIDE, Prepared, Rows, filtered, rows, with_residuals
+from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
+from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared
 from rrr_oc.effects import Signals
 from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.recordings.recording import Recording

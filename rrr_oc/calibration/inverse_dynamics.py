@@ -27,19 +27,8 @@ from rrr_oc.calibration.covariance import (
 )
 from rrr_oc.calibration.friction_width import DOUBT, clear_of_widths, sharpened, with_widths
 from rrr_oc.calibration.nrmse import error
-from rrr_oc.calibration.regression import (
-    CORRELATION,
-    FILTER,
-    STRIDE,
-    Prepared,
-    Rows,
-    is_linear,
-    noise,
-    prepare,
-    rows,
-    with_residuals,
-    without_spikes,
-)
+from rrr_oc.calibration.regression import Rows, is_linear, noise, rows, with_residuals, without_spikes
+from rrr_oc.calibration.samples import CORRELATION, FILTER, STRIDE, Prepared, prepare
 from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.effects.friction.viscous_friction import ViscousFriction
 from rrr_oc.effects.transmission.armature import Armature

@@ -31,8 +31,10 @@ from rrr_oc.calibration.inverse_dynamics import (
     with_estimates,
     with_parameter_values,
 )
+from rrr_oc.calibration.jacobian import derivatives
 from rrr_oc.calibration.nrmse import DROPPED
-from rrr_oc.calibration.regression import STRIDE, Prepared, Rows, derivatives, prepare
+from rrr_oc.calibration.regression import Rows
+from rrr_oc.calibration.samples import STRIDE, Prepared, prepare
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import CORRELATION, STRIDE, Prepared, Rows, kept_rows, rows
+from rrr_oc.calibration.regression import Rows, rows
+from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, kept_rows
 from rrr_oc.diagnosis.signatures import Table, context, table
 from rrr_oc.effects import Effect, Trial
 

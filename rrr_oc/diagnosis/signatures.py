@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import Prepared
+from rrr_oc.calibration.samples import Prepared
 from rrr_oc.effects import CATALOGUE, Body, Effect, Signals, Trial, View
 from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.friction.dry_friction import DryFriction

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import Prepared, rows
+from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.samples import Prepared
 from rrr_oc.diagnosis.contest import Finding
 from rrr_oc.diagnosis.evidence import pseudo_inverse
 from rrr_oc.diagnosis.signatures import context, table, trials
