@@ -10,8 +10,8 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
 from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, save_model
-from rrr_oc.calibration.inverse_dynamics import calibrate as calibrate_inverse
 from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.diagnosis.held_out import in_closed_loop

@@ -29,7 +29,7 @@ from rich.markdown import Markdown
 from scipy.interpolate import CubicHermiteSpline
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, save_model
-from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.response import calibrate_response
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.codesign.multistart import SearchOptions, search

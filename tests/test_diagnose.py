@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term, load_model, nominal_term, save_model
 from rrr_oc.calibration.friction_width import widened, with_widths
-from rrr_oc.calibration.inverse_dynamics import fit_terms, identify, plain_model
+from rrr_oc.calibration.inertial_identification import identify
+from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.calibration.samples import prepare
@@ -23,7 +24,7 @@ from rrr_oc.cli import app
 from rrr_oc.diagnosis import selection as forward
 from rrr_oc.diagnosis.contest import Finding, contested
 from rrr_oc.diagnosis.diagnosis_file import to_json
-from rrr_oc.diagnosis.evidence import Bench, Evidence, pseudo_inverse
+from rrr_oc.diagnosis.evidence import Bench, Evidence
 from rrr_oc.diagnosis.procedure import _refuted, _sure, diagnose
 from rrr_oc.diagnosis.reversals import blurred_joints
 from rrr_oc.diagnosis.signatures import columns, context, trials, view
@@ -40,6 +41,7 @@ from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
+from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.recording import Recording, load_recordings
 from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.robot.inertial_parameters import precision, prior

@@ -1,22 +1,22 @@
-"""Recordings as rows of a least-squares problem: filtered residuals of the inverse dynamics and their derivatives."""
+"""Recordings as rows of a least-squares problem: filtered residuals of the inverse dynamics and their derivatives.
 
+Derivatives are exact, from the model's expressions, for effects that add a torque of the instant; by differences for effects that
+move the links, have internal states or act in the sensors.
+"""
+
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.jacobian import derivatives
-from rrr_oc.calibration.samples import Prepared, kept_rows
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.samples import Prepared, kept_rows, residuals
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import CHAIN
-from rrr_oc.numerics.savitzky_golay import smooth, window_samples
+from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 
-SPIKE = 6.0  # standard deviations off the running median that make a spike; doubled, small spikes stay in the torque
-RARE = (0.99, 2.576)  # quantile of the residual, and that of normal noise: its ratio bounds the deviation from below
-SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples; doubled, fast signals look like spikes
 START_EFFECT = 1e-3  # of a recording's torque: a smaller effect of a stretch's unknown start is neglected; doubled, no change
 ROUNDING = 1e-10  # [Nm]: a parameter (of 1, or of its value if that is more) whose derivatives are all smaller has none
 
@@ -105,35 +105,9 @@ def is_linear(prepared: Sequence[Prepared], model: CalibratedModel) -> bool:
     return True
 
 
-def residuals(prepared: Prepared, model: CalibratedModel, physics: Physics | None = None) -> np.ndarray:
-    """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]; `physics` of the recording, if it is at hand."""
-    return prepared.measured - model.output_torque(prepared.recording, physics)
-
-
 def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray], joints: Sequence[int]) -> np.ndarray:
     """Torques (m, K) of joints (m,), computed from each recording by `law`, filtered, at the rows of `rows`, (m, M)."""
     return np.concatenate([p.passed(law(p.recording), joints) for p in prepared], axis=1)
-
-
-def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[Prepared, ...]:
-    """The recordings with spikes replaced: samples whose residual is `SPIKE` deviations off the residual's running median.
-
-    The residual of a model is judged, not the torque itself, so that the torque's steps at reversals stay.
-    """
-    return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
-
-
-def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
-    """Standard deviation of the recorded noise (n,) [Nm]: of the part of the residual that a window of 0.15 s removes.
-
-    From the median of its size, so that spikes do not count.
-    """
-    sizes = []
-    for p in prepared:
-        t, r = p.recording.t, residuals(p, model)
-        centre = 2.25 / max(window_samples(t, 0.15), 5)  # weight of the middle sample: the share of white noise that passes
-        sizes.append(np.abs(r - smooth(t, r, p.recording.segments)) / np.sqrt(1 - min(centre, 0.5)))
-    return 1.4826 * np.median(np.concatenate(sizes, axis=1), axis=1)
 
 
 def variance(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
@@ -209,12 +183,70 @@ def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool
     )
 
 
-def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
-    r, middle = prepared.recording, np.empty_like(residual)
-    for s in r.segments:
-        middle[:, s] = median_filter(residual[:, s], (1, SPIKE_SAMPLES), mode="nearest")
-    off = residual - middle
-    middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
-    spread = np.maximum(1.4826 * middling, rare / RARE[1])
-    spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
-    return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))
+def derivatives(
+    model: CalibratedModel,
+    recording: Recording,
+    inertial: bool = False,
+    last: bool = False,
+    physics: Physics | None = None,
+) -> np.ndarray:
+    """d `CalibratedModel.output_torque` / d (parameters of the terms, inertial parameters), (n, K, p).
+
+    Args:
+        inertial: Whether the derivatives by the inertial parameters (10, n) are wanted too, link by link.
+        last: Whether only those by the parameters of the last term are wanted.
+        physics: `model.physics(recording)`, if it is at hand.
+    """
+    physics = physics or model.physics(recording)
+    terms = model.terms[-1:] if last else model.terms
+    result = _by_terms(model, recording, terms, physics)
+    if inertial:
+        result = np.concatenate([result, _sensitivity(physics, recording, model.torque, "inertial")], axis=2)
+    if any(t.effect.side == "sensor" for t in model.terms):
+        for k in range(result.shape[2]):
+            result[:, :, k] = physics.passed_on(recording, result[:, :, k])
+    which = [i for i, t in enumerate(terms) if _needs_differences(t) and t.holds_for(recording)]
+    if which:
+        true = model.true_torque(recording, physics)
+        numbers, columns = _places(physics, recording, terms)
+        found = physics.by_differences(recording, [numbers[i] for i in which], true, model.torque == "load")
+        for i, part in zip(which, found, strict=True):
+            result[:, :, columns[i]] = part
+    return result
+
+
+def _needs_differences(term: Term) -> bool:
+    """Whether the term is no torque of the instant, so that no expression gives its derivatives."""
+    return term.effect.side in ("motion", "sensor") or bool(term.effect.states)
+
+
+def _places(physics: Physics, recording: Recording, terms: Sequence[Term]) -> tuple[list[int], list[slice]]:
+    """Number of each term's effect in `Physics`, where it holds, and its columns in the Jacobian.
+
+    The effects of a recording are the springs that it lists, then the terms that hold; `terms` are the last of these.
+    """
+    holding = np.cumsum([t.holds_for(recording) for t in terms])
+    first = len(physics.model.effects) - int(holding[-1])
+    ends = np.cumsum([0, *(len(t.estimates) for t in terms)])
+    return (holding - 1 + first).tolist(), [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
+def _by_terms(model: CalibratedModel, recording: Recording, terms: Sequence[Term], physics: Physics) -> np.ndarray:
+    """Exact derivatives of the true torque by the terms' parameters; 0 for terms that do not hold, and by those without any."""
+    sizes = [len(t.estimates) for t in terms]
+    result = np.zeros((model.robot.n, len(recording.t), sum(sizes)))
+    if all(_needs_differences(t) for t in terms):
+        return result
+    by_theta = _sensitivity(physics, recording, model.torque, "theta")
+    holding = np.repeat([t.holds_for(recording) for t in terms], sizes)
+    result[:, :, holding] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(holding) :]
+    return result
+
+
+def _sensitivity(physics: Physics, recording: Recording, torque: str, by: str) -> np.ndarray:
+    function = physics.model.sensitivity("load" if torque == "load" else "motor", by)
+    n, columns = physics.model.robot.n, function.size2_out(0)
+    if columns == 0:
+        return np.zeros((n, len(recording.t), 0))
+    (found,) = along(function, *physics.inputs(recording), physics.theta, physics.widths, physics.inertial)
+    return found.reshape(n, len(recording.t), columns)

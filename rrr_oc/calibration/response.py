@@ -1,41 +1,36 @@
 """Calibration on the simulated response: the engine follows the recorded motion, and its torque is compared with the recorded one.
 
-The objective is the paper's: NRMSE of the torque, both smoothed by Savitzky–Golay and less 0.1 s at the ends, summed over joints
-and recordings. With the actuators' coefficients it is that of the load torque, to which Eq. 10 turns simulated and recorded
-motor torque alike; without them, of the motor torque. Two ways minimise it: the paper's CMA-ES, and Gauss–Newton from the
-optimum on inverse dynamics. Inertial parameters are those of the inverse dynamics.
+The objective is the paper's: NRMSE of the torque, both smoothed by Savitzky–Golay and without 0.1 s at the ends, summed over joints
+and recordings. With the actuators' coefficients it is that of the load torque by Eq. 10, from simulated and recorded motor torque
+alike; without them, that of the motor torque. Two methods minimise it: the paper's CMA-ES, and Gauss–Newton from the optimum on
+inverse dynamics. Inertial parameters are those of the inverse dynamics.
 
-The controllers are helped by what each candidate itself predicts for the recorded motion, fed forward. Alone, P-controllers would
-lag behind a reference that is the measured motion and so lags already; the parameters would make up for that (one joint, noise of
-2 %: dry friction came out as 0.86 Nm instead of 2).
+The torque that each candidate predicts for the recorded motion is fed forward. P-controllers alone would lag behind a reference
+that is the measured motion, which lags already, and the parameters would make up for that (one joint, noise of 2 %: dry friction
+of 2 Nm was estimated as 0.86).
 """
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import cma
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate
-from rrr_oc.calibration.covariance import box_step, condition, covariance, intervals, normal_equations, undetermined
+from rrr_oc.calibration.calibrate import fit
+from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.covariance import covariance
 from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.inverse_dynamics import (
-    bounds,
-    finished,
-    fit_terms,
-    identify,
-    plain_model,
-    with_estimates,
-    with_parameter_values,
-)
-from rrr_oc.calibration.jacobian import derivatives
-from rrr_oc.calibration.nrmse import DROPPED
-from rrr_oc.calibration.regression import Rows
-from rrr_oc.calibration.samples import STRIDE, Prepared, prepare
+from rrr_oc.calibration.inverse_dynamics import described, finished, plain_model
+from rrr_oc.calibration.least_squares import GaussNewton, Problem, Quadratic, minimise, normal_equations
+from rrr_oc.calibration.prediction_error import DROPPED
+from rrr_oc.calibration.regression import Rows, derivatives
+from rrr_oc.calibration.samples import STRIDE, prepare
+from rrr_oc.calibration.term_fit import bounds, with_estimates, with_parameter_values
 from rrr_oc.errors import UserError
+from rrr_oc.numerics.rank import condition, undetermined
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.drives import Actuators
@@ -43,8 +38,10 @@ from rrr_oc.simulation.engine_model import Controller, twin
 from rrr_oc.simulation.replay import SETTINGS, accelerations, follow, tracking_controller
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
-PATIENCE = 1e-5  # of the objective: a Gauss–Newton step that gains less is the last; of its first spread: so is such a spread of CMA-ES
-FRACTIONS = (1.0, 0.5, 0.2)  # of a Gauss–Newton step, tried in one batch
+PATIENCE = (
+    1e-5  # of the objective: Gauss–Newton ends at a smaller gain, CMA-ES at a smaller spread over the first; doubled, no change
+)
+OPTIONS = GaussNewton(steps=10, gain=PATIENCE, fractions=(1.0, 0.5, 0.2))
 
 
 @dataclass(frozen=True)
@@ -185,7 +182,7 @@ def calibrate_evolution(
     population: int = POPULATION,
     timestep: float = Response.timestep,
 ) -> CalibratedModel:
-    """The paper's way: CMA-ES over the box [0, `Response.box`], from its middle.
+    """The paper's method: CMA-ES over the box [0, `Response.box`], from its middle.
 
     The report's `history` lists the time since the start [s] and the best objective of every generation. Raises `UserError` for
     load torques, which hold nothing that could be calibrated.
@@ -225,35 +222,78 @@ def calibrate_evolution(
     return _finished(response, candidate(np.asarray(search.best.x)), report, began)
 
 
-def calibrate_response(
-    recordings: RecordingSet, drives: Actuators | None = None, steps: int = 10, timestep: float = Response.timestep
-) -> CalibratedModel:
-    """Gauss–Newton on the simulated response, from the optimum on inverse dynamics.
+@dataclass(frozen=True)
+class _Point:
+    """Parameters (p,), residuals of the response there (1, joints, K) by recording, and the objective."""
 
-    A sum of norms is minimised as a sum of squares weighted by one over the norms, step after step. The derivatives are those of
-    the torque that is fed forward, exact; all fractions of a step are simulated in one batch. Report and errors are as those of
-    `calibrate_evolution`.
+    theta: np.ndarray
+    residuals: list[np.ndarray]
+    cost: float
+
+
+@dataclass
+class _ResponseFit(Problem[_Point]):
+    """The objective, a sum of norms, as a sum of squares weighted by one over the norms at the point.
+
+    Derivatives are those of the torque that is fed forward, exact. All fractions of a step are simulated in one batch, and the best
+    is kept.
+
+    Attributes:
+        response: The response.
+        began: As of `time.perf_counter`.
+        history: Time since the start [s] and objective of every point accepted.
+        evaluations: Number of simulations.
     """
-    began, response = time.perf_counter(), _response(recordings, drives, timestep)
-    theta = response.model.values
-    lower, upper = bounds(response.model.terms)
-    here = response.residuals([theta])
-    cost, evaluations = float(response.objective(here)[0]), 1
-    history, jacobian = [(time.perf_counter() - began, cost)], response.slopes()
-    for _ in range(steps):
-        tried = [np.clip(theta + f * _step(here, jacobian, theta, lower, upper), lower, upper) for f in FRACTIONS]
-        there = response.residuals(tried)
-        costs = response.objective(there)
-        evaluations += len(tried)
+
+    response: Response
+    began: float
+    history: list[tuple[float, float]] = field(default_factory=list)
+    evaluations: int = 1
+
+    def start(self, theta: np.ndarray) -> _Point:
+        here = self.response.residuals([theta])
+        return self._noted(_Point(theta, here, float(self.response.objective(here)[0])))
+
+    def quadratic(self, at: _Point) -> Quadratic:
+        size = len(at.theta)
+        matrix, right = np.zeros((size, size)), np.zeros(size)
+        for r, slopes in zip(at.residuals, self._slopes, strict=True):
+            for joint, derivative in zip(r[0], slopes, strict=True):
+                weight = 1 / (len(joint) * max(float(np.sqrt(np.mean(joint**2))), 1e-9))
+                matrix += weight * derivative.T @ derivative
+                right -= weight * derivative.T @ joint
+        lower, upper = bounds(self.response.model.terms)
+        return Quadratic(at.cost, matrix, right, lower - at.theta, upper - at.theta)
+
+    def tried(self, at: _Point, steps: Sequence[np.ndarray]) -> Iterable[tuple[_Point, float]]:
+        candidates = [np.clip(at.theta + step, *bounds(self.response.model.terms)) for step in steps]
+        there = self.response.residuals(candidates)
+        costs = self.response.objective(there)
+        self.evaluations += len(candidates)
         best = int(np.argmin(costs))
-        if not costs[best] < cost:
-            break
-        gained, cost, theta, here = cost - costs[best], float(costs[best]), tried[best], [r[best : best + 1] for r in there]
-        history.append((time.perf_counter() - began, cost))
-        if gained < PATIENCE * cost:
-            break
-    report = {"way": "Gauss–Newton on the simulated response", "evaluations": evaluations, "history": history}
-    return _finished(response, theta, report, began)
+        yield _Point(candidates[best], [r[best : best + 1] for r in there], float(costs[best])), float(costs[best])
+
+    def accepted(self, before: _Point, there: _Point) -> _Point:
+        return self._noted(there)
+
+    def _noted(self, at: _Point) -> _Point:
+        self.history.append((time.perf_counter() - self.began, at.cost))
+        return at
+
+    @cached_property
+    def _slopes(self) -> list[np.ndarray]:
+        return self.response.slopes()
+
+
+def calibrate_response(
+    recordings: RecordingSet, drives: Actuators | None = None, steps: int = OPTIONS.steps, timestep: float = Response.timestep
+) -> CalibratedModel:
+    """Gauss–Newton on the simulated response, from the optimum on inverse dynamics; report and errors as `calibrate_evolution`."""
+    began, response = time.perf_counter(), _response(recordings, drives, timestep)
+    problem = _ResponseFit(response, began)
+    at = minimise(problem, problem.start(response.model.values), replace(OPTIONS, steps=steps))
+    report = {"way": "Gauss–Newton on the simulated response", "evaluations": problem.evaluations, "history": problem.history}
+    return _finished(response, at.theta, report, began)
 
 
 def _response(recordings: RecordingSet, drives: Actuators | None, timestep: float) -> Response:
@@ -261,50 +301,32 @@ def _response(recordings: RecordingSet, drives: Actuators | None, timestep: floa
         raise UserError(
             f"{recordings.path}: load torques hold no friction and no armature; only inverse dynamics calibrates on them"
         )
-    prepared, start = prepare(recordings), plain_model(recordings)
-    fit = identify if recordings.inertial == "identify" else fit_terms
-    start = with_widths(prepared, start)
+    prepared = prepare(recordings)
+    start = with_widths(prepared, plain_model(recordings))
     return Response(recordings, fit(recordings, prepared, start).model, drives, timestep=timestep)
-
-
-def _step(here: list[np.ndarray], jacobian: list[np.ndarray], theta, lower, upper) -> np.ndarray:
-    matrix, right = np.zeros((len(theta), len(theta))), np.zeros(len(theta))
-    for r, slopes in zip(here, jacobian, strict=True):
-        for joint, derivative in zip(r[0], slopes, strict=True):
-            weight = 1 / (len(joint) * max(float(np.sqrt(np.mean(joint**2))), 1e-9))
-            matrix += weight * derivative.T @ derivative
-            right -= weight * derivative.T @ joint
-    return box_step(matrix, right, lower - theta, upper - theta)
 
 
 def _finished(response: Response, theta: np.ndarray, report: dict[str, Any], began: float) -> CalibratedModel:
     """The model with estimates, their intervals from the response's own derivatives, and a report."""
-    recordings, terms = response.recordings, response.model.terms
+    recordings, terms = response.recordings, with_parameter_values(response.model.terms, theta)
     here = response.residuals([theta])
     found = _rows(recordings, here, response.slopes())
     weights = found.deviation() ** -2
     matrix, _ = normal_equations(found, weights)
-    (lower, upper), known = bounds(terms), ~undetermined(matrix)
+    known = ~undetermined(matrix)
     bread = np.zeros_like(matrix)
     bread[np.ix_(known, known)] = np.linalg.inv(matrix[np.ix_(known, known)])
     spread = covariance(found, weights, bread, bread)
-    between = intervals(theta, spread.half_width, lower, upper)
-    estimates = [
-        Estimate(float(v), float(s), i, bool(v <= low or v >= high)) if k else Estimate(float(v))
-        for v, s, i, low, high, k in zip(theta, spread.std, between, lower, upper, known, strict=True)
-    ]
-    model = replace(response.model, terms=with_estimates(terms, estimates))
-    value = condition(matrix)
+    model = replace(response.model, terms=terms)
+    model = replace(model, terms=with_estimates(terms, described(model, theta, spread, known)))
     report = report | {
         "objective": float(response.objective(here)[0]),
         "objective_of": "motor torque" if response.drives is None else "load torque by Eq. 10",
         "objective_window_s": response.window,
-        "condition": value if np.isfinite(value) else None,
+        "condition": number(condition(matrix)),
         "correlation": {"matrix": spread.correlation.tolist()},
-        "wall_s": time.perf_counter() - began,
     }
-    prepared: Sequence[Prepared] = prepare(recordings)
-    return finished(recordings, prepared, model, report)
+    return finished(recordings, prepare(recordings), model, report, began)
 
 
 def _rows(recordings: RecordingSet, here: list[np.ndarray], jacobian: list[np.ndarray]) -> Rows:

@@ -10,10 +10,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.sparse import csr_matrix
 
-from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, window_samples
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.model.recorded_physics import Physics
+from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 FILTER = (
@@ -32,6 +34,9 @@ THIN = (
     0.012  # [s] between samples where many models are compared; doubled, it takes half the time, and the filter has 8 samples
 )
 LONGEST, PIECE = 1200.0, 20.0  # [s]: the most data on which many models are compared, and the pieces that they are made of
+SPIKE = 6.0  # standard deviations off the running median that make a spike; doubled, small spikes stay in the torque
+RARE = (0.99, 2.576)  # quantile of the residual, and that of normal noise: its ratio bounds the deviation from below
+SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples; doubled, fast signals look like spikes
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,32 @@ def without_reversals(prepared: Sequence[Prepared], joints: np.ndarray | bool = 
     """
     chosen = np.reshape(joints, (-1, 1))
     return tuple(replace(p, moving=p.moving & ~(_turning(p.recording) & chosen)) for p in prepared)
+
+
+def residuals(prepared: Prepared, model: CalibratedModel, physics: Physics | None = None) -> np.ndarray:
+    """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]; `physics` of the recording, if it is at hand."""
+    return prepared.measured - model.output_torque(prepared.recording, physics)
+
+
+def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[Prepared, ...]:
+    """The recordings with spikes replaced: samples whose residual is `SPIKE` deviations off the residual's running median.
+
+    The residual of a model is judged, not the torque itself, so that the torque's steps at reversals stay.
+    """
+    return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
+
+
+def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
+    """Standard deviation of the recorded noise (n,) [Nm]: of the part of the residual that a window of 0.15 s removes.
+
+    From the median of its size, so that spikes do not count.
+    """
+    sizes = []
+    for p in prepared:
+        t, r = p.recording.t, residuals(p, model)
+        centre = 2.25 / max(window_samples(t, 0.15), 5)  # weight of the middle sample: the share of white noise that passes
+        sizes.append(np.abs(r - smooth(t, r, p.recording.segments)) / np.sqrt(1 - min(centre, 0.5)))
+    return 1.4826 * np.median(np.concatenate(sizes, axis=1), axis=1)
 
 
 def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:
@@ -202,3 +233,14 @@ def _pieces(t: np.ndarray, segments: Sequence[slice], share: float) -> list[slic
         number = max(1, round(share * size / length))
         pieces += [slice(a, a + length) for a in np.linspace(s.start, s.stop - length, number).astype(int)]
     return pieces
+
+
+def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
+    r, middle = prepared.recording, np.empty_like(residual)
+    for s in r.segments:
+        middle[:, s] = median_filter(residual[:, s], (1, SPIKE_SAMPLES), mode="nearest")
+    off = residual - middle
+    middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
+    spread = np.maximum(1.4826 * middling, rare / RARE[1])
+    spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
+    return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))

@@ -11,10 +11,11 @@ from scipy.stats import chi2
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.inverse_dynamics import Fit, fit_terms, identify, plain_model
-from rrr_oc.calibration.nrmse import error
-from rrr_oc.calibration.regression import rows, without_spikes
-from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_reversals
+from rrr_oc.calibration.inertial_identification import identify
+from rrr_oc.calibration.inverse_dynamics import Fit, fit_terms, plain_model
+from rrr_oc.calibration.prediction_error import error
+from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_reversals, without_spikes
 from rrr_oc.diagnosis.contest import Finding, contested
 from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted, refit

@@ -13,10 +13,11 @@ from typing import Literal
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.calibration.covariance import normal_equations
 from rrr_oc.calibration.friction_width import best_width, widened, with_widths
-from rrr_oc.calibration.regression import Rows, noise
-from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, chance, pseudo_inverse, robust_p, significant
+from rrr_oc.calibration.least_squares import normal_equations
+from rrr_oc.calibration.regression import Rows
+from rrr_oc.calibration.samples import noise
+from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, chance, robust_p, significant
 from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, steadily_better, with_turn
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.effects import CATALOGUE, Effect
@@ -24,6 +25,7 @@ from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.effects.friction.position_dependent_friction import PositionDependentFriction
+from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.numerics.smooth import TURNS
 
 MOST = 12  # effects

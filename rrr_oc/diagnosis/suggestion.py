@@ -9,9 +9,9 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared
 from rrr_oc.diagnosis.contest import Finding
-from rrr_oc.diagnosis.evidence import pseudo_inverse
 from rrr_oc.diagnosis.signatures import context, table, trials
 from rrr_oc.effects import Trial, View
+from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 DURATION, STEP = 20.0, 0.01  # s

@@ -25,6 +25,7 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.sweeps import STEP, PlannedRecording, times
 from rrr_oc.model.symbolic_model import Model
+from rrr_oc.numerics.rank import COLUMN_PROJECTED, independent_columns
 from rrr_oc.recordings.header import Spring
 from rrr_oc.robot.robot import Robot
 
@@ -330,13 +331,12 @@ def information(rig: Rig, question: Question, samples: int = 400, seed: int = 0)
     return Information(rig, question, *parts, lost, scale[kept], ca.Function("rows", [*signals], [rows]))
 
 
-def _independent(columns: np.ndarray, tolerance: float = 1e-7) -> np.ndarray:
+def _independent(columns: np.ndarray) -> np.ndarray:
     """Indices of an independent choice of columns whose RMS is of order 1: QR with pivoting, as Gautier's base parameters."""
     if columns.shape[1] == 0:
         return np.zeros(0, int)
-    factor, order = scipy.linalg.qr(columns, mode="r", pivoting=True)  # pyright: ignore[reportAssignmentType]
-    rank = int(np.sum(np.abs(np.diag(factor)) > tolerance * math.sqrt(len(columns))))
-    return np.sort(order[:rank])
+    _, order = scipy.linalg.qr(columns, mode="r", pivoting=True)  # pyright: ignore[reportAssignmentType]
+    return np.sort(independent_columns(columns, COLUMN_PROJECTED, math.sqrt(len(columns)), order))
 
 
 def _stack(values: np.ndarray, p: int) -> np.ndarray:
