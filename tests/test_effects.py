@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, load_model, save_model
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import prepare
-from rrr_oc.diagnosis.signatures import columns, context, table, trials, view
+from rrr_oc.diagnosis.signatures import SignatureCache, columns, context, table, trials, view
 from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial
 from rrr_oc.effects.black_box.echo import Echo
 from rrr_oc.effects.black_box.empirical import Empirical
@@ -720,9 +720,9 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
     """What a table found at one model serves at others, as far as these share what it follows from."""
     model, prepared, by_name = arm
     every = [trial for name in by_name for trial in some(by_name[name])]
-    prepared = [replace(p) for p in prepared]
-    first = table([context(p, model) for p in prepared], every)
-    assert 0.5 * len(every) < len(prepared[0].signatures) < len(every)
+    cache = SignatureCache()
+    first = table([context(p, model) for p in prepared], every, cache)
+    assert 0.5 * len(every) < len(cache.sizes[prepared[0]]) < len(every)
     model = replace(model, terms=tuple(t.with_values(1.3 * t.values) for t in model.terms))
     sizes = {
         "load_dependent_friction": 0.1, "torque_gain": -0.2, "torque_offset": 0.5, "time_delay": 0.01, "joint_elasticity": 800.0,
@@ -734,14 +734,14 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
     }
     for names in [*((n,) for n in added), tuple(added), ("torque_gain", "payload_mass"), ("cable_harness", "payload_com"), ()]:
         there = replace(model, terms=(*model.terms, *(added[n] for n in names)))
-        kept = table([context(p, there) for p in prepared], every)
-        anew = table([context(replace(p), there) for p in prepared], every)
+        kept = table([context(p, there) for p in prepared], every, cache)
+        anew = table([context(p, there) for p in prepared], every)
         for j in range(3):
             np.testing.assert_array_equal(kept.used[j], anew.used[j])
             np.testing.assert_allclose(kept.values[j], anew.values[j], rtol=1e-12, atol=1e-12)
         if names == tuple(added):
             assert any(np.abs(a - b).max() > 0.01 for a, b in zip(first.values, anew.values, strict=True) if a.shape == b.shape)
-    assert all(len(by_model) <= 2 for p in prepared for by_model in p.signatures.values())
+    assert all(count <= 2 for counts in cache.sizes.values() for count in counts)
 
 
 @pytest.mark.parametrize("name", list(CATALOGUE))

@@ -5,8 +5,8 @@ accelerations come from windows as short as the sampling allows: attenuated moti
 removes the noise of short windows. `validation/calibration_coverage.py` measures the bias that is left.
 """
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,9 +39,9 @@ RARE = (0.99, 2.576)  # quantile of the residual, and that of normal noise: its 
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples; doubled, fast signals look like spikes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prepared:
-    """A recording made ready for regression.
+    """A recording made ready for regression. Two are equal only if they are the same object, which may key a cache.
 
     Attributes:
         recording: The recording with speeds and accelerations from short windows.
@@ -50,7 +50,6 @@ class Prepared:
             value below its level, so samples at rest do not count.
         window: Window of the common filter [s].
         spikes: Number of samples of `measured` that were replaced, (n,).
-        signatures: Of trials, by the parts of a model that they depend on, as `signatures.table` fills them in.
     """
 
     recording: Recording
@@ -58,9 +57,6 @@ class Prepared:
     moving: np.ndarray
     window: float
     spikes: np.ndarray
-    signatures: dict[Hashable, dict[Hashable, tuple[np.ndarray, np.ndarray]]] = field(
-        default_factory=dict, init=False, compare=False, repr=False
-    )
 
     @property
     def matrix(self) -> csr_matrix:

@@ -7,7 +7,7 @@ would give for the number of coefficients and of trials. Where residuals are aut
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, kept_rows
-from rrr_oc.diagnosis.signatures import Table, context, table
+from rrr_oc.diagnosis.signatures import SignatureCache, Table, context, table
 from rrr_oc.effects import Effect, Trial
 from rrr_oc.numerics.rank import UNIQUE, UNIQUE_TOGETHER, Directions, pseudo_inverse
 
@@ -39,12 +39,18 @@ class Bench:
         belief: What is then believed of them beside the recordings: links (10, n) that are bodies, and how surely (10 n, 10 n), as
             `inertial.precision` has it. A few recordings leave much open, on which others depend.
         of: The recordings of which these are some; nothing where these are all.
+        signatures: Signatures computed before.
     """
 
     prepared: tuple[Prepared, ...]
     identify: bool
     belief: tuple[np.ndarray, np.ndarray] | None = None
     of: tuple[Prepared, ...] = ()
+    signatures: SignatureCache = field(default_factory=SignatureCache, compare=False, repr=False)
+
+    def on(self, prepared: tuple[Prepared, ...]) -> "Bench":
+        """The bench of other recordings, without signatures."""
+        return replace(self, prepared=prepared, signatures=SignatureCache())
 
     def part(self, keep: Sequence[int]) -> "Bench":
         """The bench of some of the recordings."""
@@ -166,7 +172,7 @@ class Evidence:
     def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
-        signatures = table([context(p, model) for p in bench.prepared], every)
+        signatures = table([context(p, model) for p in bench.prepared], every, bench.signatures)
         nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
         return cls(bench, model, found, signatures, *nothing).under(found)
 

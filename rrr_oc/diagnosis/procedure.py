@@ -203,7 +203,7 @@ def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searc
         names = ", ".join(np.array(recordings.joints)[blurred])
         report(f"looking for effects without the moments at which these joints reverse: {names}")
         whole = without_reversals(whole, blurred)
-        bench = replace(bench, prepared=without_reversals(bench.prepared, blurred))
+        bench = bench.on(without_reversals(bench.prepared, blurred))
         found = search(bench, begin, report)
     while turned := other_turns(bench, found):
         names = ", ".join(recordings.joints[j] for j in turned)
@@ -283,16 +283,10 @@ def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
     if count == 1:
         bench, count, way = _blocks(bench), BLOCKS, "blocks"
     else:
-        bench, way = replace(bench, prepared=_lean(bench.prepared)), "recordings"
+        bench, way = bench if bench.signatures.nbytes < HEAVY else bench.on(bench.prepared), "recordings"
     number = min(count, FOLDS if bench.n <= SMALL else FEWER)
     alike = sorted(range(count), key=lambda i: (*_mounted(bench.prepared[i].recording), bench.labels.index(bench.groups[i])))
     return way, [(bench, sorted(alike[k::number])) for k in range(number)]  # those that are alike fall apart
-
-
-def _lean(prepared: tuple[Prepared, ...]) -> tuple[Prepared, ...]:
-    """The recordings for other processes, without the signatures found so far where these are more to hand over than to find."""
-    size = sum(x.nbytes for p in prepared for found in p.signatures.values() for pair in found.values() for x in pair)
-    return prepared if size < HEAVY else tuple(replace(p) for p in prepared)
 
 
 def _mounted(r: Recording) -> tuple[float, int]:
@@ -313,7 +307,7 @@ def _blocks(bench: Bench) -> Bench:
         )
         piece = replace(r, **arrays, segments=segments, start=float(began))
         pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
-    return replace(bench, prepared=tuple(pieces))
+    return bench.on(tuple(pieces))
 
 
 def _held_out(

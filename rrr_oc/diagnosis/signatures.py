@@ -5,7 +5,7 @@ what is missing is found by linear algebra on few numbers.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -23,6 +23,7 @@ from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.rigid_body import rigid_body, with_payload
 
 SAMPLE = 400  # positions that trials look at
+Signature = tuple[np.ndarray, np.ndarray]  # where columns are not 0 (m, n), and these, filtered (number of them, M)
 
 
 def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
@@ -259,6 +260,38 @@ def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class SignatureCache:
+    """Filtered signatures that were computed before, shared by all models that are compared on the same recordings.
+
+    A `Bench` owns it, and benches of some of its recordings share it; it lives as long as they do. The key is the recording, the
+    trial, and whatever of a model and a trial the signature depends on: of the latter, the first and the latest are kept.
+    """
+
+    _found: dict[Prepared, dict[Hashable, dict[Hashable, Signature]]] = field(default_factory=dict, compare=False, repr=False)
+
+    def once(self, prepared: Prepared, trial: Hashable, depends_on: Hashable, find: Callable[[], Signature]) -> Signature:
+        """The signature of a trial, which `find` computes where there is none."""
+        known = self._found.setdefault(prepared, {}).setdefault(trial, {})
+        if depends_on not in known:
+            signature = find()
+            if len(known) > 1:
+                known.popitem()
+            known[depends_on] = signature
+        return known[depends_on]
+
+    @property
+    def sizes(self) -> dict[Prepared, list[int]]:
+        """Number of signatures kept of each trial, by recording."""
+        return {prepared: [len(known) for known in by_trial.values()] for prepared, by_trial in self._found.items()}
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all signatures."""
+        by_trial = [known for one in self._found.values() for known in one.values()]
+        return sum(x.nbytes for known in by_trial for signature in known.values() for x in signature)
+
+
+@dataclass(frozen=True)
 class Table:
     """Signatures of many trials at the rows of all recordings.
 
@@ -275,11 +308,11 @@ class Table:
     used: tuple[np.ndarray, ...]
 
 
-def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
-    """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps."""
-    every = tuple(every)
+def table(contexts: Sequence[Context], every: Iterable[Trial], cache: SignatureCache | None = None) -> Table:
+    """The signatures of trials at a model, filtered, at the rows of `regression.rows`; those in a cache are not computed again."""
+    every, cache = tuple(every), cache or SignatureCache()
     start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
-    found = [[_passed(at, trial) for trial in every] for at in contexts]
+    found = [[_signature(at, trial, cache) for trial in every] for at in contexts]
     live = np.array([np.concatenate([where for where, _ in part]) for part in found])  # (R, columns, n)
     edges = np.cumsum([0, *(at.prepared.counted.shape[1] for at in contexts)])
     values, used = [], []
@@ -299,27 +332,21 @@ def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
     return Table(every, start, tuple(values), tuple(used))
 
 
-def _passed(at: Context, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
-    """Where a trial's columns are not 0 (m, n), and these, filtered (number of them, M).
-
-    What the same parts of a model gave before, at first or last, is taken as it was; of series there are too many to keep.
-    """
+def _signature(at: Context, trial: Trial, cache: SignatureCache) -> Signature:
+    """A trial's signature at a recording; from the cache, except that series are too many to keep."""
     effect, gain = trial.effect, at.gain
-    behind = None if isinstance(effect, Empirical) or gain is None else at.behind(effect)
-    kept = behind is not None
-    follows = trial.width, behind
-    key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
-    before = at.prepared.signatures.setdefault(key, {}) if kept else {}
-    if follows in before:
-        where, passed = before[follows]
-    else:
+
+    def find() -> Signature:
         raw = columns(at, trial) if gain is None else _before_sensors(at, trial)
         where = np.any(raw != 0, axis=2)
-        passed = at.prepared.passed(raw[where], np.nonzero(where)[1])
-        if kept:
-            if len(before) > 1:
-                before.popitem()
-            before[follows] = where, passed
+        return where, at.prepared.passed(raw[where], np.nonzero(where)[1])
+
+    behind = None if isinstance(effect, Empirical) or gain is None else at.behind(effect)
+    if behind is None:
+        where, passed = find()
+    else:
+        key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
+        where, passed = cache.once(at.prepared, key, (trial.width, behind), find)
     if gain is None or effect.side == "sensor" or np.all(gain == 1.0):
         return where, passed
     return where, passed * gain[np.nonzero(where)[1], None]

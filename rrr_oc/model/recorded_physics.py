@@ -21,6 +21,22 @@ Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
 
 
+class _Memory:
+    """Results for one recording: owned by a `Physics`, by name, until another recording is asked for."""
+
+    def __init__(self) -> None:
+        self._recording: Recording | None = None
+        self._found: dict[str, Any] = {}
+
+    def once(self, name: str, find: Callable[[Recording], Any], recording: Recording) -> Any:
+        """What `find` returns for a recording, computed at the first call."""
+        if recording is not self._recording:
+            self._recording, self._found = recording, {}
+        if name not in self._found:
+            self._found[name] = find(recording)
+        return self._found[name]
+
+
 @dataclass(frozen=True)
 class Physics:
     """What is at work in one recording: the model with listed springs and terms, and the numbers that go into it."""
@@ -29,7 +45,7 @@ class Physics:
     theta: np.ndarray
     widths: np.ndarray
     inertial: np.ndarray
-    known: dict[str, tuple[Recording, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    _memory: _Memory = field(default_factory=_Memory, init=False, compare=False, repr=False)
 
     @staticmethod
     def inputs(recording: Recording) -> tuple[np.ndarray, ...]:
@@ -44,7 +60,7 @@ class Physics:
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the recorded motion needs, each (n, K) [Nm]."""
-        return self._once("torques", self._find_torques, recording)
+        return self._memory.once("torques", self._find_torques, recording)
 
     def _find_torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         states = self.states(recording)
@@ -74,13 +90,7 @@ class Physics:
 
         Beside them what the links that move by themselves meet, if there are any.
         """
-        return self._once("moved", self._find_moved, recording)
-
-    def _once(self, what: str, find: Callable[[Recording], Any], recording: Recording) -> Any:
-        """What is found, or what was for the same recording."""
-        if what not in self.known or self.known[what][0] is not recording:
-            self.known[what] = recording, find(recording)
-        return self.known[what][1]
+        return self._memory.once("moved", self._find_moved, recording)
 
     def _find_moved(self, recording: Recording) -> tuple[Shifts, Reaction | None]:
         found: Shifts = {}
@@ -189,7 +199,7 @@ class Physics:
 
     def states(self, recording: Recording) -> np.ndarray:
         """Internal states of the effects along the recording, (number of states, K)."""
-        return self._once("states", self._find_states, recording)
+        return self._memory.once("states", self._find_states, recording)
 
     def _find_states(self, recording: Recording) -> np.ndarray:
         named = [one for one in self.named() if one[0].states]
