@@ -4,17 +4,16 @@ Derivatives are exact, from the model's expressions, for effects that add a torq
 move the links, have internal states or act in the sensors.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import Prepared, kept_rows, residuals
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import CHAIN
-from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 
 START_EFFECT = 1e-3  # of a recording's torque: a smaller effect of a stretch's unknown start is neglected; doubled, no change
@@ -163,90 +162,17 @@ def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarra
 
 
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
-    r = prepared.recording
-    physics = model.physics(r)
-    residual = residuals(prepared, model, physics)
-    jacobian = derivatives(model, r, inertial and not last, last, physics)
-    kept, stretches, durations = kept_rows(r)
-    n, p = len(residual), jacobian.shape[2]
-    columns = np.moveaxis(jacobian, 2, 1).reshape(n * p, len(r.t))
-    used = np.flatnonzero(np.any(columns != 0, axis=1))
-    passed = np.zeros((n * p, len(kept)))
-    passed[used] = prepared.passed(columns[used], used // p)
-    starts = _Starts.of(prepared, model, physics)
+    at = Prediction.of(model, prepared.recording)
+    residual = residuals(prepared, model, at.physics)
+    where, passed = prepared.nonzero_passed(np.moveaxis(at.by_parameters(inertial and not last, last), 2, 1), 0)
+    kept, stretches, durations = kept_rows(prepared.recording)
+    columns = np.zeros((*where.shape, len(kept)))
+    columns[where] = passed
+    starts = _Starts.of(prepared, model, at.physics)
     return Rows(
-        residual=starts.cleared(prepared.passed(residual, range(n))),
-        jacobian=starts.cleared(np.moveaxis(passed.reshape(n, p, len(kept)), 1, 2)),
+        residual=starts.cleared(prepared.passed(residual, range(len(residual)))),
+        jacobian=starts.cleared(np.moveaxis(columns, 1, 2)),
         moving=prepared.counted,
         stretches=stretches,
         durations=durations,
     )
-
-
-def derivatives(
-    model: CalibratedModel,
-    recording: Recording,
-    inertial: bool = False,
-    last: bool = False,
-    physics: Physics | None = None,
-) -> np.ndarray:
-    """d `CalibratedModel.output_torque` / d (parameters of the terms, inertial parameters), (n, K, p).
-
-    Args:
-        inertial: Whether the derivatives by the inertial parameters (10, n) are wanted too, link by link.
-        last: Whether only those by the parameters of the last term are wanted.
-        physics: `model.physics(recording)`, if it is at hand.
-    """
-    physics = physics or model.physics(recording)
-    terms = model.terms[-1:] if last else model.terms
-    result = _by_terms(model, recording, terms, physics)
-    if inertial:
-        result = np.concatenate([result, _sensitivity(physics, recording, model.torque, "inertial")], axis=2)
-    if any(t.effect.side == "sensor" for t in model.terms):
-        for k in range(result.shape[2]):
-            result[:, :, k] = physics.passed_on(recording, result[:, :, k])
-    which = [i for i, t in enumerate(terms) if _needs_differences(t) and t.holds_for(recording)]
-    if which:
-        true = model.true_torque(recording, physics)
-        numbers, columns = _places(physics, recording, terms)
-        found = physics.by_differences(recording, [numbers[i] for i in which], true, model.torque == "load")
-        for i, part in zip(which, found, strict=True):
-            result[:, :, columns[i]] = part
-    return result
-
-
-def _needs_differences(term: Term) -> bool:
-    """Whether the term is no torque of the instant, so that no expression gives its derivatives."""
-    return term.effect.side in ("motion", "sensor") or bool(term.effect.states)
-
-
-def _places(physics: Physics, recording: Recording, terms: Sequence[Term]) -> tuple[list[int], list[slice]]:
-    """Number of each term's effect in `Physics`, where it holds, and its columns in the Jacobian.
-
-    The effects of a recording are the springs that it lists, then the terms that hold; `terms` are the last of these.
-    """
-    holding = np.cumsum([t.holds_for(recording) for t in terms])
-    first = len(physics.model.effects) - int(holding[-1])
-    ends = np.cumsum([0, *(len(t.estimates) for t in terms)])
-    return (holding - 1 + first).tolist(), [slice(a, b) for a, b in itertools.pairwise(ends)]
-
-
-def _by_terms(model: CalibratedModel, recording: Recording, terms: Sequence[Term], physics: Physics) -> np.ndarray:
-    """Exact derivatives of the true torque by the terms' parameters; 0 for terms that do not hold, and by those without any."""
-    sizes = [len(t.estimates) for t in terms]
-    result = np.zeros((model.robot.n, len(recording.t), sum(sizes)))
-    if all(_needs_differences(t) for t in terms):
-        return result
-    by_theta = _sensitivity(physics, recording, model.torque, "theta")
-    holding = np.repeat([t.holds_for(recording) for t in terms], sizes)
-    result[:, :, holding] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(holding) :]
-    return result
-
-
-def _sensitivity(physics: Physics, recording: Recording, torque: str, by: str) -> np.ndarray:
-    function = physics.model.sensitivity("load" if torque == "load" else "motor", by)
-    n, columns = physics.model.robot.n, function.size2_out(0)
-    if columns == 0:
-        return np.zeros((n, len(recording.t), 0))
-    (found,) = along(function, *physics.inputs(recording), physics.theta, physics.widths, physics.inertial)
-    return found.reshape(n, len(recording.t), columns)

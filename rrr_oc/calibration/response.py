@@ -24,9 +24,10 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, number
 from rrr_oc.calibration.covariance import covariance
 from rrr_oc.calibration.friction_width import with_widths
 from rrr_oc.calibration.inverse_dynamics import described, finished, plain_model
+from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.least_squares import GaussNewton, Problem, Quadratic, minimise, normal_equations
 from rrr_oc.calibration.prediction_error import DROPPED
-from rrr_oc.calibration.regression import Rows, derivatives
+from rrr_oc.calibration.regression import Rows
 from rrr_oc.calibration.samples import STRIDE, prepare
 from rrr_oc.calibration.term_fit import bounds, with_estimates, with_parameter_values
 from rrr_oc.errors import UserError
@@ -136,7 +137,7 @@ class _Target:
 
     @classmethod
     def make(cls, response: Response, r: Recording) -> "_Target":
-        by_theta = derivatives(response.model, r)
+        by_theta = Prediction.of(response.model, r).by_parameters()
         theta = response.model.values
         base = response.model.torques(r)[0] - by_theta @ theta
         recorded, gain = response.compared(r.dq, r.ddq, response.recordings.output_torque(r))

@@ -76,6 +76,15 @@ class Prepared:
         """Torques (m, K) of joints (m,), filtered, at the rows that are kept, (m, kept); 0 at rest."""
         return self.filtered(torques * self.moving[joints]) * self.counted[joints]
 
+    def nonzero_passed(self, torques: np.ndarray, joint_axis: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where torques (a, b, K) are not 0 at all samples, (a, b), and those, in that order, as `passed` returns them.
+
+        Args:
+            joint_axis: Which of the first two axes counts the joints.
+        """
+        where = np.any(torques != 0, axis=2)
+        return where, self.passed(torques[where], np.nonzero(where)[joint_axis])
+
     def filtered(self, x: np.ndarray) -> np.ndarray:
         """Signals (m, K) after the common filter, at the rows that are kept, (m, kept)."""
         return (self.matrix @ x.T).T

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, kept_rows
-from rrr_oc.diagnosis.signatures import SignatureCache, Table, context, table
+from rrr_oc.diagnosis.signatures import SignatureCache, Table, table
 from rrr_oc.effects import Effect, Trial
 from rrr_oc.numerics.rank import UNIQUE, UNIQUE_TOGETHER, Directions, pseudo_inverse
 
@@ -172,7 +172,7 @@ class Evidence:
     def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
-        signatures = table([context(p, model) for p in bench.prepared], every, bench.signatures)
+        signatures = table(bench.prepared, model, every, bench.signatures)
         nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
         return cls(bench, model, found, signatures, *nothing).under(found)
 
