@@ -22,7 +22,7 @@ from scipy.spatial import KDTree
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, save_model
 from rrr_oc.calibration.prediction_error import error
-from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
+from rrr_oc.calibration.response.calibrate_response import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.calibration.term_fit import labels
 from rrr_oc.codesign.design_problem import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point

@@ -30,7 +30,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, save_model
 from rrr_oc.calibration.prediction_error import error
-from rrr_oc.calibration.response import calibrate_response
+from rrr_oc.calibration.response.calibrate_response import calibrate_response
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.codesign.multistart import SearchOptions, search
 from rrr_oc.codesign.optimum import Motion, resimulate, sample_motion

@@ -100,6 +100,10 @@ class Problem(ABC, Generic[Point]):
         """The point that the search goes on from; a problem may renew derivatives here."""
         return there
 
+    def freed(self, at: Point) -> Point | None:
+        """The point with fixed parameters set free, where no step promises enough; None if there are none, which ends the search."""
+        return None
+
     def renewed(self, at: Point) -> Point | None:
         """The point with derivatives renewed, where no step from it lowers the cost; None if they are new, which ends the search."""
         return None
@@ -115,7 +119,10 @@ def _gauss_newton(problem: Problem[Point], at: Point, how: GaussNewton) -> Point
         near = problem.quadratic(at)
         step = near.step()
         if near.promised(step) < how.promise * near.value:
-            break
+            if (free := problem.freed(at)) is None:
+                break
+            at = free
+            continue
         limit = near.value * (1 + how.rise)
         tried = problem.tried(at, [fraction * step for fraction in how.fractions])
         found = next((one for one in tried if one[1] <= limit), None)

@@ -56,12 +56,14 @@ class TermPoint:
         rows: Residuals at the model, and derivatives at it or at an earlier one.
         fresh: Whether the derivatives are those at the model.
         foreseen: Residuals (n, M) [Nm] that the derivatives of the point before predicted.
+        fixed: Numbers of parameters that the next step does not change.
     """
 
     model: CalibratedModel
     rows: Rows
     fresh: bool = True
     foreseen: np.ndarray | None = None
+    fixed: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,6 @@ class TermFit(Problem[TermPoint]):
         bend: Share of the squared change over a step by which residuals may miss the linear prediction before derivatives are
             renewed; None: they are renewed after every step.
         without_last: Rows of the model without its last term, from which all but the last term's derivatives are taken.
-        fixed: Numbers of parameters that keep their values.
         fix_undetermined: Whether parameters that the rows do not determine keep their values.
     """
 
@@ -88,12 +89,11 @@ class TermFit(Problem[TermPoint]):
     prior: Callable[[np.ndarray], np.ndarray] | None = None
     bend: float | None = None
     without_last: Rows | None = None
-    fixed: tuple[int, ...] = ()
     fix_undetermined: bool = False
 
-    def start(self, model: CalibratedModel) -> TermPoint:
+    def start(self, model: CalibratedModel, fixed: tuple[int, ...] = ()) -> TermPoint:
         """The point of a model."""
-        return TermPoint(model, self._rows(model))
+        return TermPoint(model, rows(self.prepared, model, self.inertial, self.without_last), fixed=fixed)
 
     def quadratic(self, at: TermPoint) -> Quadratic:
         weights, values = at.rows.deviation() ** -2, at.model.values
@@ -107,7 +107,7 @@ class TermFit(Problem[TermPoint]):
         lower, upper = np.full(len(right), -np.inf), np.full(len(right), np.inf)
         low, high = step_limits(at.model.terms)
         lower[:size], upper[:size] = low - values, high - values
-        lower[list(self.fixed)] = upper[list(self.fixed)] = 0.0
+        lower[list(at.fixed)] = upper[list(at.fixed)] = 0.0
         if self.fix_undetermined:
             unknown = undetermined(matrix)
             lower[unknown] = upper[unknown] = 0.0
@@ -121,7 +121,7 @@ class TermFit(Problem[TermPoint]):
             if self.linear:
                 there = TermPoint(model, replace(at.rows, residual=foreseen), at.fresh, foreseen)
             elif self.bend is None:
-                there = TermPoint(model, self._rows(model))
+                there = self.start(model)
             else:
                 there = TermPoint(model, with_residuals(at.rows, self.prepared, model), False, foreseen)
             cost = there.rows.cost(weights)
@@ -135,11 +135,11 @@ class TermFit(Problem[TermPoint]):
         missed, change = (float(weights @ np.sum(x**2, axis=1)) for x in (missed, change))
         return self.start(there.model) if missed > self.bend * change else there
 
+    def freed(self, at: TermPoint) -> TermPoint | None:
+        return replace(at, fixed=()) if at.fixed else None
+
     def renewed(self, at: TermPoint) -> TermPoint | None:
         return None if at.fresh else self.start(at.model)
-
-    def _rows(self, model: CalibratedModel) -> Rows:
-        return rows(self.prepared, model, self.inertial, self.without_last)
 
 
 def _moved(model: CalibratedModel, step: np.ndarray) -> CalibratedModel:

@@ -487,6 +487,12 @@ def _solve(matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[floa
     coefficients = np.zeros(len(right))
     if not live.any() or raw.max() <= 0:
         return 0.0, coefficients, 0
-    left = Directions.of(matrix[np.ix_(live, live)], UNIQUE if live.sum() == 1 else UNIQUE_TOGETHER, np.sqrt(raw[live]))
+    if live.sum() == 1:  # most trials: without an eigenvalue problem
+        own = matrix[live][0, live]
+        if own[0] < UNIQUE * raw[live][0]:
+            return 0.0, coefficients, 0
+        coefficients[live] = right[live] / own
+        return float(right @ coefficients), coefficients, 1
+    left = Directions.of(matrix[np.ix_(live, live)], UNIQUE_TOGETHER, np.sqrt(raw[live]))
     coefficients[live] = left.solve(right[live])
     return float(right @ coefficients), coefficients, int(left.determined.sum())

@@ -73,10 +73,8 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = OPTIONS.steps, with
         bend=BEND,
         without_last=without_last,
     )
-    at = fit.start(model)
-    if without_last is not None and (shape := _shape_of_last(model)):
-        at = minimise(replace(fit, fixed=shape), at, replace(OPTIONS, steps=1))
-    at = minimise(fit, at, replace(OPTIONS, steps=steps))
+    shape = _shape_of_last(model) if without_last is not None else ()
+    at = minimise(fit, fit.start(model, shape), replace(OPTIONS, steps=steps + bool(shape)))
     return Fitted(at.model, at.rows)
 
 

@@ -53,12 +53,6 @@ class Directions:
         vectors = self.vectors[:, self.determined]
         return vectors @ ((vectors.T @ (right / self.scale)) / self.values[self.determined]) / self.scale
 
-    @property
-    def inverse(self) -> np.ndarray:
-        """The matrix's pseudo-inverse in scaled parameters, (p, p)."""
-        vectors = self.vectors[:, self.determined]
-        return vectors / self.values[self.determined] @ vectors.T / np.outer(self.scale, self.scale)
-
     @cached_property
     def undetermined(self) -> np.ndarray:
         """Parameters that take part in an undetermined direction, (p,)."""
@@ -72,8 +66,9 @@ def lengths(matrix: np.ndarray) -> np.ndarray:
 
 
 def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a normal matrix, with columns scaled and undetermined directions left out."""
-    return Directions.of(matrix).inverse
+    """Of a normal matrix (p, p), with columns scaled and undetermined directions left out."""
+    scale = np.outer(lengths(matrix), lengths(matrix))
+    return np.linalg.pinv(matrix / scale, rcond=DETERMINED, hermitian=True) / scale
 
 
 def undetermined(matrix: np.ndarray) -> np.ndarray:
