@@ -11,7 +11,8 @@ import typer
 from rich.table import Table
 
 from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
-from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.calibration.response.calibrate_response import calibrate_evolution, calibrate_response
 from rrr_oc.diagnosis.held_out import in_closed_loop
@@ -19,9 +20,10 @@ from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.parallel import check_jobs
-from rrr_oc.recordings.importers import import_mcap, import_prototype
+from rrr_oc.recordings.importers import JointStates, import_mcap, import_prototype
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
-from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.design_report import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.storage import check_file, check_folder, write_json
@@ -157,8 +159,8 @@ def mcap(
 ) -> None:
     """ROS 2 bags in MCAP files."""
     names = None if joints is None else [name.strip() for name in joints.split(",")]
-    constants = _constants(torque_constant)
-    _show_set(import_mcap(files, robot, out, names, topic, torque, inertial=inertial, torque_constant=constants))
+    states = JointStates(names, topic, torque, inertial, _constants(torque_constant))
+    _show_set(import_mcap(files, robot, out, states))
 
 
 main = entry_point(app)
@@ -180,9 +182,9 @@ def _check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
             raise UserError(f"{path}: is read by this command and would be overwritten; another place is required")
 
 
-def _constants(text: str | None) -> dict[str, float] | None:
+def _constants(text: str | None) -> dict[str, float]:
     if text is None:
-        return None
+        return {}
     try:
         return {name.strip(): float(value) for name, value in (pair.split("=") for pair in text.split(","))}
     except ValueError:

@@ -1,6 +1,7 @@
-"""Files and folders that are written whole or not at all: under a temporary name, then renamed."""
+"""Text files read as UTF-8; files and folders written whole or not at all: under a temporary name, then renamed."""
 
 import json
+import math
 import os
 import secrets
 import shutil
@@ -14,6 +15,22 @@ import numpy as np
 from rrr_oc.errors import UserError
 
 
+def read_utf8(path: str | Path) -> bytes:
+    """A text file in UTF-8, less a byte-order mark; raises `UserError` where it is missing or something else."""
+    path = Path(path)
+    try:
+        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    try:
+        if not data.isascii():
+            data.decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise UserError(f"{path}, line {line}: found byte 0x{data[error.start]:02x}; text in UTF-8 is required") from None
+    return data
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write UTF-8 text. Raises `UserError` where the path cannot be written, as all functions here do."""
     with new_file(path) as file:
@@ -25,14 +42,29 @@ def write_json(path: str | Path, data: Any) -> None:
     write_text(path, json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
+def write_csv(path: str | Path, columns: Mapping[str, Any]) -> None:
+    """Write columns (K,) under a header; `repr` of a float is the shortest text that reads back as the same number."""
+    rows = np.column_stack(list(columns.values())).tolist()
+    lines = (",".join(map(repr, row)) for row in rows)
+    write_text(path, "\n".join([",".join(columns), *lines]) + "\n")
+
+
+def number(value: float | None) -> float | None:
+    """A number for JSON, which has neither NaN nor infinity: None in their place."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays, compressed; an array of objects, which would need pickle, raises ValueError."""
+    objects = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
+    if objects:  # before numpy 2.3, `savez_compressed` has no `allow_pickle` that would refuse them
+        raise ValueError(f"{', '.join(objects)}: arrays of objects need pickle, which is not used")
     with new_file(path) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        np.savez_compressed(file, **arrays)
 
 
 def check_file(path: str | Path) -> None:
-    """Raise `UserError` where no file of this name could be written; for use before hours of work."""
+    """Raise `UserError` where no file of this name could be written; for checks before a long computation."""
     path = Path(path).absolute()
     with _as_user_error(path):
         if path.is_dir():
@@ -41,7 +73,7 @@ def check_file(path: str | Path) -> None:
 
 
 def check_folder(path: str | Path) -> None:
-    """Raise `UserError` where no files could be written into a folder of this name, there or to be made."""
+    """Raise `UserError` where no files could be written into a folder of this name, existing or new."""
     path = Path(path).absolute()
     with _as_user_error(path):
         if path.exists() and not path.is_dir():
@@ -94,7 +126,7 @@ def new_folder(folder: str | Path) -> Iterator[Path]:
 
 
 def _beside(path: Path) -> Path:
-    """A fresh hidden name in the same folder, so that renaming stays within one file system."""
+    """An unused hidden name in the same folder, so that renaming stays within one file system."""
     path = path.absolute()
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
 

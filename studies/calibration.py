@@ -20,14 +20,16 @@ import typer
 from rich.markdown import Markdown
 from scipy.spatial import KDTree
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.response.calibrate_response import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.calibration.term_fit import labels
 from rrr_oc.codesign.design_problem import CONFIGURATIONS
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split
-from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.design_report import wide_console
 from rrr_oc.report.figures import save_figure
 from rrr_oc.robot.drives import Actuators, load_actuators

@@ -42,7 +42,8 @@ from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.diagnosis.selection import rewidened, term
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.errors import UserError, entry_point
-from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.design_report import wide_console
 from rrr_oc.report.figures import save_figure
 from rrr_oc.storage import write_json, write_text

@@ -23,13 +23,14 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import __version__
-from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
 from rrr_oc.codesign.multistart import SearchOptions, SearchResult, Start, search
 from rrr_oc.codesign.optimum import Motion, describe, describe_simulation, sample_motion
 from rrr_oc.codesign.purchasable import METHODS, CatalogueResult, load_catalogue, search_catalogue
-from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task, tool_height
+from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.optimal_control.solver import Refinement, SolverFailure
@@ -214,7 +215,7 @@ def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions
     motion = sample_motion(design, solution)
     described = describe(design, motion.metrics()) | {
         "cost": solution.cost,
-        "lowest_tool_m": min(float(tool_height(design.task, design.model.body, q)) for q in design.task.full(motion.q).T[::7]),
+        "lowest_tool_m": min(float(design.model.tool_height(q)) for q in design.task.full(motion.q).T[::7]),
         "springs": design.hardware(solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),

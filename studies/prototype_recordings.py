@@ -28,7 +28,8 @@ from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import entry_point
-from rrr_oc.recordings.recording import RecordingSet, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.design_report import markdown
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.storage import write_json, write_text

@@ -28,7 +28,8 @@ import typer
 from rich.markdown import Markdown
 from scipy.interpolate import CubicHermiteSpline
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, load_model, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.response.calibrate_response import calibrate_response
 from rrr_oc.codesign.design_problem import CONFIGURATIONS, CoDesign, spring_bounds
@@ -43,7 +44,9 @@ from rrr_oc.model.metrics import measure
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.solver import Refinement
 from rrr_oc.recordings.header import Spring, spring_json
-from rrr_oc.recordings.recording import Recording, RecordingSet, load_recordings, write_set
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.writer import write_set
 from rrr_oc.report.design_report import markdown, wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.figures import save_figure

@@ -32,7 +32,7 @@ from rrr_oc.paper.comparison import FREE_MOTION
 from rrr_oc.paper.encoding import Encoding
 from rrr_oc.paper.experiments import candidate_motion, experiment, stored_motion
 from rrr_oc.paper.run_store import Run, all_runs
-from rrr_oc.recordings.recording import load_recordings
+from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.drives import load_actuators
 from validation.concealed.build import Built, build
 from validation.concealed.cases import Case, Concealed

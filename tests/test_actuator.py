@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rrr_oc.errors import UserError
-from rrr_oc.robot.drives import COEFFICIENTS, Actuators, load_actuators
+from rrr_oc.robot.drives import Actuators, Drive, load_actuators
 
 JOINTS = ("joint1", "joint2", "joint3")
 # facts.md: k_t, c_0, nu, c_v2, c_1, c_12, J_m of the prototype's joints 1, 2, 3
@@ -122,15 +122,15 @@ def test_energy_needs_resistances():
 
 
 def test_bad_input(tmp_path):
-    with pytest.raises(UserError, match=r"no joint 'elbow'; they have joint1, joint2, joint3"):
+    with pytest.raises(UserError, match=r"no joint 'elbow'; there are joint1, joint2, joint3"):
         load_actuators(("elbow",))
     with pytest.raises(UserError, match=r"'dissipative' or 'printed', got 'guessed'"):
         load_actuators(JOINTS, form="guessed")
-    with pytest.raises(UserError, match=r"no usable actuators at 'nowhere.json'"):
+    with pytest.raises(UserError, match=r"no actuators at 'nowhere.json'; give the path of a JSON file or a preset: prototype"):
         load_actuators(JOINTS, "nowhere.json")
     path = tmp_path / "drives.json"
     path.write_text("{")
-    with pytest.raises(UserError, match="no usable actuators"):
+    with pytest.raises(UserError, match=r"drives\.json, line 1, column 2: not valid JSON"):
         load_actuators(JOINTS, str(path))
     path.write_text(json.dumps({"joint1": {"colour": 1}}))
     with pytest.raises(UserError, match="unknown key 'colour'; allowed are torque_constant"):
@@ -139,7 +139,7 @@ def test_bad_input(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [{"joint1": {}}, {"joint1": dict.fromkeys(COEFFICIENTS, "many")}, {"joint1": [1, 2]}, [1, 2]],
+    [{"joint1": {}}, {"joint1": dict.fromkeys(Drive.__struct_fields__, "many")}, {"joint1": [1, 2]}, [1, 2]],
     ids=["a coefficient is missing", "not a number", "no object", "a list"],
 )
 def test_malformed_actuators_are_the_users_to_mend(tmp_path, content):

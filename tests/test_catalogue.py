@@ -29,7 +29,10 @@ def continuous(configuration: str) -> SearchResult:
 
 
 def shop(result: SearchResult, parallel=None, biarticular=None, **options) -> CatalogueResult:
-    catalogue, settings = Catalogue("tiny", parallel or {}, biarticular or {}), options.pop("settings", OPTIONS)
+    catalogue, settings = (
+        Catalogue("tiny", {"PEA": parallel or {}, "BPEA": biarticular or {}}),
+        options.pop("settings", OPTIONS),
+    )
     return search_catalogue(result.design, result.best.solution, catalogue, settings, **options)
 
 
@@ -163,7 +166,7 @@ def test_a_catalogue_without_anything_that_fits_is_explained(pea, bpea):
         shop(pea, {"joint2": (9.0,)})
     with pytest.raises(UserError, match=r"no parallel spring for joint3"):
         shop(pea, {"joint2": (9.0,), "joint3": (70.0,)})
-    with pytest.raises(UserError, match="'tiny' has no biarticular_spring"):
+    with pytest.raises(UserError, match="'tiny' has no biarticular spring for joint2 and joint3"):
         shop(bpea, PARALLEL)
     with pytest.raises(UserError, match="unknown catalogue search 'guess'; there are exhaustive, screened"):
         shop(bpea, biarticular=BIARTICULAR, method="guess")
@@ -179,11 +182,11 @@ def test_the_prototypes_catalogue():
     """facts.md: springs i·2.057 + j·3.4263 with i ≤ 5, j ≤ 4 up to 13.7052, and each pulley with 1 mm of cable."""
     catalogue = load_catalogue()
     values = {round(i * 2.057 + j * 3.4263, 4) for i in range(6) for j in range(5)} - {0.0}
-    assert set(catalogue.parallel["joint2"]) == {v for v in values if v <= 13.7052 + 1e-9}
-    assert catalogue.parallel["joint3"] == (0.6589, 0.8755, 1.318)
+    assert set(catalogue.lists["PEA"]["joint2"]) == {v for v in values if v <= 13.7052 + 1e-9}
+    assert catalogue.lists["PEA"]["joint3"] == (0.6589, 0.8755, 1.318)
     pulleys = [d + 1 for d in (13, 13.5, 14, 18, 18.5, 19, 20.5, 21, 22, 28, 28.5, 38)]
-    assert catalogue.biarticular["r_1"] == catalogue.biarticular["r_3"] == pytest.approx(tuple(d / 1000 for d in pulleys))
-    assert catalogue.biarticular["r_2"] == pytest.approx(tuple((d + 1) / 1000 for d in (18, 21, 22, 22.5, 25, 26, 27, 35)))
+    assert catalogue.lists["BPEA"]["r_1"] == catalogue.lists["BPEA"]["r_3"] == pytest.approx(tuple(d / 1000 for d in pulleys))
+    assert catalogue.lists["BPEA"]["r_2"] == pytest.approx(tuple((d + 1) / 1000 for d in (18, 21, 22, 22.5, 25, 26, 27, 35)))
 
 
 GOOD = {
@@ -202,16 +205,17 @@ def written(folder: Path, **changes) -> Path:
 def test_a_catalogue_file(tmp_path):
     catalogue = load_catalogue(written(tmp_path, name="corner shop"))
     assert catalogue == Catalogue(
-        "corner shop", {"joint2": (1.0, 2.0)}, {"k_b": (1.0,), "r_1": (0.014,), "r_2": (0.02,), "r_3": (0.02,)}
+        "corner shop",
+        {"PEA": {"joint2": (1.0, 2.0)}, "BPEA": {"k_b": (1.0,), "r_1": (0.014,), "r_2": (0.02,), "r_3": (0.02,)}},
     )
 
 
 WRONG = {
     "unknown key": ({"colour": 1}, "unknown key 'colour'"),
     "other format": ({"format": "x"}, "rrr_oc-catalogue/1"),
-    "no list": ({"parallel_springs_Nm_per_rad": {"joint2": 3}}, "joint2 must be a list of numbers above 0, got 3"),
-    "empty list": ({"parallel_springs_Nm_per_rad": {"joint2": []}}, "must be a list of numbers above 0"),
-    "negative": ({"parallel_springs_Nm_per_rad": {"joint2": [-3]}}, "must be a list of numbers above 0"),
+    "no list": ({"parallel_springs_Nm_per_rad": {"joint2": 3}}, "joint2: found 3; a list with at least one entry"),
+    "empty list": ({"parallel_springs_Nm_per_rad": {"joint2": []}}, r"joint2: found \[\]; a list with at least one entry"),
+    "negative": ({"parallel_springs_Nm_per_rad": {"joint2": [-3]}}, r"joint2\[0\]: found -3; a finite number above 0"),
     "unknown pulley": ({"biarticular_spring": {"r_9_mm": [1]}}, "unknown key 'r_9_mm'"),
     "list of springs": ({"parallel_springs_Nm_per_rad": [1, 2]}, "parallel_springs_Nm_per_rad"),
     "pulleys missing": ({"biarticular_spring": {"k_b_Nm_per_rad": [1]}}, "r_1_mm"),
@@ -225,7 +229,7 @@ def test_a_wrong_catalogue_is_explained(tmp_path, changes, message):
 
 
 def test_a_wrong_catalogue_file_is_explained(tmp_path):
-    with pytest.raises(UserError, match="no catalogue at 'nowhere'; give a JSON file or 'prototype'"):
+    with pytest.raises(UserError, match="no catalogue at 'nowhere'; give the path of a JSON file or a preset: prototype"):
         load_catalogue("nowhere")
     file = tmp_path / "shop.json"
     for content in (b"{", b"[]", b"\xff\xfe"):

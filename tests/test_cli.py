@@ -9,7 +9,7 @@ import pytest
 from recorded import Plant, as_set, real, record
 
 from rrr_oc import cli
-from rrr_oc.recordings.recording import save_recordings
+from rrr_oc.recordings.writer import save_recordings
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
 

@@ -13,11 +13,12 @@ import pytest
 from recorded import Plant, as_set, multisine, real, record
 from typer.testing import CliRunner
 
-from rrr_oc.calibration.calibrated_model import Estimate, Term, load_model, nominal_term, save_model
+from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.friction_width import widened, with_widths
 from rrr_oc.calibration.inertial_identification import identify
 from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.calibration.samples import prepare
@@ -43,7 +44,8 @@ from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.numerics.rank import pseudo_inverse
-from rrr_oc.recordings.recording import Recording, load_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording
 from rrr_oc.report.diagnosis_report import sentence, write_diagnosis
 from rrr_oc.robot.inertial_parameters import precision, prior
 from rrr_oc.simulation.replay import pieces
@@ -727,7 +729,7 @@ def test_recorded_load_torque_may_hold_what_no_law_explains(planar, tmp_path):
     made = [record(plant, f"{i}.csv", rng, 12.0, 0.01, load=True) for i in range(4)]
     made = [replace(r, tau=r.tau + 1.5 * np.exp(-((r.q / 0.25) ** 2))) for r in made]
     found = diagnose(as_set(plant, made, torque="load"), jobs=1)
-    (term,) = (f.term for f in found.findings if f.term.effect.lawless)
+    (term,) = (f.term for f in found.findings if f.term.effect.black_box)
     assert term.effect.side == "link"
     assert term.effect.depends_on == (("q", 0),)
     assert found.held_out[1][0] < 0.3 * found.held_out[0][0]

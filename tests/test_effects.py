@@ -13,9 +13,10 @@ import pytest
 from recorded import Plant, as_set, record
 from scipy.integrate import solve_ivp
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, load_model, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.diagnosis.signatures import SignatureCache, table, trials, view
 from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial
@@ -350,7 +351,7 @@ def placed(name: str) -> Effect:
     kind = CATALOGUE[name]
     if kind is Empirical:
         return Empirical((1,), (("q", 1), ("load", 1)), (-1.0, -20.0), (1.0, 20.0), (2, 1), "turned")
-    return kind(() if kind.of_arm else (1, 2) if name in ("biarticular_spring", "coupled_friction") else (1,))
+    return kind({"arm": (), "pair": (1, 2)}.get(kind.placement, (1,)))
 
 
 def admissible(effect: Effect, rng) -> dict[str, float]:
@@ -370,7 +371,7 @@ def law(effect: Effect, arrays: dict[str, np.ndarray], theta: dict[str, float], 
     """Torque on the effect's joints, the shift and the rate of its states, by numpy, one below the other."""
     signals = Signals(**arrays, springs=LISTED)
     parts = [effect.torque(signals, theta, width), effect.rate(signals, theta, width)]
-    parts += [] if effect.simulated else [effect.shift(signals, theta, width)]
+    parts += [] if effect.moves_link else [effect.shift(signals, theta, width)]
     rows = [np.broadcast_to(np.asarray(x, float), (SAMPLES,)) for part in parts for x in part]
     return np.array(rows).reshape(-1, SAMPLES)
 
@@ -383,7 +384,7 @@ def symbolic(effect: Effect, width: float | None = 0.05) -> tuple[ca.Function, l
     named = {p.name: theta[i] for i, p in enumerate(effect.parameters)}
     signals = Signals(**inputs, springs=LISTED)
     parts = [effect.torque(signals, named, width), effect.rate(signals, named, width)]
-    parts += [] if effect.simulated else [effect.shift(signals, named, width)]
+    parts += [] if effect.moves_link else [effect.shift(signals, named, width)]
     out = ca.vertcat(*(ca.SX(x) for part in parts for x in part))
     return ca.Function("law", [*inputs.values(), theta], [out], [*inputs, "theta"], ["torque"]), list(inputs)
 
@@ -393,7 +394,7 @@ each_effect = pytest.mark.parametrize("name", CATALOGUE)
 
 def test_catalogue_has_the_effects_of_the_contract():
     """By exactly their names; beside them only what every calibrated model has, and what stands for no law."""
-    beside = {name for name, kind in CATALOGUE.items() if kind.plain or kind.lawless}
+    beside = {name for name, kind in CATALOGUE.items() if kind.role != "law"}
     assert set(CATALOGUE) - beside == set(CONTRACT)
     for name, parameters in CONTRACT.items():
         effect = placed(name)
@@ -610,9 +611,9 @@ def test_what_is_said_of_an_effect_holds(name):
     theta, arrays = admissible(effect, rng), random_signals(rng)
     before, after = (law(effect, {**arrays, "load": load}, theta) for load in (arrays["load"], 1.1 * arrays["load"]))
     differs = bool(np.any(np.abs(before - after) > 1e-9))
-    of_load = effect.load_dependent or name == "torque_gain"  # "load" of a sensor is the true torque
+    of_load = "load" in effect.inputs or name == "torque_gain"  # "load" of a sensor is the true torque
     assert differs == of_load
-    nothing = effect.side == "body" or effect.simulated or name == "time_delay"
+    nothing = effect.side == "body" or effect.moves_link or name == "time_delay"
     assert (before.size > 0 and bool(np.any(before != 0))) == (not nothing)
 
 
@@ -664,7 +665,7 @@ def arm():
     zero = dict.fromkeys(surface.amplitudes, 0.0)
     by_name["empirical"] = [Trial(surface, tuple(zero | {a: 1.0} for a in surface.amplitudes), width=0.05)]
     for kind in (Echo, FrictionChange):
-        by_name[kind.name] = list(kind.unnamed(view(prepared, model), 1, {}, "motor"))
+        by_name[kind.name] = list(kind.black_box_trials(view(prepared, model), 1, {}, "motor"))
     return model, prepared, by_name
 
 

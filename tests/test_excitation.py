@@ -30,7 +30,7 @@ from rrr_oc.excitation.sweeps import PROTOTYPE_SPRINGS, PROTOTYPE_SWEEP, Planned
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.csv_table import read_table
 from rrr_oc.recordings.importers.prototype import import_prototype
-from rrr_oc.robot.robot import Robot, load_robot
+from rrr_oc.robot.robot import Robot, load_robot, urdf_text
 
 RAW = Path(__file__).resolve().parents[2] / "shared/recordings/rrr_prototype"
 FRICTION = ("viscous_friction", "dry_friction")
@@ -190,7 +190,7 @@ def test_what_no_motion_can_tell():
 def test_base_parameters_are_as_many_as_the_regressor_has(rig):
     """Of 30 inertial parameters this arm has 15 base parameters (Gautier & Khalil's rules; here the rank of Pinocchio's)."""
     robot, rng = rig.model.robot, np.random.default_rng(0)
-    model = pin.buildModelFromUrdf(str(Path(excitation.__file__).parent / "urdf/rrr_prototype.urdf"))
+    model = pin.buildModelFromXML(urdf_text("rrr_prototype"))
     stacked = np.vstack([pin.computeJointTorqueRegressor(model, model.createData(), *s) for s in rng.normal(size=(60, 3, 3))])
     known = model_sensitivity(rig)
     links = tuple(name for name in known.names if name.split(".")[0] in robot.links)

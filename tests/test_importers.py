@@ -10,8 +10,8 @@ from recorded import real
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.recordings.importers import import_mcap, import_prototype
-from rrr_oc.recordings.recording import load_recordings
+from rrr_oc.recordings.importers import JointStates, import_mcap, import_prototype
+from rrr_oc.recordings.reader import load_recordings
 
 JOINTS = ("joint1", "joint2", "joint3")
 
@@ -166,11 +166,13 @@ def test_mcap_round_trip(tmp_path, velocity):
 def test_mcap_with_some_joints_in_amperes(tmp_path):
     file = write_mcap(tmp_path / "a.mcap", states())
     constants = {"joint2": 12.34, "joint3": 10.89}
-    found = import_mcap([file], "rrr", tmp_path / "out", ["joint2", "joint3"], torque="current", torque_constant=constants)
+    found = import_mcap(
+        [file], "rrr", tmp_path / "out", JointStates(["joint2", "joint3"], None, "current", "nominal", constants)
+    )
     assert found.joints == ("joint2", "joint3")
     np.testing.assert_allclose(found.output_torque(found.recordings[0])[0], 12.34 * (np.arange(100.0) + 1))
     with pytest.raises(UserError, match="torque_constant"):
-        import_mcap([file], "rrr", tmp_path / "none", torque="current")
+        import_mcap([file], "rrr", tmp_path / "none", JointStates(torque="current"))
 
 
 def changed(index, **change):
@@ -193,7 +195,7 @@ def changed(index, **change):
 def test_mcap_refuses(tmp_path, messages, arguments, sentence):
     file = write_mcap(tmp_path / "a.mcap", messages)
     with pytest.raises(UserError, match=sentence):
-        import_mcap([file], "rrr", tmp_path / "out", **arguments)
+        import_mcap([file], "rrr", tmp_path / "out", JointStates(**arguments))
     assert not (tmp_path / "out").exists()
 
 
@@ -201,7 +203,7 @@ def test_mcap_topics_and_repeated_messages(tmp_path):
     file = write_mcap(tmp_path / "a.mcap", [m for m in states() for _ in range(2)], topics=("/a", "/b"))
     with pytest.raises(UserError, match="2 topics carry joint states: /a, /b; name one"):
         import_mcap([file], "rrr", tmp_path / "out")
-    assert len(import_mcap([file], "rrr", tmp_path / "out", topic="/b").recordings[0].t) == 100
+    assert len(import_mcap([file], "rrr", tmp_path / "out", JointStates(topic="/b")).recordings[0].t) == 100
     twice = write_mcap(tmp_path / "b.mcap", [m for m in states() for _ in range(2)])
     assert len(import_mcap([twice], "rrr", tmp_path / "again").recordings[0].t) == 100
 

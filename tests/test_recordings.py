@@ -15,7 +15,8 @@ from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import differentiate, local_polynomial, smooth, split
 from rrr_oc.recordings import plausibility
-from rrr_oc.recordings.recording import load_recordings, save_recordings
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.storage import check_file, check_folder, new_folder, write_json, write_npz, write_text
 
 JOINTS = ("joint1", "joint2", "joint3")
@@ -145,7 +146,7 @@ def test_springs_of_all_kinds(write):
     bpea = {"stiffness_Nm_per_rad": 2.0, "equilibrium_rad": 0.5, **pulleys}
     springs = {
         "pea": {"joint1": {"stiffness_Nm_per_rad": 1, "equilibrium_rad": 0, "active": "above"}},
-        "bpea": [bpea, {**bpea, "joints": ["joint1", "joint3"], "winding": [1, -1]}],
+        "bpea": [bpea, {**bpea, "joints": ["joint1", "joint3"], "winding": [1.0, -1]}],
     }
     found = load_recordings(write({**ONE, "recordings": [{"file": "a.csv", "springs": springs, "group": "g"}]}))
     effects = [effect for effect, _ in found.recordings[0].springs]
@@ -437,8 +438,9 @@ BPEA = {**PEA, "radius1_m": 0.02, "radius2_m": 0.02, "radius3_m": 0.02}
         ({"pea": {"joint2": {"equilibrium_rad": 1}}}, ["'stiffness_Nm_per_rad' is missing"]),
         ({"bpea": {**BPEA, "radius1_m": 15}}, ["radius1_m: found 15", "looks like millimetres"]),
         ({"bpea": {**BPEA, "radius2_m": 0}}, ["radius2_m: found 0", "or more"]),
-        ({"bpea": {**BPEA, "joints": ["joint2"]}}, ["bpea.joints", "two different"]),
-        ({"bpea": {**BPEA, "joints": ["joint2", "x"]}}, ["bpea.joints[1]: found 'x'"]),
+        ({"bpea": {**BPEA, "joints": ["joint2"]}}, ["bpea.joints: found ['joint2']", "a list of 2"]),
+        ({"bpea": {**BPEA, "joints": ["joint2", "joint2"]}}, ["bpea.joints", "two different"]),
+        ({"bpea": {**BPEA, "joints": ["joint2", "x"]}}, ["bpea.joints: unknown joint 'x'", "joint1, joint2, joint3"]),
         ({"bpea": {**BPEA, "winding": [1, 2]}}, ["winding", "1 or -1"]),
     ],
 )

@@ -160,7 +160,10 @@ BRANCH = [link("base", 0), link("l1"), link("l2"), link("l3"), joint("j1", "base
         (arm(3, {1: "floating"}), "joint 'j1' is floating"),
         (arm(3, {1: "planar"}), "joint 'j1' is planar"),
         (arm(3, {1: "revolut"}), "joint 'j1' is revolut;"),
-        (robot(*BRANCH, joint("j3", "l1", "l3")), "no serial chain: joint 'j3' hangs on 'j1'; branches are not supported"),
+        (
+            robot(*BRANCH, joint("j3", "l1", "l3")),
+            "no serial chain: joint 'j3' is attached to 'j1'; branches are not supported",
+        ),
         (robot(*BRANCH[:2], BRANCH[4], joint("j2", "l1", "l2")), "not a usable URDF"),
         (robot(link("base", 0), link("l1"), joint("j1", "base", "l1", inside="")), "joint 'j1' has no <limit>"),
         (arm(2).replace('velocity="3"/>', 'velocity="3"/><mimic joint="j2"/>', 1), "joint 'j1' mimics another"),

@@ -470,7 +470,7 @@ def beside(name: str) -> Effect:
     if name == "empirical":
         return UNNAMED
     kind = CATALOGUE[name]
-    return kind(() if kind.of_arm else (1, 2) if name in ("biarticular_spring", "coupled_friction") else (1,))
+    return kind({"arm": (), "pair": (1, 2)}.get(kind.placement, (1,)))
 
 
 def guess(effect: Effect, rng) -> np.ndarray:
@@ -631,7 +631,7 @@ def test_an_encoder_offset_turns_the_joints_zero(form):
 def test_sensors_change_nothing():
     model, theta = spring_arm()
     kinds = [CATALOGUE[k] for k in ("torque_gain", "torque_offset", "time_delay")]
-    more = replace(model, effects=(*model.effects, *(k(() if k.of_arm else (1,)) for k in kinds)))
+    more = replace(model, effects=(*model.effects, *(k(() if k.placement == "arm" else (1,)) for k in kinds)))
     plain = track(model, reference(model, theta, 51), theta, settings=Settings(timestep=4e-3))
     found = track(more, reference(model, theta, 51), [*theta, 0.2, 1.0, 0.01], settings=Settings(timestep=4e-3))
     for a, b in zip(plain.phases, found.phases, strict=True):

@@ -10,9 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rrr_oc.codesign.task import load_task, tool_height
+from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
-from rrr_oc.robot.rigid_body import rigid_body
 
 PAPER = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
 LINK = 0.3  # [m], links 2 and 3
@@ -115,10 +114,10 @@ def test_elbow_up_is_chosen_where_both_fit(tmp_path):
 
 def test_tool_height_is_geometry():
     task, rng = load_task("paper"), np.random.default_rng(3)
-    body = rigid_body(task.robot)
+    model = task.model()
     for q1, q2, q3 in rng.uniform(-3, 3, (20, 3)):
         height = 0.07 + LINK * math.sin(q2) + 0.3 * math.sin(q2 + q3)
-        assert float(tool_height(task, body, np.array([q1, q2, q3]))) == pytest.approx(height, abs=1e-12)
+        assert float(model.tool_height(np.array([q1, q2, q3]))) == pytest.approx(height, abs=1e-12)
 
 
 @pytest.mark.parametrize(("longest", "feasible"), [(1.1072, False), (1.1076, True)])
@@ -141,15 +140,15 @@ def test_a_short_way_needs_the_time_of_a_triangle_of_speed(tmp_path):
 
 
 WRONG = {
-    "unknown key": ({"colour": 1}, r"unknown key 'colour'; allowed are format, name"),
+    "unknown key": ({"colour": 1}, r"unknown key 'colour'; allowed are format, robot"),
     "key missing": ({"start": None}, "key 'start' is missing"),
     "crossed range": (
         {"limits__joint2__range_deg": [150, -10]},
-        r"limits of joint2: bounds of range_deg are crossed: 150 … -10",
+        r"limits\.joint2\.range_deg: bounds are crossed: 150 … -10",
     ),
-    "crossed duration": ({"duration_s": [5, 1]}, "bounds of duration_s are crossed: 5 … 1"),
-    "three durations": ({"duration_s": [1, 2, 3]}, r"duration_s must be two numbers \[lower, upper\]"),
-    "no duration": ({"duration_s": [0, 5]}, "duration_s must be above 0"),
+    "crossed duration": ({"duration_s": [5, 1]}, "duration_s: bounds are crossed: 5 … 1"),
+    "three durations": ({"duration_s": [1, 2, 3]}, r"duration_s: found \[1, 2, 3\]; a list of 2 numbers"),
+    "no duration": ({"duration_s": [0, 5]}, r"duration_s: found \[0.0, 5.0\]; durations above 0"),
     "out of reach": (
         {"release__position_m": [0.7, 0, 0.07]},
         r"release at \[0.7, 0.0, 0.07\] m is out of reach .* nearer than 0\.1000 m",
@@ -159,20 +158,20 @@ WRONG = {
         {"start": {"angles_deg": [10, 10]}},
         r"joint3 would stand at 10.00°, outside its range -180.00° … 0.00°",
     ),
-    "three angles": ({"start": {"angles_deg": [1, 1, 1]}}, "angles_deg must be 2 numbers"),
+    "three angles": ({"start": {"angles_deg": [1, 1, 1]}}, "start.angles_deg: found .*; one number per moving joint"),
     "angles and position": ({"start": {"angles_deg": [1, 1], "position_m": [1, 1, 1]}}, 'either "angles_deg" or "position_m"'),
     "too little time": ({"duration_s": [0.2, 1.0]}, r"the task cannot be done: joint3 needs 1\.11 s .* allows 1 s"),
     "below the floor": ({"floor_m": 0.1}, r"at the start the tool stands 0\.0700 m high, below floor_m = 0.1 m"),
-    "negative payload": ({"payload_kg": -1}, "payload_kg must be a finite number of 0 or more, got -1"),
-    "payload is no number": ({"payload_kg": float("nan")}, "payload_kg must be a finite number of 0 or more, got nan"),
+    "negative payload": ({"payload_kg": -1}, "payload_kg: found -1; a finite number of 0 or more"),
+    "payload is no number": ({"payload_kg": float("nan")}, "payload_kg: found nan; a finite number"),
     "unknown joint": ({"moving": ["joint2", "joint9"]}, "no joint 'joint9'; it has joint1, joint2, joint3"),
-    "unknown joint in limits": ({"limits__joint9": {}}, "limits: unknown key 'joint9'; allowed are joint2, joint3"),
-    "wrong order": ({"moving": ["joint3", "joint2"]}, "moving must list different joints, base first"),
-    "nothing moves": ({"moving": []}, "moving must be a list of joint names"),
-    "no speed": ({"limits__joint2__speed_deg_per_s": 0}, "speed_deg_per_s must be a number above 0, got 0"),
-    "speed in words": ({"limits__joint2__speed_deg_per_s": "fast"}, "must be a number above 0, got 'fast'"),
-    "negative torque": ({"limits__joint2__torque_Nm": -3}, "torque_Nm must be a number above 0"),
-    "unknown limit": ({"limits__joint2__jerk": 3}, "limits of joint2: unknown key 'jerk'"),
+    "unknown joint in limits": ({"limits__joint9": {}}, "limits: unknown joint 'joint9'; allowed are joint2, joint3"),
+    "wrong order": ({"moving": ["joint3", "joint2"]}, "moving: found joint3, joint2; different joints, base first"),
+    "nothing moves": ({"moving": []}, r"moving: found \[\]; a list with at least one entry"),
+    "no speed": ({"limits__joint2__speed_deg_per_s": 0}, "speed_deg_per_s: found 0; a finite number above 0"),
+    "speed in words": ({"limits__joint2__speed_deg_per_s": "fast"}, "speed_deg_per_s: found 'fast'; a finite number above 0"),
+    "negative torque": ({"limits__joint2__torque_Nm": -3}, "torque_Nm: found -3; a finite number above 0"),
+    "unknown limit": ({"limits__joint2__jerk": 3}, "limits.joint2: unknown key 'jerk'"),
     "unknown link": ({"tool": {"link": "hand", "position_m": [0, 0, 0]}}, "no link 'hand'; it has base"),
     "tool on the base": ({"tool": {"link": "base", "position_m": [0, 0, 0]}}, "link 'base' .* does not move"),
     "position without the last link": ({"tool": {"link": "link2", "position_m": [0.1, 0, 0]}}, "give angles_deg"),
@@ -187,10 +186,10 @@ def test_a_wrong_task_is_explained(tmp_path, changes, message):
 
 
 def test_a_wrong_file_is_explained(tmp_path):
-    with pytest.raises(UserError, match=r"no task at 'nowhere.json'.* presets paper, prototype"):
+    with pytest.raises(UserError, match=r"no task at 'nowhere.json'.* preset: paper, prototype"):
         load_task("nowhere.json")
     file = tmp_path / "task.json"
-    for content, message in ((b"{", "not valid JSON"), (b"\xff\xfe\x00", "not valid JSON"), (b"[]", "rrr_oc-task/1")):
+    for content, message in ((b"{", "not valid JSON"), (b"\xff\xfe\x00", "UTF-8"), (b"[]", "an object with format")):
         file.write_bytes(content)
         with pytest.raises(UserError, match=message):
             load_task(file)

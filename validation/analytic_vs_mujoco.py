@@ -140,18 +140,10 @@ def compare_states() -> list[StateRow]:
 
 def _placed(kind: type[Effect], n: int) -> tuple[Effect, ...] | None:
     """The effect on all joints, on neighbouring pairs where it spans two, or once where it belongs to the arm."""
-    if kind.side in ("motion", "sensor") or kind.states or kind.of_spring:
+    if kind.side in ("motion", "sensor") or kind.states or kind.placement == "spring":
         return None
-    if kind.of_arm:
-        return (kind(()),)
-    if kind.name == "coupled_friction":
-        return tuple(kind((j, j + 1)) for j in range(n - 1))
-    for places in ([(j,) for j in range(n)], [(j, j + 1) for j in range(n - 1)]):
-        try:
-            return tuple(kind(place) for place in places)
-        except (UserError, TypeError):
-            continue
-    return None
+    places = {"arm": [()], "pair": [(j, j + 1) for j in range(n - 1)]}.get(kind.placement, [(j,) for j in range(n)])
+    return tuple(kind(place) for place in places)
 
 
 def _compare_state(model: Model, form: Form, label: str, speeds: float = 0.0) -> StateRow:

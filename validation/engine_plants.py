@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.parallel import unordered
-from rrr_oc.recordings.recording import load_recordings
+from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.storage import write_json, write_text
 
 STEP = 0.0005  # [s], of the engine

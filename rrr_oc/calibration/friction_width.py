@@ -13,7 +13,6 @@ from rrr_oc.calibration.least_squares import box_step, normal_equations
 from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
 from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared
 from rrr_oc.effects import Signals
-from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.numerics.rank import lengths, pseudo_inverse
 from rrr_oc.recordings.recording import Recording
 
@@ -43,7 +42,7 @@ def with_widths(
         least_gain: 0 for the best width, significant or not.
     """
     columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
-    chosen = [i for i, t in enumerate(model.terms) if isinstance(t.effect, DryFriction) and t.width is not None]
+    chosen = [i for i, t in enumerate(model.terms) if t.effect.sign_forms and t.width is not None]
     if not chosen:
         return model
     found = rows(prepared, model, inertial=model.inertial == "identify")
@@ -94,7 +93,8 @@ def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:
 def _unit_laws(term: Term, recording: Recording, width: float, speeds: np.ndarray) -> np.ndarray:
     """Dry friction of level 1, constant and falling off beyond each of the speeds (m,), (1 + m, K)."""
     (j,), dq = term.effect.joints, recording.dq
-    (torque,) = term.effect.torque(Signals(recording.q, dq), {"level": 1.0}, width)
+    (parameter,) = term.effect.parameters
+    (torque,) = term.effect.torque(Signals(recording.q, dq), {parameter.name: 1.0}, width)
     constant = np.array(torque).reshape(-1)
     return np.array([constant, *(constant * np.exp(-((dq[j] / speed) ** 2)) for speed in speeds)])
 
@@ -124,7 +124,7 @@ def with_widths_free(found: Rows, prepared: Sequence[Prepared], model: Calibrate
 
 def _by_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[dict[tuple[int, ...], float], Rows]:
     """Fitted widths of friction, by joint, and the rows with derivatives by their logarithms after all others."""
-    friction = [t for t in model.terms if isinstance(t.effect, DryFriction)]
+    friction = [t for t in model.terms if t.effect.sign_forms]
     widths = {t.effect.joints: cast(float, t.width) for t in friction if t.width not in (None, nominal_term(t.effect).width)}
     columns = [found.jacobian]
     for joints, width in widths.items():

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.covariance import Covariance, covariance, intervals
 from rrr_oc.calibration.friction_width import with_widths_free
 from rrr_oc.calibration.inverse_dynamics import Fit, checked_rows, described, finished, fit_report
@@ -22,6 +22,7 @@ from rrr_oc.calibration.term_fit import bounds, with_estimates, with_parameter_v
 from rrr_oc.numerics.rank import condition, pseudo_inverse
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import Prior, base_parameters, links_from_log_cholesky, prior, pseudo_inertia
+from rrr_oc.storage import number
 
 OPTIONS = LevenbergMarquardt(steps=200, gain=2e-6)  # of the squared residual over its variance
 ROUNDS = (

@@ -1,7 +1,8 @@
 """Calibration on inverse dynamics: the parameters of a model's terms, with trusted inertial parameters.
 
-The plain model has dry friction, viscous friction and armature in every joint, and its residuals (`regression`) are linear in the
-parameters, so that one step solves for them. Other effects take more. Standard errors are those of `covariance`.
+The plain model has the effects of the role "plain" in every joint: dry friction, viscous friction and armature. Its residuals
+(`regression`) are linear in the parameters, so that one step solves for them. Other effects take more. Standard errors are those of
+`covariance`.
 """
 
 import platform
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc import __version__
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, nominal_term, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, nominal_term
 from rrr_oc.calibration.covariance import Covariance, covariance, intervals
 from rrr_oc.calibration.friction_width import LEAST_GAIN, with_step_of_widths, with_widths_free
 from rrr_oc.calibration.least_squares import GaussNewton, minimise, normal_equations
@@ -22,16 +23,14 @@ from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.regression import Rows, is_linear, rows, with_residuals
 from rrr_oc.calibration.samples import CORRELATION, FILTER, STRIDE, Prepared, noise, without_spikes
 from rrr_oc.calibration.term_fit import TermFit, TermPoint, bounds, labels, with_estimates
-from rrr_oc.effects.friction.dry_friction import DryFriction
-from rrr_oc.effects.friction.viscous_friction import ViscousFriction
-from rrr_oc.effects.transmission.armature import Armature
+from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.rank import condition, undetermined
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import links_from_log_cholesky, prior
 from rrr_oc.robot.robot import BUNDLED, urdf_text
+from rrr_oc.storage import number
 
-PLAIN = (DryFriction, ViscousFriction, Armature)
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
 OPTIONS = GaussNewton(steps=30, promise=1e-9, rise=1e-9)
 WIDTH_STEPS = 2  # of the fitted widths together with all other parameters; doubled, no change within the standard errors
@@ -64,7 +63,7 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
     robot, n = recordings.robot, recordings.robot.n
     if recordings.inertial == "identify":
         robot = replace(robot, inertial=links_from_log_cholesky(prior(robot).centre)[0])
-    kinds = () if recordings.torque == "load" else PLAIN
+    kinds = () if recordings.torque == "load" else plain_effects()
     return CalibratedModel(
         robot=robot,
         source=str(recordings.source) if str(recordings.source) in BUNDLED else "urdf",

@@ -19,7 +19,6 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.effects import Body, Effect, Signals, Trial
-from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.model.recorded_physics import Physics, later, moved, states_along
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
@@ -80,11 +79,10 @@ class Prediction:
     def before_sensors(self, trial: Trial) -> np.ndarray:
         """As `by_trial`, but as a perfect sensor records it, unless the trial's effect is one of sensors."""
         effect, shape = trial.effect, self.recording.q.shape
-        if effect.of_spring and effect.joints not in (self.signals.springs or {}):
+        if "springs" in effect.inputs and effect.joints not in (self.signals.springs or {}):
             return np.zeros((len(trial.points), *shape))
-        if isinstance(effect, Empirical):
-            result = self._of_series(effect, trial)
-        else:
+        result = self._of_series(trial) if effect.side in ("link", "drive") else None
+        if result is None:
             changes = {"body": self._of_body, "motion": self._of_motion, "sensor": self._of_sensor}
             change = changes.get(effect.side, self._of_torque)
             result = np.array([change(effect, theta, trial.width) for theta in trial.points]).reshape(-1, *shape)
@@ -94,18 +92,18 @@ class Prediction:
 
     def depends_on(self, effect: Effect) -> Hashable | None:
         """The parts of the model on which `before_sensors` depends for an effect; None where on nearly all of it."""
-        if effect.side == "sensor" or effect.of_friction:
+        if effect.side == "sensor" or "friction" in effect.inputs:
             return None
         felt = range(self.model.robot.n) if effect.side != "link" else effect.joints
         through = [one for one in self._at_work["through"] if effect.side != "drive" and one[0].joints[0] in felt]
-        if effect.load_dependent or effect.side == "motion" or through:
+        if "load" in effect.inputs or effect.side == "motion" or through:
             return *through, self._at_work["load"]
         return self._at_work["body"] if effect.side == "body" else ()
 
     @cached_property
     def gain(self) -> np.ndarray | None:
         """Recorded over true change of each joint's torque (n,), by the model's sensors; None where they delay it."""
-        if any(effect.side == "sensor" and effect.of_arm for effect in self.physics.model.effects):
+        if any(effect.dynamics == "delay" for effect in self.physics.model.effects):
             return None
         return self.physics.passed_on(self.recording, np.ones_like(self.recording.q))[:, 0]
 
@@ -132,7 +130,7 @@ class Prediction:
         """Torque of the plain friction (n, K) [Nm]."""
         result = np.zeros_like(self.load)
         for effect, theta, width in self.physics.named():
-            if effect.plain and effect.name != "armature":
+            if effect.provides == "friction":
                 result[effect.joints[0]] += np.array(effect.torque(self.of_motion, theta, width)[0]).reshape(-1)
         return result
 
@@ -141,7 +139,7 @@ class Prediction:
         """d (what is recorded) / d (load torque) of each joint, (n, K): 1 but for friction that grows with the load."""
         result, signals = np.ones_like(self.load), replace(self.of_motion, friction=self.friction)
         for effect, theta, width in self.physics.named():
-            if effect.load_dependent and self.model.torque != "load":
+            if "load" in effect.inputs and self.model.torque != "load":
                 more, now = (
                     np.array(effect.torque(replace(signals, load=x), theta, width)[0]).reshape(-1)
                     for x in (self.load + LOAD_STEP, self.load)
@@ -186,8 +184,8 @@ class Prediction:
         load = of("link", "body", "motion")
         return {
             "load": load,
-            "body": load if any(effect.simulated for effect, *_ in named) else of("body", "motion"),
-            "through": tuple(one for one in named if one[0].load_dependent and self.model.torque != "load"),
+            "body": load if any(effect.moves_link for effect, *_ in named) else of("body", "motion"),
+            "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
         }
 
     def _places(self, terms: Sequence[Term]) -> tuple[list[int], list[slice]]:
@@ -220,23 +218,27 @@ class Prediction:
         (found,) = along(function, *physics.inputs(r), physics.theta, physics.widths, physics.inertial)
         return found.reshape(n, len(r.t), columns)
 
-    def _of_series(self, effect: Empirical, trial: Trial) -> np.ndarray:
-        signals = self.signals if effect.load_dependent or effect.of_spring or effect.of_friction else self.of_motion
+    def _of_series(self, trial: Trial) -> np.ndarray | None:
+        """Of an effect that is a sum of given functions times coefficients; None of any other."""
+        effect = trial.effect
+        basis = effect.basis(self.signals if effect.inputs else self.of_motion, trial.width)
+        if basis is None:
+            return None
         result = np.zeros((len(trial.points), *self.recording.q.shape))
         coefficients = np.array([[point[a] for a in effect.amplitudes] for point in trial.points])
-        result[:, effect.joints[0]] = -coefficients @ np.array(effect.basis(signals, trial.width))
+        result[:, effect.joints[0]] = -coefficients @ np.array(basis)
         return result
 
     def _of_torque(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
-        signals = self.signals if effect.load_dependent or effect.of_spring or effect.of_friction else self.of_motion
+        signals = self.signals if effect.inputs else self.of_motion
         if effect.states:
             signals = replace(signals, states=list(states_along(self.recording, effect, theta, width, self.load)))
         return -self._on_joints(effect, effect.torque(signals, theta, width))
 
     def _of_sensor(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
         true = self.physics.torques(self.recording)[self.model.torque == "load"]
-        if effect.of_arm:
-            return later(self.recording, true, theta["delay"]) - true
+        if effect.dynamics == "delay":
+            return later(self.recording, true, effect.delay(theta)) - true
         return self._on_joints(effect, effect.torque(replace(self.signals, load=true), theta, width))
 
     def _on_joints(self, effect: Effect, torques: Sequence[Any]) -> np.ndarray:

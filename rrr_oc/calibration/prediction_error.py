@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.numerics.savitzky_golay import WINDOW, smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.simulation.replay import replay, tracking_controller
-from rrr_oc.storage import write_text
+from rrr_oc.storage import number, write_csv
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load")
 DROPPED = 0.1  # [s] left out at the start and at the end of a recording
@@ -82,10 +82,10 @@ def summary(inverse: Errors, simulated: Errors | None = None) -> dict[str, Any]:
 def write_predictions(model: CalibratedModel, recordings: RecordingSet, folder: str | Path) -> None:
     """One CSV per recording, named as the recording: t and the predicted signal of every joint, at every sample."""
     model = model.placed(recordings)
-    tables = {r.file: np.vstack([r.t, model.predict(r)]).T.tolist() for r in recordings.recordings}
-    for file, table in tables.items():
-        header = ",".join(["t", *(f"tau_{joint}" for joint in model.joints)])
-        write_text(Path(folder) / file, "\n".join([header, *(",".join(map(repr, row)) for row in table)]) + "\n")
+    tables = {r.file: (r.t, *model.predict(r)) for r in recordings.recordings}
+    for file, columns in tables.items():
+        names = ("t", *(f"tau_{joint}" for joint in model.joints))
+        write_csv(Path(folder) / file, dict(zip(names, columns, strict=True)))
 
 
 def _measured(model: CalibratedModel, recordings: RecordingSet, recording: Recording) -> dict[str, np.ndarray]:

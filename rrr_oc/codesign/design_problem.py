@@ -1,5 +1,6 @@
 """The co-design problem: motion, durations and springs of a task together, as an optimal-control problem."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -8,29 +9,24 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rrr_oc.codesign.task import PHASES, Task, tool_height
-from rrr_oc.effects import Effect
-from rrr_oc.effects.elastic.biarticular_spring import (
-    HARDWARE_LIMITS,
-    BiarticularSpring,
-    hardware_exists,
-    pick_hardware,
-    reduced,
-)
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.codesign.task import PHASES, Task
+from rrr_oc.effects import Effect, design_forms
+from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
 from rrr_oc.robot.drives import Actuators
-from rrr_oc.robot.parameters import check_names
+from rrr_oc.schema import check_names
 
-CONFIGURATIONS = {
-    "SA": (),
-    "PEA": ("parallel_spring",),
-    "BPEA": ("biarticular_spring",),
-    "PEA+BPEA": ("parallel_spring", "biarticular_spring"),
-}
-HARDWARE = ("k_b", "q_0", "r_1", "r_2", "r_3")
+
+def configurations() -> dict[str, tuple[str, ...]]:
+    """Names of the effects that each configuration has: "SA" none, then every combination of those that have a design form."""
+    kinds = {label: kind.name for label, kind in design_forms().items()}
+    some = [labels for count in range(1, len(kinds) + 1) for labels in itertools.combinations(kinds, count)]
+    return {"SA": ()} | {"+".join(labels): tuple(kinds[label] for label in labels) for labels in some}
+
+
+CONFIGURATIONS = configurations()  # of the springs that are known as this module is imported
 COSTS = ("load", "motor", "energy")
 FLOOR = "height of the tool"
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
@@ -43,8 +39,9 @@ class SpringBounds:
     Attributes:
         effect: The spring.
         lower, upper: Bounds of its parameters, in their order.
-        hardware: For a biarticular spring the bounds of k_b, q_0, r_1, r_2, r_3 in SI units; else empty.
-        fixed: For a biarticular spring of given hardware its k_b, r_1, r_2, r_3 in SI units; else empty.
+        hardware: Of a spring whose parameters are functions of its hardware (`DesignForm.derived`), the bounds of that by symbol
+            in SI units; else empty.
+        fixed: Of such a spring of given hardware, the hardware in SI units; else empty.
         known: Whether it is there in any case, with `lower` = `upper`, and no part of the design: then it may be any effect on
             the links or of the rigid body.
     """
@@ -56,12 +53,20 @@ class SpringBounds:
     fixed: Mapping[str, float] = field(default_factory=dict)
     known: bool = False
 
+    @property
+    def form(self) -> DesignForm:
+        """The spring's form in a co-design; raises `UserError` where it has none."""
+        if self.effect.design is None:
+            raise UserError(f"{self.effect.name} has no form in a co-design")
+        return self.effect.design
+
 
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
-    """The springs of a configuration (`CONFIGURATIONS`) with the task's bounds; raises `UserError` for crossed ones."""
-    if configuration not in CONFIGURATIONS:
-        raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(CONFIGURATIONS)}")
-    kinds, known = CONFIGURATIONS[configuration], ("parallel_spring", "biarticular_spring")
+    """The springs of a configuration (`configurations`) with the task's bounds; raises `UserError` for crossed ones."""
+    every, known = configurations(), [kind.name for kind in design_forms().values()]
+    if configuration not in every:
+        raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(every)}")
+    kinds = every[configuration]
     for entry in task.springs:
         if entry.get("effect") not in known:
             raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
@@ -73,10 +78,10 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
 
 
 def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of the numbers that a search draws for springs: k_b, q_0, r_1, r_2, r_3 of a biarticular one whose hardware is free,
-    else the effect's own parameters."""
-    lower = [[lo for lo, _ in (s.hardware[h] for h in HARDWARE)] if s.hardware else s.lower for s in springs]
-    upper = [[hi for _, hi in (s.hardware[h] for h in HARDWARE)] if s.hardware else s.upper for s in springs]
+    """Bounds of the numbers that a search draws for springs: the hardware where parameters are functions of it and it is free, else
+    the effect's own parameters."""
+    lower = [[lo for lo, _ in s.hardware.values()] if s.hardware else s.lower for s in springs]
+    upper = [[hi for _, hi in s.hardware.values()] if s.hardware else s.upper for s in springs]
     return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
 
 
@@ -84,9 +89,9 @@ def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray
     """Parameters (p, ...) of a design from such numbers (drawn, ...), one after the other."""
     rows, at = [np.zeros((0, *np.shape(drawn)[1:]))], 0
     for spring in springs:
-        size = len(HARDWARE) if spring.hardware else len(spring.lower)
+        size = len(spring.hardware) or len(spring.lower)
         numbers = np.asarray(drawn[at : at + size], float)
-        values = np.array(reduced(*numbers)) if spring.hardware else numbers
+        values = spring.form.parameters(numbers) if spring.hardware else numbers
         bounds = (b.reshape(-1, *[1] * (values.ndim - 1)) for b in (spring.lower, spring.upper))
         rows.append(np.clip(values, *bounds))
         at += size
@@ -95,34 +100,19 @@ def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray
 
 def _spring(task: Task, entry: Mapping) -> SpringBounds:
     where = f"task {task.name!r}: {entry['effect']}"
-    needed = "joint" if entry["effect"] == "parallel_spring" else "joints"
-    if needed not in entry:
-        raise UserError(f"{where} lacks the key {needed!r}")
-    if entry["effect"] == "parallel_spring":
-        check_names(entry, ("effect", "joint", "active", "stiffness_Nm_per_rad", "equilibrium_deg"), where)
-        effect = ParallelSpring((task.robot.index(entry["joint"]),), entry.get("active", "below"))
-        stiffness = _bounds(where, entry, "stiffness_Nm_per_rad", 1.0)
-        equilibrium = _bounds(where, entry, "equilibrium_deg", np.pi / 180)
-        if stiffness[0] < 0:
-            raise UserError(f"{where}: stiffness_Nm_per_rad must be 0 or more, got {stiffness[0]:g} … {stiffness[1]:g}")
-        return SpringBounds(effect, np.array([stiffness[0], equilibrium[0]]), np.array([stiffness[1], equilibrium[1]]))
-    keys = {"k_b": "k_b_Nm_per_rad", "q_0": "q_0_deg", "r_1": "r_1_mm", "r_2": "r_2_mm", "r_3": "r_3_mm"}
-    check_names(entry, ("effect", "joints", "winding", *keys.values()), where)
-    units = {"k_b": 1.0, "q_0": np.pi / 180, "r_1": 1e-3, "r_2": 1e-3, "r_3": 1e-3}
-    bounds = {name: _bounds(where, entry, key, units[name]) for name, key in keys.items()}
-    if bounds["k_b"][0] != 0 or not bounds["k_b"][1] > 0:
-        raise UserError(f"{where}: k_b_Nm_per_rad must reach from 0 to above 0, got {entry['k_b_Nm_per_rad']}")
-    if not bounds["q_0"][0] < 0 < bounds["q_0"][1]:
-        raise UserError(f"{where}: q_0_deg must have a negative lower and a positive upper bound, got {entry['q_0_deg']}")
-    if min(bounds[r][0] for r in ("r_1", "r_2", "r_3")) <= 0:
-        raise UserError(f"{where}: radii must be above 0 mm")
-    effect = BiarticularSpring(tuple(task.robot.index(j) for j in entry["joints"]), tuple(entry.get("winding", (1, 1))))
-    ratio = bounds["r_1"][1] / bounds["r_2"][0]
-    kappa = bounds["k_b"][1] * (bounds["r_2"][1] / bounds["r_1"][0]) ** 2
-    wider = 1.05  # the hardware's inequalities bind, not this box around them
-    lower = [0.0, bounds["r_3"][0] / bounds["r_2"][1] / wider, bounds["q_0"][0] * ratio * wider]
-    upper = [kappa * wider, bounds["r_3"][1] / bounds["r_2"][0] * wider, bounds["q_0"][1] * ratio * wider]
-    return SpringBounds(effect, np.array(lower), np.array(upper), bounds)
+    kind = next(kind for kind in design_forms().values() if kind.name == entry["effect"])
+    form, place = kind.design, "joints" if kind.placement == "pair" else "joint"
+    assert form is not None
+    check_names(entry, ("effect", place, *form.options, *(q.key for q in form.quantities)), where)
+    if place not in entry:
+        raise UserError(f"{where} lacks the key {place!r}")
+    names = entry[place] if place == "joints" else [entry[place]]
+    options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in form.options if key in entry}
+    effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
+    bounds = {q.symbol: _bounds(where, entry, q.key, q.unit) for q in form.quantities}
+    if (wrong := form.wrong(bounds)) is not None:
+        raise UserError(f"{where}: {wrong}")
+    return SpringBounds(effect, *form.box(bounds), bounds if form.derived else {})
 
 
 def _bounds(where: str, entry: Mapping, key: str, unit: float) -> tuple[float, float]:
@@ -170,13 +160,13 @@ class CoDesign:
     def data_names(self) -> tuple[str, ...]:
         """Names of the problem's data: payload, smoothing widths, hardware bounds."""
         widths = [f"width of {self.model.label(e)}" for e in self.model.effects if e.width is not None]
-        hardware = [f"{h} {side}" for s in self.springs if s.hardware for h in HARDWARE for side in ("lower", "upper")]
+        hardware = [f"{h} {side}" for s in self.springs for h in s.hardware for side in ("lower", "upper")]
         return ("payload", *widths, *hardware)
 
     def data(self, width: float | None = None) -> np.ndarray:
         """Values of the problem's data, all smoothing widths [rad] set to `width` if given."""
         widths = self.model.widths if width is None else np.full(self.model.widths.size, width)
-        hardware = [s.hardware[h][side] for s in self.springs if s.hardware for h in HARDWARE for side in (0, 1)]
+        hardware = [bound for s in self.springs for bounds in s.hardware.values() for bound in bounds]
         return np.r_[self.task.payload, widths, hardware]
 
     @cached_property
@@ -241,7 +231,7 @@ class CoDesign:
         tau = self._load_torque(x[:m], x[m:], u, payload, p, d[1 : 1 + self.model.widths.size])[0]
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for i in limited])
         if np.isfinite(task.floor):
-            path = ca.vertcat(path, tool_height(task, self.model.body, self._all_joints(x[:m])))
+            path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m])))
         return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), self._cost_rate(x[m:], u, tau), path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
@@ -269,10 +259,10 @@ class CoDesign:
         for spring in self.springs:
             size = len(spring.effect.parameters)
             if spring.hardware:
-                bounds = {h: (d[offset + 2 * i], d[offset + 2 * i + 1]) for i, h in enumerate(HARDWARE)}
-                rows.append(hardware_exists(p[at], p[at + 1], p[at + 2], bounds))
-                names += HARDWARE_LIMITS
-                offset += 2 * len(HARDWARE)
+                bounds = {h: (d[offset + 2 * i], d[offset + 2 * i + 1]) for i, h in enumerate(spring.hardware)}
+                rows.append(spring.form.exists([p[at + i] for i in range(size)], bounds))
+                names += spring.form.limits
+                offset += 2 * len(spring.hardware)
             at += size
         return (ca.Function("design", [p, d], [ca.vertcat(*rows)]), tuple(names)) if rows else (None, ())
 
@@ -303,15 +293,8 @@ class CoDesign:
         found, numbers = {}, iter(np.asarray(parameters, float).tolist())
         for spring in self.springs:
             named = {p.name: next(numbers) for p in spring.effect.parameters}
-            if spring.known:
-                continue
-            if spring.fixed:
-                found |= {**spring.fixed, "q_0": named["phi"] * spring.fixed["r_2"] / spring.fixed["r_1"]}
-            elif spring.hardware:
-                found |= pick_hardware(named["kappa"], named["rho"], named["phi"], spring.hardware)
-            elif isinstance(spring.effect, ParallelSpring):
-                number = spring.effect.joints[0] + 1
-                found |= {f"k_p{number}": named["stiffness"], f"q_eq{number}": named["equilibrium"]}
+            if not spring.known:
+                found |= spring.form.named(spring.effect.joints, named, spring.hardware, spring.fixed)
         return found
 
     def with_physics(self, effects: Sequence[tuple[Effect, np.ndarray]]) -> "CoDesign":
@@ -322,33 +305,18 @@ class CoDesign:
         return replace(self, springs=(*self.springs, *given))
 
     def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "CoDesign":
-        """The same problem with springs fixed to hardware, except the names in `keep_free`.
+        """The same problem with springs fixed to hardware, except the names in `keep_free`."""
+        springs = tuple(_held(spring, hardware, keep_free) for spring in self.springs)
+        return replace(self, springs=springs)
 
-        Of a biarticular spring kappa and rho are fixed by k_b and the radii; q_0 free leaves phi free within its bounds.
-        """
-        springs = []
-        for spring in self.springs:
-            lower, upper = spring.lower.copy(), spring.upper.copy()
-            if spring.known:
-                springs.append(spring)
-                continue
-            if spring.hardware:
-                fixed = {h: hardware[h] for h in HARDWARE if h != "q_0"}
-                kappa, rho, phi = reduced(fixed["k_b"], hardware.get("q_0", 0.0), fixed["r_1"], fixed["r_2"], fixed["r_3"])
-                ratio = fixed["r_1"] / fixed["r_2"]
-                free = [b * ratio for b in spring.hardware["q_0"]] if "q_0" in keep_free else [phi, phi]
-                bounds = np.array([kappa, rho, free[0]]), np.array([kappa, rho, free[1]])
-                springs.append(SpringBounds(spring.effect, *bounds, fixed=fixed))
-                continue
-            if not isinstance(spring.effect, ParallelSpring):
-                springs.append(spring)
-                continue
-            number = spring.effect.joints[0] + 1
-            for i, name in enumerate((f"k_p{number}", f"q_eq{number}")):
-                if name not in keep_free:
-                    lower[i] = upper[i] = hardware[name]
-            springs.append(SpringBounds(spring.effect, lower, upper))
-        return CoDesign(self.task, tuple(springs), self.cost, self.actuators, self.at_rest)
+
+def _held(spring: SpringBounds, hardware: Mapping[str, float], keep_free: Sequence[str]) -> SpringBounds:
+    """The spring fixed to hardware, except the names in `keep_free`."""
+    if spring.known or spring.fixed:
+        return spring
+    box = spring.lower, spring.upper
+    lower, upper, fixed = spring.form.held(spring.effect.joints, box, spring.hardware, hardware, keep_free)
+    return SpringBounds(spring.effect, lower, upper, fixed=fixed)
 
 
 def torque_path(joint: str) -> str:

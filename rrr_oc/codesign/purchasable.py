@@ -1,22 +1,24 @@
 """Purchasable hardware: the best springs and pulleys of a catalogue, searched over all of it, the rest re-optimised."""
 
-import importlib.resources
 import itertools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta, field
 from scipy.interpolate import RegularGridInterpolator
 
-from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.design_problem import CoDesign, SpringBounds
 from rrr_oc.codesign.multistart import Optimum, SearchOptions, continued, transcribed
-from rrr_oc.effects.elastic.biarticular_spring import reduced
+from rrr_oc.effects import design_forms
+from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.parallel import unordered
-from rrr_oc.robot.parameters import check_names, read_object
+from rrr_oc.schema import Positive, Schema, Text, check_names, read_preset
 
 METHODS = ("exhaustive", "screened")
 
@@ -27,45 +29,39 @@ class Catalogue:
 
     Attributes:
         name: Where it is from.
-        parallel: Stiffnesses by joint name [Nm/rad].
-        biarticular: Lists of k_b [Nm/rad], r_1, r_2, r_3 [m] (cable included).
+        lists: By label of the springs' design form, values in SI units: by joint name where one quantity is bought, else by the
+            quantity's symbol (pulleys with their cable included).
     """
 
     name: str
-    parallel: Mapping[str, tuple[float, ...]]
-    biarticular: Mapping[str, tuple[float, ...]]
+    lists: Mapping[str, Mapping[str, tuple[float, ...]]]
+
+
+Sizes = Annotated[list[Positive], Meta(min_length=1)]
 
 
 def load_catalogue(source: str | Path = "prototype") -> Catalogue:
     """The bundled catalogue of the prototype, or a JSON file of the same form; raises `UserError`."""
-    if str(source) == "prototype":
-        text, where = importlib.resources.files("rrr_oc.data").joinpath("catalogue.json").read_text(), "catalogue 'prototype'"
-    elif Path(source).is_file():
-        text, where = Path(source).read_bytes(), str(source)
+    forms = {label: kind.design for label, kind in design_forms().items() if kind.design is not None and kind.design.shop}
+    keys: list[Any] = [("format", Literal["rrr_oc-catalogue/1"]), ("name", Text | None, None)]
+    keys += [(form.shop, dict[str, Sizes], field(default_factory=dict)) for form in forms.values()]
+    schema = msgspec.defstruct("CatalogueFile", keys, bases=(Schema,))
+    where, given = read_preset("catalogue", source, {"prototype": "catalogue.json"}, schema)
+    lists = {label: _lists(f"{where}: {form.shop}", form, getattr(given, form.shop)) for label, form in forms.items()}
+    return Catalogue(given.name or str(source), lists)
+
+
+def _lists(where: str, form: DesignForm, given: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:
+    """What can be bought of one kind of spring, as `Catalogue.lists` holds it."""
+    if len(form.bought) == 1:
+        names = {joint: (joint, form.bought[0].unit) for joint in given}
     else:
-        raise UserError(f"no catalogue at {str(source)!r}; give a JSON file or 'prototype'")
-    try:
-        content = json.loads(text)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{where}: not valid JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("format") != "rrr_oc-catalogue/1":
-        raise UserError(f'{where}: expected an object with "format": "rrr_oc-catalogue/1"')
-    check_names(content, ("format", "name", "parallel_springs_Nm_per_rad", "biarticular_spring"), where)
-    pulleys = content.get("biarticular_spring", {})
-    keys = ("k_b_Nm_per_rad", "r_1_mm", "r_2_mm", "r_3_mm")
-    pulleys = read_object(where, "biarticular_spring", pulleys, keys, keys if pulleys else ())
-    lists = content.get("parallel_springs_Nm_per_rad", {})
-    lists = read_object(where, "parallel_springs_Nm_per_rad", lists, tuple(lists) if isinstance(lists, dict) else ("joints",))
-    parallel = {j: _list(where, j, v, 1.0) for j, v in lists.items()}
-    units = {"k_b": ("k_b_Nm_per_rad", 1.0), "r_1": ("r_1_mm", 1e-3), "r_2": ("r_2_mm", 1e-3), "r_3": ("r_3_mm", 1e-3)}
-    biarticular = {h: _list(where, key, pulleys[key], unit) for h, (key, unit) in units.items()} if pulleys else {}
-    return Catalogue(str(content.get("name", source)), parallel, biarticular)
-
-
-def _list(where: str, key: str, values: object, unit: float) -> tuple[float, ...]:
-    if not isinstance(values, list) or not values or not all(isinstance(v, int | float) and v > 0 for v in values):
-        raise UserError(f"{where}: {key} must be a list of numbers above 0, got {values!r}")
-    return tuple(sorted({float(v) * unit for v in values}))
+        names = {q.symbol: (q.key, q.unit) for q in form.bought}
+        check_names(given, [key for key, _ in names.values()], where)
+        missing = [key for key, _ in names.values() if key not in given]
+        if given and missing:
+            raise UserError(f"{where}: key {missing[0]!r} is missing; required are {', '.join(q.key for q in form.bought)}")
+    return {name: tuple(sorted({size * unit for size in given[key]})) for name, (key, unit) in names.items() if given}
 
 
 @dataclass(frozen=True)
@@ -243,40 +239,45 @@ def _neighbours(design: CoDesign, springs, bar: int, choice: "_Choice", paramete
 
 def _choices(design: CoDesign, catalogue: Catalogue) -> tuple[list[list[_Choice]], int]:
     """For each spring its distinct choices within the task's bounds, and the number of combinations before merging."""
-    lists, combinations, joints = [], 1, design.task.robot.joints
+    lists, combinations = [], 1
     for spring in design.springs:
-        if spring.hardware:
-            if not catalogue.biarticular:
-                raise UserError(f"catalogue {catalogue.name!r} has no biarticular_spring")
-            inside = {
-                h: [v for v in values if spring.hardware[h][0] * (1 - 1e-4) <= v <= spring.hardware[h][1] * (1 + 1e-4)]
-                for h, values in catalogue.biarticular.items()
-            }
-            distinct: dict[tuple[float, float, float], _Choice] = {}
-            for h, values in inside.items():
-                if not values:
-                    raise UserError(f"catalogue {catalogue.name!r} has no {h} within the task's bounds")
-            items = list(itertools.product(*[inside[h] for h in ("k_b", "r_1", "r_2", "r_3")]))
-            for k_b, r_1, r_2, r_3 in items:
-                kappa, rho, _ = reduced(k_b, 0.0, r_1, r_2, r_3)
-                low, high = (q * r_1 / r_2 for q in spring.hardware["q_0"])
-                key = (round(float(kappa), 9), round(float(rho), 9), 0.0)
-                known = distinct.get(key)
-                if known is None or high - low > known.upper[2] - known.lower[2]:  # the one that leaves phi most room
-                    hardware = {"k_b": k_b, "r_1": r_1, "r_2": r_2, "r_3": r_3}
-                    distinct[key] = _Choice(hardware, np.array([kappa, rho, low]), np.array([kappa, rho, high]))
-            lists.append(list(distinct.values()))
-            combinations *= len(items)
-            continue
-        number, joint = spring.effect.joints[0] + 1, joints[spring.effect.joints[0]]
-        available = [k for k in catalogue.parallel.get(joint, ()) if spring.lower[0] <= k <= spring.upper[0] * (1 + 1e-4)]
-        if not available:
-            raise UserError(f"catalogue {catalogue.name!r} has no parallel spring for {joint} within the task's bounds")
-        lists.append(
-            [_Choice({f"k_p{number}": k}, np.array([k, spring.lower[1]]), np.array([k, spring.upper[1]])) for k in available]
-        )
-        combinations *= len(available)
+        distinct, count = _distinct(spring, _inside(design, spring, catalogue))
+        lists.append(distinct)
+        combinations *= count
     return lists, combinations
+
+
+def _inside(design: CoDesign, spring: SpringBounds, catalogue: Catalogue) -> dict[str, list[float]]:
+    """What the catalogue has of each quantity of a spring within the task's bounds, by the name that a designer uses."""
+    form, joints = spring.form, [design.task.robot.joints[j] for j in spring.effect.joints]
+    lists = catalogue.lists.get(form.label, {})
+    what = f"catalogue {catalogue.name!r} has no {spring.effect.name.replace('_', ' ')} for {' and '.join(joints)}"
+    inside = {}
+    for i, q in enumerate(form.quantities):
+        if q.free:
+            continue
+        low, high = spring.hardware[q.symbol] if form.derived else (spring.lower[i], spring.upper[i])
+        values = lists.get(joints[0] if len(form.bought) == 1 else q.symbol, ())
+        found = [v for v in values if low * (1 - 1e-4) <= v <= high * (1 + 1e-4)]
+        if not found:
+            raise UserError(f"{what} within the task's bounds: no {q.symbol} of {low:g} … {high:g}" if lists else what)
+        inside[form.name(q, spring.effect.joints)] = found
+    return inside
+
+
+def _distinct(spring: SpringBounds, inside: Mapping[str, Sequence[float]]) -> tuple[list[_Choice], int]:
+    """The combinations that differ in what the arm feels, and the number of all; of equals the one that leaves most room."""
+    form, joints, distinct = spring.form, spring.effect.joints, {}
+    items = list(itertools.product(*inside.values()))
+    for values in items:
+        hardware = dict(zip(inside, values, strict=True))
+        box = spring.lower, spring.upper
+        lower, upper, _ = form.held(joints, box, spring.hardware, hardware, form.free_names(joints))
+        key = tuple(np.round(np.where(lower == upper, lower, 0.0), 9))
+        known = distinct.get(key)
+        if known is None or np.sum(upper - lower) > np.sum(known.upper - known.lower):
+            distinct[key] = _Choice(hardware, lower, upper)
+    return list(distinct.values()), len(items)
 
 
 def _merge(design: CoDesign, choices: Sequence[_Choice | None]) -> _Choice:
@@ -337,8 +338,8 @@ def _finish(
     design: CoDesign, start: Solution, options: SearchOptions, choices: list[_Choice], coverage: Coverage
 ) -> CatalogueResult:
     """Solve the best choices on the fine mesh, and refine the best of them."""
-    names = {f"q_eq{s.effect.joints[0] + 1}" for s in design.springs if not s.hardware} | {"q_0"}
-    held = [design.with_fixed(c.hardware, tuple(names)) for c in choices]
+    names = [name for s in design.springs for name in s.form.free_names(s.effect.joints)]
+    held = [design.with_fixed(c.hardware, names) for c in choices]
     guess = start.guess()
     starts = [replace(guess, parameters=np.clip(guess.parameters, c.lower, c.upper)) for c in choices]
     found = continued(list(zip(held, starts, strict=True)), options)

@@ -1,40 +1,76 @@
 """The pick-and-place task: where from, where to, with what load, within which limits. All of it data, read from a file."""
 
-import importlib.resources
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal, cast
 
-import casadi as ca
 import numpy as np
+from msgspec import Meta, field
 from scipy.optimize import least_squares
 
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.robot.parameters import check_names, read_number, read_object, read_vector
-from rrr_oc.robot.rigid_body import RigidBody, rigid_body
+from rrr_oc.robot.rigid_body import RigidBody, rigid_body, upwards
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
+from rrr_oc.schema import Interval, NonNegative, Positive, Schema, Text, Vector, check_interval, check_names, read_preset
 
 PRESETS = ("paper", "prototype")
 PHASES = ("go", "return")
-_KEYS = (
-    "format",
-    "name",
-    "robot",
-    "gravity",
-    "moving",
-    "tool",
-    "start",
-    "release",
-    "payload_kg",
-    "duration_s",
-    "path_margin",
-    "floor_m",
-    "limits",
-    "springs",
-)
+
+
+class Tool(Schema):
+    """Where the payload is held: a point in a link's frame."""
+
+    link: Text
+    position_m: Vector
+
+
+class End(Schema):
+    """Where a phase starts or ends: angles of the moving joints or a position of the tool."""
+
+    angles_deg: tuple[float, ...] | None = None
+    position_m: Vector | None = None
+
+    def __post_init__(self) -> None:
+        if (self.angles_deg is None) == (self.position_m is None):
+            raise ValueError('give either "angles_deg" or "position_m"')
+
+
+class Limits(Schema):
+    """Limits of a joint; those left out are the URDF's range and speed, and no limit of acceleration and torque."""
+
+    range_deg: Interval | None = None
+    speed_deg_per_s: Positive | None = None
+    acceleration_deg_per_s2: Positive | None = None
+    torque_Nm: Positive | None = None
+
+    def __post_init__(self) -> None:
+        check_interval("range_deg", self.range_deg)
+
+
+class TaskFile(Schema):
+    """The content of a task's file."""
+
+    format: Literal["rrr_oc-task/1"]
+    robot: Text
+    moving: Annotated[tuple[Text, ...], Meta(min_length=1)]
+    start: End
+    release: End
+    payload_kg: NonNegative
+    duration_s: Interval
+    limits: dict[str, Limits]
+    name: Text | None = None
+    gravity: Vector = (0.0, 0.0, -9.81)
+    tool: Tool | None = None
+    path_margin: NonNegative | None = None
+    floor_m: float = -np.inf
+    springs: list[dict[str, Any]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        check_interval("duration_s", self.duration_s)
+        if not self.duration_s[0] > 0:
+            raise ValueError(f"duration_s: found {list(self.duration_s)}; durations above 0 are required")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,46 +141,29 @@ def load_task(source: str | Path) -> Task:
         UserError: The file is missing or malformed; bounds are crossed; a position is out of reach; an end lies outside
             the joint ranges.
     """
-    where, content = _read(source)
-    check_names(content, _KEYS, where)
-    missing = [k for k in ("robot", "moving", "start", "release", "payload_kg", "duration_s", "limits") if k not in content]
-    if missing:
-        raise UserError(f"{where}: key {missing[0]!r} is missing")
-    robot = _robot(source, content)
-    names = content["moving"]
-    if not isinstance(names, list) or not names or not all(isinstance(j, str) for j in names):
-        raise UserError(f"{where}: moving must be a list of joint names, got {names!r}")
-    moving = tuple(robot.index(j) for j in names)
+    where, given = read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile)
+    beside = Path(source).parent / given.robot
+    own = str(source) not in PRESETS and beside.is_file()
+    robot = load_robot(beside if own else given.robot, gravity=given.gravity)
+    moving = tuple(robot.index(j) for j in given.moving)
     if list(moving) != sorted(set(moving)):
-        raise UserError(f"{where}: moving must list different joints, base first, got {names}")
-    tool = robot.tool
-    if "tool" in content:
-        given = read_object(where, "tool", content["tool"], ("link", "position_m"), ("link", "position_m"))
-        tool = robot.point(str(given["link"]), read_vector(where, "tool's position_m", given["position_m"], 3).tolist())
-    limits = _limits(where, robot, moving, content["limits"])
-    low, high = _pair(where, "duration_s", content["duration_s"])
-    if not low > 0:
-        raise UserError(f"{where}: duration_s must be above 0, got {low:g} … {high:g}")
-    springs = content.get("springs", [])
-    if not isinstance(springs, list) or not all(isinstance(entry, dict) for entry in springs):
-        raise UserError(f"{where}: springs must be a list of objects, got {springs!r}")
+        raise UserError(f"{where}: moving: found {', '.join(given.moving)}; different joints, base first, are required")
     task = Task(
-        name=str(content.get("name", Path(str(source)).stem)),
+        name=given.name or Path(str(source)).stem,
         robot=robot,
-        tool=tool,
+        tool=robot.tool if given.tool is None else robot.point(given.tool.link, given.tool.position_m),
         moving=moving,
         start=np.zeros(len(moving)),
         release=np.zeros(len(moving)),
-        payload=read_number(where, "payload_kg", content["payload_kg"], 0.0),
-        duration=(low, high),
-        floor=read_number(where, "floor_m", content["floor_m"]) if "floor_m" in content else -np.inf,
-        springs=tuple(springs),
-        **limits,
+        payload=given.payload_kg,
+        duration=given.duration_s,
+        floor=given.floor_m,
+        springs=tuple(given.springs),
+        **_limits(where, robot, given),
     )
     body = rigid_body(robot)
-    start, release = (_angles(f"{where}: {end}", task, body, content[end]) for end in ("start", "release"))
-    margin = read_number(where, "path_margin", content["path_margin"], 0.0) if "path_margin" in content else None
-    task = _within_margin(replace(task, start=start, release=release), margin)
+    start, release = (_angles(f"{where}: {end}", task, body, getattr(given, end)) for end in ("start", "release"))
+    task = _within_margin(replace(task, start=start, release=release), given.path_margin)
     _check_feasible(where, task, body)
     return task
 
@@ -163,83 +182,33 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
                 f"{task.duration[1]:g} s"
             )
     for end, q in (("start", task.start), ("release", task.release)):
-        height = float(tool_height(task, body, task.full(q)))
+        height = float(body.tool_height(task.full(q), task.tool, task.robot.gravity))
         if height < task.floor:
             raise UserError(f"{where}: at the {end} the tool stands {height:.4f} m high, below floor_m = {task.floor:g} m")
 
 
-def tool_height(task: Task, body: RigidBody, q):
-    """Height of the tool against gravity, from the base [m]; casadi or numpy angles of all joints."""
-    up = -task.robot.gravity / max(float(np.linalg.norm(task.robot.gravity)), 1e-12)
-    frames = body.joint_frames(q)
-    rotation = ca.reshape(frames[:9, task.tool.joint], 3, 3)
-    return ca.dot(ca.DM(up), rotation @ ca.DM(task.tool.position) + frames[9:, task.tool.joint])
+def _limits(where: str, robot: Robot, given: TaskFile) -> dict[str, np.ndarray]:
+    """Limits of the moving joints in SI units, by the names that `Task` has for them, (m,) each."""
+    check_names(given.limits, given.moving, f"{where}: limits", "joint")
+    rows = []
+    for joint in given.moving:
+        j, own = robot.index(joint), given.limits.get(joint, Limits())
+        low, high = own.range_deg or np.degrees([robot.lower[j], robot.upper[j]])
+        speed = own.speed_deg_per_s or np.degrees(robot.velocity[j])
+        if not speed > 0:
+            raise UserError(f"{where}: limits.{joint}: key 'speed_deg_per_s' is missing; the URDF allows no speed")
+        acceleration = own.acceleration_deg_per_s2 or np.inf
+        rows.append([*np.radians([low, high, speed, acceleration]), own.torque_Nm or np.inf])
+    return dict(zip(("lower", "upper", "speed", "acceleration", "torque"), np.array(rows).T, strict=True))
 
 
-def _read(source: str | Path) -> tuple[str, dict]:
-    if str(source) in PRESETS:
-        return f"preset {source!r}", json.loads(importlib.resources.files("rrr_oc.data").joinpath(f"{source}.json").read_text())
-    path = Path(source)
-    if not path.is_file():
-        raise UserError(f"no task at {str(source)!r}; give the path of a task file or one of the presets {', '.join(PRESETS)}")
-    try:
-        content = json.loads(path.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: not valid JSON: {error}") from None
-    if not isinstance(content, dict) or content.get("format") != "rrr_oc-task/1":
-        raise UserError(f'{path}: expected an object with "format": "rrr_oc-task/1"')
-    return str(path), content
-
-
-def _robot(source: str | Path, content: dict) -> Robot:
-    name = str(content["robot"])
-    gravity = read_vector(f"task {name!r}", "gravity", content.get("gravity", (0.0, 0.0, -9.81)), 3).tolist()
-    beside = Path(source).parent / name
-    return load_robot(beside if str(source) not in PRESETS and beside.is_file() else name, gravity=gravity)
-
-
-def _limits(where: str, robot: Robot, moving: tuple[int, ...], content: dict) -> dict[str, np.ndarray]:
-    columns: dict[str, list[float]] = {k: [] for k in ("lower", "upper", "speed", "acceleration", "torque")}
-    content = read_object(where, "limits", content, tuple(robot.joints[j] for j in moving))
-    for j in moving:
-        joint = robot.joints[j]
-        here, keys = f"{where}: limits of {joint}", ("range_deg", "speed_deg_per_s", "acceleration_deg_per_s2", "torque_Nm")
-        given = read_object(where, f"limits of {joint}", content.get(joint, {}), keys)
-        low, high = _pair(here, "range_deg", given.get("range_deg", np.degrees([robot.lower[j], robot.upper[j]])))
-        columns["lower"].append(np.radians(low))
-        columns["upper"].append(np.radians(high))
-        for column, key, default in (
-            ("speed", "speed_deg_per_s", np.degrees(robot.velocity[j])),
-            ("acceleration", "acceleration_deg_per_s2", np.inf),
-        ):
-            columns[column].append(np.radians(_positive(here, key, given.get(key, default))))
-        columns["torque"].append(_positive(here, "torque_Nm", given.get("torque_Nm", np.inf)))
-    return {k: np.array(v, float) for k, v in columns.items()}
-
-
-def _pair(where: str, key: str, values: Any) -> tuple[float, float]:
-    try:
-        low, high = (float(v) for v in values)
-    except (TypeError, ValueError):
-        raise UserError(f"{where}: {key} must be two numbers [lower, upper], got {values!r}") from None
-    if not low <= high:
-        raise UserError(f"{where}: bounds of {key} are crossed: {low:g} … {high:g}; the lower must not be above the upper")
-    return low, high
-
-
-def _positive(where: str, key: str, value: Any) -> float:
-    if not isinstance(value, int | float) or not value > 0:
-        raise UserError(f"{where}: {key} must be a number above 0, got {value!r}")
-    return float(value)
-
-
-def _angles(where: str, task: Task, body: RigidBody, content: Any) -> np.ndarray:
-    """Angles of the moving joints from `angles_deg` or `position_m`."""
-    if not isinstance(content, dict) or set(content) not in ({"angles_deg"}, {"position_m"}):
-        raise UserError(f'{where}: give either "angles_deg" or "position_m", got {content!r}')
-    if "position_m" in content:
-        return inverse_kinematics(task, body, read_vector(where, "position_m", content["position_m"], 3), where)
-    angles = np.radians(read_vector(where, "angles_deg", content["angles_deg"], len(task.moving)))
+def _angles(where: str, task: Task, body: RigidBody, end: End) -> np.ndarray:
+    """Angles of the moving joints at an end of a phase [rad], (m,)."""
+    if end.angles_deg is None:
+        return inverse_kinematics(task, body, np.array(end.position_m), where)
+    angles = np.radians(end.angles_deg)
+    if len(angles) != len(task.moving):
+        raise UserError(f"{where}.angles_deg: found {list(end.angles_deg)}; one number per moving joint is required")
     for joint, angle, low, high in zip(task.joints, angles, task.lower, task.upper, strict=True):
         if not low <= angle <= high:
             raise UserError(
@@ -278,7 +247,7 @@ def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where:
             f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges: "
             f"the tool comes no nearer than {nearest:.4f} m"
         )
-    up = -task.robot.gravity / max(float(np.linalg.norm(task.robot.gravity)), 1e-12)
+    up = upwards(task.robot.gravity)
     best = max(reached, key=lambda q: float((up @ np.array(body.joint_frames(task.full(q)))[9:]).sum()))
     return np.clip(best, task.lower, task.upper)
 

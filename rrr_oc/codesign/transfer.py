@@ -10,7 +10,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import Motion, describe
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Body, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import measure
 from rrr_oc.model.recorded_physics import Physics
@@ -54,13 +54,13 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
     known, payload = [], task.payload
     for term in calibrated.terms:
         effect = term.effect
-        if effect.side not in ("link", "body") or effect.of_spring:
+        if effect.side not in ("link", "body") or "springs" in effect.inputs:
             continue
         there = [term.recordings == "all" or group in term.groups for group in groups]
-        if all(there) or (effect.name == "payload_com" and there[0]):  # without a payload its point means nothing
+        if all(there) or (effect.alters == "position" and there[0]):  # without a payload its point means nothing
             known.append((effect, term.values))
-        elif effect.name == "payload_mass" and there[0]:
-            payload += float(term.values[0])
+        elif effect.alters == "payload" and there[0]:
+            payload = effect.change(Body(None, None, payload, None), term.named).payload
         elif any(there):
             raise UserError(f"{effect.name} holds for {' and '.join(term.groups)}, but not in every phase of the task")
     there = replace(task, robot=replace(task.robot, inertial=calibrated.robot.inertial), tool=calibrated.tool, payload=payload)
@@ -143,7 +143,7 @@ def _parts(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> 
 
 def _terms(calibrated: CalibratedModel) -> list[Term]:
     """The calibrated terms but for those of springs that were mounted then."""
-    return [term for term in calibrated.terms if not term.effect.of_spring]
+    return [term for term in calibrated.terms if "springs" not in term.effect.inputs]
 
 
 def _springs(design: CoDesign) -> list[Effect]:

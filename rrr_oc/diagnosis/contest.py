@@ -1,4 +1,4 @@
-"""Each effect that was found against all others in its place: the better ones take it, the equal ones are named."""
+"""Comparison of each selected effect with all alternatives in its place: better ones replace it, equal ones are its rivals."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,10 +10,11 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_t
 from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, scope_cost
 from rrr_oc.diagnosis.fitting import Fitted, refit
 from rrr_oc.diagnosis.selection import (
+    EXACT_FITS,
     FEWER_LEFT,
     SAME,
-    TRIED,
     Found,
+    Key,
     extended,
     fit_of,
     gathered,
@@ -27,30 +28,26 @@ from rrr_oc.diagnosis.selection import (
     without,
 )
 from rrr_oc.diagnosis.signatures import view
-from rrr_oc.effects import Effect
-from rrr_oc.effects.elastic.cable_harness import CableHarness
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
-from rrr_oc.effects.sensor.torque_offset import TorqueOffset
-from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
+from rrr_oc.effects import CATALOGUE, Effect
 
-CALL = 10.0  # times `SAME`, within which it takes an exact fit to say which of two models does better
-MANY = 3  # parameters, beyond which two effects may be the simpler explanation
-NEAR = 0.6  # of the likelihood of what is in place, for others to be fitted there
-PAIRS = 6  # of them that are tried
-RIPPLES = 4  # at one joint, that may explain what a series over its position does
-STILL = 0.5  # of the squared error while a joint stands, that a model must leave to be preferred to its equal
+EXACT_WITHIN = 10.0  # multiple of `SAME` within which two models are compared by exact fits; twice as much costs time
+MANY_PARAMETERS = 3  # number above which an effect may be replaced by two simpler ones
+NEAR = 0.6  # share of the present likelihood that an alternative needs for a fit; a larger share tries fewer
+PAIRS = 6  # pairs of effects that are fitted; more cost time
+RIPPLES = 4  # ripples of one joint above which a series over position describes them; twice as many lists more ripples
+AT_REST = 0.5  # ratio of squared errors at rest below which a model is preferred to its equal; a smaller one decides less often
 
 
 @dataclass(frozen=True)
 class Finding:
-    """An effect that the model lacked.
+    """An effect that the plain model lacks.
 
     Attributes:
-        term: In the model.
-        likelihood: What twice the log-likelihood falls by without it.
-        dimensions: Coefficients.
-        tests: Effects at their joints that competed.
-        rivals: Names and joints of effects that do as well in its place.
+        term: The effect as a term of the extended model.
+        likelihood: Fall of twice the log-likelihood when the term is removed.
+        dimensions: Number of its linear coefficients.
+        tests: Number of effects at their joints that competed.
+        rivals: Names and joints of effects that explain the recordings as well in its place.
     """
 
     term: Term
@@ -61,80 +58,94 @@ class Finding:
 
     @property
     def p_value(self) -> float:
-        """Of the likelihood, all trials together."""
+        """P-value of the likelihood ratio, corrected for all tests (Bonferroni)."""
         return float(min(1.0, self.tests * chi2.sf(self.likelihood, self.dimensions)))
 
 
-def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda _: None) -> tuple[Fitted, list[Finding]]:
-    """The model in which each effect holds against all others in its place, and what speaks for each, most important first.
+@dataclass(frozen=True)
+class _Place:
+    """The place of one selected effect in a model, where alternatives are compared with it.
 
-    Simpler effects may take the place of one, too, and a series that of many ripples.
+    Attributes:
+        bench: The recordings.
+        fitted: The model with the effect, fitted.
+        less: The model without it, fitted.
+        i: Index of its term.
+        evidence: Evidence at `less`, under the noise of `fitted`.
+        muddled: Whether the selection ended far above the noise, where small effects absorb the errors of others.
     """
-    plain, fitted = found.plain, found.fitted
-    base = len(plain.model.terms)
-    findings, i, muddled = [], base, bool(noisy(bench, fitted))  # far from the noise, small effects take up what others lack
-    while i < len(fitted.model.terms):
-        fitted = _widened(bench, fitted, i, report)
-        spring = _as_spring(bench, fitted, i)
-        if spring is not None and fitted.model.terms[i].groups:
-            report("parallel_spring takes the place of cable_harness")
-            fitted = spring
-        alone = [t.width for t in without(fitted.model, i).terms] == [t.width for t in plain.model.terms]
-        less = plain if alone else refit(bench, without(fitted.model, i))
-        evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
-        own = fitted.model.terms[i]
-        rivals, best = [] if spring is None or own.groups else [("parallel_spring", own.effect.joints)], None
-        for candidate in (*_rivals(evidence, less.model, own), *_slow_ripples(bench, less, own)):
-            tried = fit_of(bench, evidence, less, candidate)
-            if tried.better_than(fitted) > -CALL * SAME:
-                tried = refit(bench, tried.model)
-                if own.effect.width is not None or candidate.trial.effect.width is not None:
-                    tried = rewidened(bench, tried)  # it may show another width of dry friction
-            better = tried.better_than(fitted)
-            simpler = len(own.estimates) - len(candidate.trial.effect.parameters)
-            likelier = 0 if candidate.scope is None or muddled else _put_on(candidate.trial.effect) - _put_on(own.effect)
-            lead = better + (simpler + 2 * likelier) * SAME
-            if simpler <= 0:  # the simplest of equals needs no excuse
-                lead -= rarity(bench, tried, candidate.trial.effect, candidate.scope is None) * tried.better_than(less)
-            lead += rarity(bench, fitted, own.effect, own.recordings == "all") * fitted.better_than(less)
-            if abs(better) < SAME:
-                lead += 2 * SAME * _nearer_at_rest(bench, tried.model, fitted.model)
-            worse = SAME * max(simpler, 1) if own.effect.lawless else _by_noise(simpler)
+
+    bench: Bench
+    fitted: Fitted
+    less: Fitted
+    i: int
+    evidence: Evidence
+    muddled: bool
+
+    @property
+    def own(self) -> Term:
+        """The effect's term."""
+        return self.fitted.model.terms[self.i]
+
+    def fit(self, candidate: Candidate) -> Fitted:
+        """The model with an alternative in place of the effect; fitted exactly where the comparison is close."""
+        tried = fit_of(self.bench, self.evidence, self.less, candidate)
+        if tried.better_than(self.fitted) > -EXACT_WITHIN * SAME:
+            tried = refit(self.bench, tried.model)
+            if self.own.effect.width is not None or candidate.trial.effect.width is not None:
+                tried = rewidened(self.bench, tried)  # it may imply another width of dry friction
+        return tried
+
+    def lead(self, candidate: Candidate, tried: Fitted) -> float:
+        """By how much an alternative is preferred: twice the log-likelihood ratio, fewer parameters, prior, error at rest."""
+        own, effect = self.own, candidate.trial.effect
+        better, simpler = tried.better_than(self.fitted), self.simpler(candidate)
+        mounted = 0 if candidate.scope is None or self.muddled else _mountable(effect) - _mountable(own.effect)
+        lead = better + (simpler + 2 * mounted) * SAME
+        if simpler <= 0:  # an effect with fewer parameters keeps its full evidence
+            lead -= rarity(self.bench, tried, effect, candidate.scope is None) * tried.better_than(self.less)
+        lead += rarity(self.bench, self.fitted, own.effect, own.recordings == "all") * self.fitted.better_than(self.less)
+        if abs(better) < SAME:
+            lead += 2 * SAME * _nearer_at_rest(self.bench, tried.model, self.fitted.model)
+        return lead
+
+    def simpler(self, candidate: Candidate) -> int:
+        """Number of parameters that an alternative saves."""
+        return len(self.own.estimates) - len(candidate.trial.effect.parameters)
+
+    def alternatives(self) -> tuple[tuple[float, Fitted, Candidate] | None, list[Key]]:
+        """The best alternative that is preferred to the effect, with its lead and fit, and the effects that fit as well."""
+        best, rivals = None, []
+        for candidate in (*_rivals(self.evidence, self.less.model, self.own), *_sparse(self.bench, self.less, self.own)):
+            tried, simpler = self.fit(candidate), self.simpler(candidate)
+            better, lead = tried.better_than(self.fitted), self.lead(candidate, tried)
+            worse = SAME * max(simpler, 1) if self.own.effect.black_box else _by_noise(simpler)
             if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
-                rivals.append((candidate.trial.effect.name, candidate.trial.effect.joints))
-        several = None
-        if best is None:
-            several = _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, evidence)
-        if several is not None:
-            count = len(several.model.terms) - len(less.model.terms)
-            names = " and ".join(t.effect.name for t in several.model.terms[-count:])
-            report(f"{names} take the place of {own.effect.name}")
-            fitted = _in_place(bench, i, several.model, count)
-            continue  # with these in its place
-        if best is not None:
-            ousted = (own.effect.name, own.effect.joints)
-            taker = (best[2].trial.effect.name, best[2].trial.effect.joints)
-            equal = fitted.better_than(best[1]) > -SAME and not own.effect.lawless
-            rivals = [r for r in rivals if r != taker] + ([ousted] if equal else [])
-            report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
-            fitted = _in_place(bench, i, best[1].model, 1)
-        if fitted.better_than(less) < least(fitted, i, evidence.tests):  # beside what the others have become
-            report(f"{fitted.model.terms[i].effect.name} is superfluous")
-            fitted = less
-            continue
-        dimensions = len(fitted.model.terms[i].effect.amplitudes)
-        findings.append(
-            Finding(
-                fitted.model.terms[i],
-                fitted.better_than(less),
-                dimensions,
-                evidence.tests,
-                tuple(dict.fromkeys(rivals)),
-            )
-        )
-        i += 1
+                rivals.append(key(candidate))
+        return best, rivals
+
+
+def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda _: None) -> tuple[Fitted, list[Finding]]:
+    """The model after each effect was compared with all alternatives in its place, and the findings, largest likelihood first.
+
+    An effect may be replaced by one or two simpler ones, and many ripples by a series.
+    """
+    fitted, base = found.fitted, len(found.plain.model.terms)
+    findings, i, muddled = [], base, bool(noisy(bench, fitted))
+    while i < len(fitted.model.terms):
+        fitted, equal = _widened(bench, fitted, i, report), None
+        if (equivalent := _equivalent(bench, fitted, i)) is not None:
+            equal = equivalent.model.terms[i].effect.name, fitted.model.terms[i].effect.joints
+            if fitted.model.terms[i].groups:
+                report(f"{equal[0]} takes the place of {fitted.model.terms[i].effect.name}")
+                fitted, equal = equivalent, None
+        place = _place(bench, found, fitted, i, muddled)
+        fitted, finding = _settled_in_place(place, [] if equal is None else [equal], report)
+        if finding is not None:
+            findings.append(finding)
+            i += 1
     for shortened in (_as_series, _as_fewer):
         shorter = shortened(bench, fitted, base, report)
         if shorter is not fitted:
@@ -143,79 +154,111 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
 
 
-def _nearer_at_rest(bench: Bench, one: CalibratedModel, other: CalibratedModel) -> int:
-    """1 where one of two equal models errs much less while a joint stands, -1 where the other does, else 0.
+def _place(bench: Bench, found: Found, fitted: Fitted, i: int, muddled: bool) -> _Place:
+    """The place of term i, with the fit and the evidence without it."""
+    rest = without(fitted.model, i)
+    alone = [t.width for t in rest.terms] == [t.width for t in found.plain.model.terms]
+    less = found.plain if alone else refit(bench, rest)
+    evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
+    return _Place(bench, fitted, less, i, evidence, muddled)
 
-    Those samples count for nothing in a fit, as dry friction is anything below its level there; but it may well be none.
+
+def _settled_in_place(place: _Place, rivals: list[Key], report: Callable[[str], None]) -> tuple[Fitted, Finding | None]:
+    """The model with the best of an effect and its alternatives in place, and the finding.
+
+    The finding is None where several effects took the place, which are compared in turn, or where none is needed.
+    """
+    bench, fitted, less, own, i = place.bench, place.fitted, place.less, place.own, place.i
+    best, equals = place.alternatives()
+    rivals = [*rivals, *equals]
+    several = None
+    if best is None:
+        several = _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, place.evidence)
+    if several is not None:
+        count = len(several.model.terms) - len(less.model.terms)
+        names = " and ".join(t.effect.name for t in several.model.terms[-count:])
+        report(f"{names} take the place of {own.effect.name}")
+        return _in_place(bench, i, several.model, count), None
+    if best is not None:
+        equal = fitted.better_than(best[1]) > -SAME and not own.effect.black_box
+        rivals = [r for r in rivals if r != key(best[2])] + ([(own.effect.name, own.effect.joints)] if equal else [])
+        report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
+        fitted = _in_place(bench, i, best[1].model, 1)
+    term, likelihood, tests = fitted.model.terms[i], fitted.better_than(less), place.evidence.tests
+    if likelihood < least(fitted, i, tests):  # with the present estimates of the others
+        report(f"{term.effect.name} is superfluous")
+        return less, None
+    return fitted, Finding(term, likelihood, len(term.effect.amplitudes), tests, tuple(dict.fromkeys(rivals)))
+
+
+def _nearer_at_rest(bench: Bench, one: CalibratedModel, other: CalibratedModel) -> int:
+    """1 if the first of two equal models has a much smaller squared error at rest, -1 if the second has, else 0.
+
+    Fits ignore samples at rest, where dry friction may take any value below its level; they can still separate equal models.
     """
     squares = [np.full(bench.n, 1e-300), np.full(bench.n, 1e-300)]
     for p in bench.prepared:
         for left, model in zip(squares, (one, other), strict=True):
             left += np.sum(np.where(p.moving, 0.0, p.measured - model.output_torque(p.recording)) ** 2, axis=1)
     fall = float(np.sum(np.log(squares[0] / squares[1])))
-    return int(fall < np.log(STILL)) - int(-fall < np.log(STILL))
+    return int(fall < np.log(AT_REST)) - int(-fall < np.log(AT_REST))
 
 
 def _by_noise(parameters: int) -> float:
-    """What so many parameters more, as one if none, gain where there is but noise, as seldom as one gains `SAME`."""
+    """Gain in twice the log-likelihood that so many parameters (at least one) reach by noise as rarely as one reaches `SAME`."""
     return float(chi2.isf(chi2.sf(SAME, 1), max(parameters, 1)))
 
 
-def _put_on(effect: Effect) -> bool:
-    """Whether it is, or comes with, what is put on and taken off between recordings."""
-    return effect.mounted or effect.of_spring
+def _mountable(effect: Effect) -> bool:
+    """Whether the effect is, or belongs to, something that is mounted and taken off between recordings."""
+    return effect.scope == "mounted" or "springs" in effect.inputs
 
 
 def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]) -> Fitted:
-    """The model with an effect of some groups in all of them, where the effects that were found later leave no reason for less."""
+    """The model with an effect of some groups extended to all, unless that makes the fit significantly worse."""
     own = fitted.model.terms[i]
-    if not own.groups or own.effect.mounted or own.effect.partial:
+    if not own.groups or own.effect.scope in ("mounted", "some"):
         return fitted
     everywhere = replace(own, recordings="all", groups=())
     terms = (*fitted.model.terms[:i], everywhere, *fitted.model.terms[i + 1 :])
     tried = refit(bench, replace(fitted.model, terms=terms))
     if tried.better_than(fitted) < -scope_cost(len(bench.labels), len(own.groups)):
         return fitted
-    report(f"{own.effect.name} is everywhere")
+    report(f"{own.effect.name} is in all recordings")
     return tried
 
 
-def _as_spring(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
-    """The model with a spring in the place of a harness, where that explains as much: both are one law where it always pulls.
-
-    What some recordings have and others have not is likelier a spring.
-    """
-    own = fitted.model.terms[i]
-    if not isinstance(own.effect, CableHarness):
-        return None
-    tried = []
-    for active in ("below", "above"):
-        spring = nominal_term(ParallelSpring(own.effect.joints, active)).with_values(own.values)
-        spring = replace(spring, recordings=own.recordings, groups=own.groups)
-        terms = (*fitted.model.terms[:i], spring, *fitted.model.terms[i + 1 :])
+def _equivalent(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
+    """The model with the best of an effect's equivalents in its place, where that explains as much; None without such."""
+    own, tried = fitted.model.terms[i], []
+    for effect, theta in own.effect.equivalents(own.named):
+        other = nominal_term(effect).with_values(np.array(list(theta.values())))
+        other = replace(other, recordings=own.recordings, groups=own.groups)
+        terms = (*fitted.model.terms[:i], other, *fitted.model.terms[i + 1 :])
         tried.append(refit(bench, replace(fitted.model, terms=terms)))
-    best = min(tried, key=lambda f: f.misfit)
-    return best if best.better_than(fitted) > -SAME else None
+    best = min(tried, key=lambda f: f.misfit, default=None)
+    return best if best is not None and best.better_than(fitted) > -SAME else None
 
 
-def _slow_ripples(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
-    """The best ripple of few cycles in the place of a series over a joint's own position."""
+def _sparse(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
+    """The best law of which recordings see little, such as a ripple of few cycles, in the place of a series over position."""
     if not _over_position(own.effect):
         return []
-    slow = TorqueRipple.slow(view(bench.whole, less.model), own.effect.joints[0])
-    return Evidence.gather(bench, less.model, list(slow)).candidates()[:1]
+    seen, j = view(bench.whole, less.model), own.effect.joints[0]
+    sparse = [trial for kind in CATALOGUE.values() for trial in kind.sparse_trials(seen, j)]
+    return Evidence.gather(bench, less.model, sparse).candidates()[:1]
 
 
 def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
-    """The model with one series over a joint's position where there are more than a few ripples: any shape is a sum of these."""
+    """The model with one series over a joint's position in place of more than `RIPPLES` ripples, which can describe any shape."""
     for j in range(bench.n):
         own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,)]
-        shapes = [t for t in own if isinstance(t.effect, TorqueRipple) or _over_position(t.effect)]
+        shapes = [t for t in own if t.effect.resembles == "position_harmonic" or _over_position(t.effect)]
         if len(shapes) <= RIPPLES:
             continue
         less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
         evidence = unnamed(bench, less.model, j)
-        every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:TRIED]
+        every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:EXACT_FITS]
         best = min((refit(bench, fit_of(bench, evidence, less, c).model) for c in every), key=lambda f: f.misfit, default=less)
         if best.misfit < fitted.misfit + np.log(FEWER_LEFT):
             report("a series over position takes the place of ripples")
@@ -224,9 +267,9 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
 
 
 def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], None]) -> Fitted:
-    """The model with one or two laws in the place of several effects of a joint that have more parameters, if they do as well.
+    """The model with one or two laws in place of several effects of a joint that have more parameters, if they fit as well.
 
-    One that was found first, as it looks most like the sum of two, leaves a rest that looks like others.
+    An effect selected first because it resembles the sum of two leaves a residual that resembles further effects.
     """
     for j in range(bench.n):
         own = [t for t in fitted.model.terms[base:] if t.effect.joints == (j,) and not t.groups]
@@ -237,7 +280,7 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
         evidence, best = gathered(bench, less.model).under(fitted.rows), None
         alone = [(c,) for c in evidence.candidates() if c.trial.effect.joints == (j,) and c.scope is None]
         simpler = [laws for laws in alone if len(laws[0].trial.effect.parameters) < number]
-        for laws in (*simpler[:TRIED], *evidence.pairs(number, PAIRS, j)):
+        for laws in (*simpler[:EXACT_FITS], *evidence.pairs(number, PAIRS, j)):
             if any(present(c, less.model) for c in laws):
                 continue
             model = less.model
@@ -256,40 +299,41 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
 
 
 def _over_position(effect: Effect) -> bool:
-    """Whether it is a torque of a joint's own position that no law stands behind."""
-    return effect.lawless and effect.depends_on == (("q", effect.joints[0]),)
+    """Whether it is a black-box term over the joint's own position."""
+    return effect.black_box and effect.depends_on == (("q", effect.joints[0]),)
 
 
 def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
-    """The model with a few ripples about some mean in the place of a series over a joint's own position, if they do as well."""
+    """The model with a few ripples and an offset in place of a series over position, if they fit as well; None otherwise."""
     if not _over_position(own.effect):
         return None
     j, seen, there = own.effect.joints[0], view(bench.whole, less.model), less
-    every = [trial for kind in (TorqueRipple, TorqueOffset) for trial in kind.trials(seen) if trial.effect.joints == (j,)]
-    ripples = sum(t.effect == TorqueRipple((j,)) for t in less.model.terms)
+    kinds = [kind for part in ("position_harmonic", "constant") for kind in CATALOGUE.values() if kind.resembles == part]
+    every = [trial for kind in kinds for trial in kind.trials(seen) if trial.effect.joints == (j,)]
+    ripples = sum(t.effect.resembles == "position_harmonic" and t.effect.joints == (j,) for t in less.model.terms)
     for _ in range(RIPPLES + 1):
         evidence = Evidence.gather(bench, there.model, every)
         best = next(iter(evidence.candidates()), None)
-        ripples += best is not None and isinstance(best.trial.effect, TorqueRipple)
+        ripples += best is not None and best.trial.effect.resembles == "position_harmonic"
         if best is None or ripples > RIPPLES:
             return None
         there = refit(bench, fit_of(bench, evidence, there, best).model)
         simpler = len(fitted.model.values) - len(there.model.values)
-        if simpler > 0 and there.better_than(fitted) > -SAME - simpler:  # each coefficient fits noise, too
+        if simpler > 0 and there.better_than(fitted) > -SAME - simpler:  # each coefficient fits noise by 1 on average
             return there
     return None
 
 
 def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:
-    """The model with two effects in the place of one with more parameters that explains no more; None without such.
+    """The model with two effects in place of one that has more parameters and explains no more; None without such a pair.
 
-    Two laws of the catalogue must explain more than a term that is none, if need be with more parameters.
+    In place of a black-box term, two laws may have more parameters but must explain significantly more.
     """
-    number, unnamed_ = len(own.estimates), own.effect.lawless
-    if number <= MANY and not unnamed_:
+    number, unnamed_ = len(own.estimates), own.effect.black_box
+    if number <= MANY_PARAMETERS and not unnamed_:
         return None
     tried = []
-    for pair in evidence.pairs(max(number, 2 * MANY + 1) if unnamed_ else number, PAIRS):
+    for pair in evidence.pairs(max(number, 2 * MANY_PARAMETERS + 1) if unnamed_ else number, PAIRS):
         foreseen = Fitted(less.model, replace(less.rows, residual=evidence.left_by(*pair)))
         if foreseen.better_than(less) > NEAR * fitted.better_than(less):
             tried.append(refit(bench, extended(extended(less.model, pair[0]), pair[1])))
@@ -301,23 +345,25 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
 
 
 def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitted:
-    """The model with its last terms moved to number i, fitted."""
+    """The model with its last `count` terms moved to place i, fitted."""
     terms = list(model.terms)
     terms[i:i] = terms[-count:]
     return refit(bench, replace(model, terms=tuple(terms[: len(model.terms)])))
 
 
 def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candidate]:
-    """The best candidates in an effect's place other than itself, one for each effect at its joints."""
+    """The best alternatives in an effect's place, one for each effect at its joints."""
     result: list[Candidate] = []
     every = evidence.candidates()
     itself = [key(c) == (own.effect.name, own.effect.joints) for c in every]
-    most = max((c.likelihood for c in every), default=0.0)  # what is not linear is foreseen too low, as its rivals are
+    most = max(
+        (c.likelihood for c in every), default=0.0
+    )  # the linear prediction is too low for a nonlinear effect and its alternatives alike
     most = max((c.likelihood for c, own_ in zip(every, itself, strict=True) if own_), default=most)
     for candidate, own_ in zip(every, itself, strict=True):
         if own_ or any(key(c) == key(candidate) for c in result) or present(candidate, model):
             continue
-        if candidate.likelihood < NEAR * most or len(result) >= TRIED:
+        if candidate.likelihood < NEAR * most or len(result) >= EXACT_FITS:
             break
         result.append(candidate)
     return result

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from typing import Any
 
-from rrr_oc.calibration.calibrated_model import Term, number
+from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.storage import number
 
 FORMAT = "rrr_oc-diagnosis/1"
 
@@ -16,7 +17,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     model, joints = diagnosis.model, diagnosis.model.joints
     effects, unexplained = [], []
     for i, finding in enumerate(diagnosis.findings):
-        if finding.term.effect.lawless:
+        if finding.term.effect.black_box:
             unexplained.append(_unexplained(diagnosis, i))
         else:
             effects.append(_effect(diagnosis, i))
@@ -96,28 +97,29 @@ def files_of(term: Term, recordings: RecordingSet) -> str | list[str]:
 
 def _parameters(term: Term) -> dict[str, Any]:
     """Values with standard errors and intervals; the components of a vector or matrix under one name."""
-    if term.effect.name == "link_inertial":
-        e = term.estimates
-        order = ((4, 5, 7), (5, 6, 8), (7, 8, 9))
-        std = [x.std for x in e]
-        return {
-            "mass": {"value": e[0].value, "std": std[0], "unit": "kg"},
-            "first_moment": {"value": [x.value for x in e[1:4]], "std": std[1:4], "unit": "kg m"},
-            "inertia": {
-                "value": [[e[k].value for k in row] for row in order],
-                "std": [[std[k] for k in row] for row in order],
-                "unit": "kg m²",
-            },
-        }
-    result: dict[str, Any] = {}
+    by_name = {p.name: (e.value, e.std, p.unit) for p, e in zip(term.effect.parameters, term.estimates, strict=True)}
+    result: dict[str, Any] = {
+        shown: {"value": _nested(names, by_name, 0), "std": _nested(names, by_name, 1), "unit": by_name[_first(names)][2]}
+        for shown, names in term.effect.composed.items()
+    }
+    if result:
+        return result
     for p, e in zip(term.effect.parameters, term.estimates, strict=True):
         interval = None if e.interval is None else list(e.interval)
         result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": interval}
-    for option in ("active", "winding", "form"):
-        if hasattr(term.effect, option):
-            value = getattr(term.effect, option)
-            result[option] = {"value": list(value) if isinstance(value, tuple) else value, "std": None, "unit": ""}
+    for option in term.effect.options:
+        value = getattr(term.effect, option)
+        result[option] = {"value": list(value) if isinstance(value, tuple) else value, "std": None, "unit": ""}
     return result
+
+
+def _nested(names: Any, by_name: dict[str, tuple[Any, ...]], column: int) -> Any:
+    """One column of the parameters' data in the nesting of their names."""
+    return by_name[names][column] if isinstance(names, str) else [_nested(n, by_name, column) for n in names]
+
+
+def _first(names: Any) -> str:
+    return names if isinstance(names, str) else _first(names[0])
 
 
 def _joint(term: Term, joints: Sequence[str]) -> Any:

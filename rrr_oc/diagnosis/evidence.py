@@ -222,14 +222,14 @@ class Evidence:
         for k, trial in enumerate(self.table.trials):
             c = self._columns(k)
             options = [(None, left[np.ix_(c, c)], left[c, -1], np.diag(total)[c])]
-            if trial.effect.local and len(self.bench.labels) > 1:
+            if trial.effect.scope != "everywhere" and len(self.bench.labels) > 1:
                 options += self._scopes(c, total, inverse, _solve(*options[0][1:])[0])
-            if trial.effect.partial:
+            if trial.effect.scope == "some":
                 del options[0]
             for scope, *quadratic in options:
                 gain, coefficients, dimensions = self._possibly(k, scope, *quadratic)
                 cost = 2 * dimensions + (0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope)))
-                kind = (trial.effect if trial.effect.lawless else trial.effect.name), trial.effect.joints
+                kind = (trial.effect if trial.effect.black_box else trial.effect.name), trial.effect.joints
                 key = (*kind, scope is None)
                 if dimensions and gain - cost > best.get(key, (0.0,))[0]:
                     best[key] = (gain - cost, k, scope, coefficients, dimensions)
@@ -255,7 +255,7 @@ class Evidence:
         found: dict[tuple[Effect, Effect], tuple[float, Candidate, Candidate]] = {}
         for pair in itertools.combinations(shapes, 2):
             one, other = (effects[k] for k in pair)
-            if len(one.parameters) + len(other.parameters) < parameters and (one != other or one.many):
+            if len(one.parameters) + len(other.parameters) < parameters and (one != other or one.placement == "many"):
                 gain, coefficients, dimensions = explained(*pair)
                 a, b = np.split(coefficients, [len(self._columns(pair[0]))])
                 better = (one, other) not in found or gain - 2 * dimensions > found[one, other][0]
@@ -339,7 +339,7 @@ class Evidence:
         shape = len(trial.effect.parameters) - len(trial.effect.amplitudes)
         penalty = chance(dimensions + shape, self.counts, self.tests)
         chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
-        least = penalty if trial.effect.lawless else min(penalty, significant(dimensions + shape, self.tests))
+        least = penalty if trial.effect.black_box else min(penalty, significant(dimensions + shape, self.tests))
         likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
         gains = {"likelihood": likelihood, "compared": float(self.counts @ ratio)}
         return replace(bare, penalty=penalty + chosen, least=least + chosen, **gains)

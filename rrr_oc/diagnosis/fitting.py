@@ -13,7 +13,6 @@ from rrr_oc.calibration.regression import Rows
 from rrr_oc.calibration.term_fit import TermFit
 from rrr_oc.diagnosis.evidence import Bench, independent
 from rrr_oc.effects import Effect
-from rrr_oc.effects.friction.dry_friction import DryFriction
 
 STEADY, SELDOM = 3.0, 2.0  # standard errors by which a fit must be better; of effects that act at reversals only, which are few
 OPTIONS = GaussNewton(steps=12, promise=1e-5, gain=1e-5, fractions=(1.0, 0.4, 0.1))
@@ -87,7 +86,7 @@ def _shape_of_last(model: CalibratedModel) -> tuple[int, ...]:
 
 def _keeps_linear(effect: Effect) -> bool:
     """Whether the prediction stays linear in all parameters with this effect; a gain, or friction by load, multiplies others."""
-    return effect.plain or (effect.linear and effect.side != "sensor" and not effect.load_dependent)
+    return effect.role == "plain" or (effect.linear and effect.side != "sensor" and "load" not in effect.inputs)
 
 
 def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[str] | None = None) -> bool:
@@ -103,7 +102,7 @@ def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[st
     if scope is not None:
         inside = np.repeat([float(g in scope) for g in bench.groups], np.diff(bench.edges))
         blocks = blocks[bench.by_block(inside) > 0]
-    errors = SELDOM if one.model.terms[-1].effect.abrupt else STEADY
+    errors = SELDOM if one.model.terms[-1].effect.dynamics == "impact" else STEADY
     return bool(blocks.sum() > errors * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
 
 
@@ -112,7 +111,7 @@ def as_abrupt(bench: Bench, model: CalibratedModel) -> Fitted:
     return refit(bench, with_widths(bench.prepared, model, least_gain=0.0))
 
 
-def with_turn(terms: Sequence[Term], number: int, turn: str) -> tuple[Term, ...]:
-    """The terms with the dry friction of that number changing sign in another way (`smooth.TURNS`)."""
+def with_turn(terms: Sequence[Term], number: int, turn: int) -> tuple[Term, ...]:
+    """The terms with the dry friction of that number changing sign in another way, numbered as its `sign_forms`."""
     term = terms[number]
-    return (*terms[:number], replace(term, effect=DryFriction(term.effect.joints, turn)), *terms[number + 1 :])
+    return (*terms[:number], replace(term, effect=term.effect.sign_forms[turn]), *terms[number + 1 :])

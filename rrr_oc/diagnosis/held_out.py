@@ -1,4 +1,4 @@
-"""What a diagnosis is worth: errors before and after it on recordings held out, with intervals, and in closed loop."""
+"""Errors on held-out recordings before and after a diagnosis: bootstrap intervals, and tracking in MuJoCo."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,22 +8,23 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from rrr_oc import parallel
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import SIGNALS, Errors, evaluate_simulated
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.storage import number
 
 LEVEL, RESAMPLES = 0.95, 4000
-LEAST = 3  # recordings of which an interval can be told
+LEAST_RECORDINGS = 3  # for a bootstrap interval
 
 
 def intervals(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
     """Held-out NRMSE before and after and their ratio, by joint, each {"value": …, "interval": [low, high] or null}.
 
     Means over recordings; the 95 % intervals are percentiles of means over whole recordings (blocks of an only one) drawn with
-    replacement, before and after together (Efron & Tibshirani 1993, `scipy.stats.bootstrap`; its corrections for bias and skewness
-    jump about with so few). They say how much hangs on which recordings there are; of fewer than three there is none.
+    replacement, before and after in pairs (Efron & Tibshirani 1993, `scipy.stats.bootstrap`; its corrections for bias and skewness
+    are unstable with so few). They measure the variation between recordings; with fewer than three there is no interval.
     """
     before, after = (np.concatenate([getattr(f, key) for f in diagnosis.folds]) for key in ("before", "after"))
     result = {}
@@ -51,7 +52,7 @@ def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
     if not count:
         return {"value": None, "interval": None}
     value = float(statistic(*data))
-    if count < LEAST:
+    if count < LEAST_RECORDINGS:
         return {"value": value, "interval": None}
     seed, options = np.random.default_rng(0), {"paired": True, "method": "percentile"}
     found = bootstrap(data, statistic, confidence_level=LEVEL, n_resamples=RESAMPLES, rng=seed, **options).confidence_interval
@@ -59,13 +60,13 @@ def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
 
 
 def in_closed_loop(diagnosis: Diagnosis, jobs: int = -1) -> dict[str, Any]:
-    """NRMSE of `evaluate.SIGNALS` while the MuJoCo twin tracks the recordings, before and after, by joint and signal.
+    """NRMSE of `prediction_error.SIGNALS` while the MuJoCo model tracks the recordings, before and after, by joint and signal.
 
-    Each recording is tracked by the models that were found without it; an only recording by those found on it.
+    Each recording is tracked by the models found without it; a single recording by the models found on it.
 
     Returns:
         {"held_out": whether the recordings took no part, "before": …, "after": …}, the last two {joint: {signal: mean over the
-        recordings, or null}}, or {"why_not": sentence} where a model has what the twin cannot simulate.
+        recordings, or null}}, or {"why_not": sentence} where a model has an effect that MuJoCo cannot simulate.
     """
     every, held_out = diagnosis.recordings.recordings, diagnosis.way == "recordings"
     if held_out:
@@ -84,9 +85,9 @@ def in_closed_loop(diagnosis: Diagnosis, jobs: int = -1) -> dict[str, Any]:
 
 
 def _tracked(model: CalibratedModel, recordings: RecordingSet) -> Errors | str:
-    """Errors of the simulated signals, or why there are none."""
+    """Errors of the simulated signals, or the reason why there are none."""
     try:
-        return evaluate_simulated(replace(model, compiled={}), recordings)
+        return evaluate_simulated(model, recordings)
     except UserError as error:
         return str(error)
 

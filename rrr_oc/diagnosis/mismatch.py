@@ -1,4 +1,4 @@
-"""Where a calibrated model fails: on which joints, in which recordings, and over which part of the motion."""
+"""Location of the mismatch: on which joints, in which recordings and over which range of a variable the plain model fails."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 from scipy.stats import f as fisher
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.diagnosis.contest import Finding
 from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted
+from rrr_oc.storage import number
 
-LEAST_GROWTH = 0.005  # of the squared residual without the effects, for a joint to be called one of the mismatch
-BINS = 12  # of a variable, when it is asked where the error is
-FAR = 3.0  # times the noise: a residual that is a mismatch, whether or not something was found that holds on other recordings
-NOTABLE = 1.25  # of the mean square of the rest, for a recording to be named
+LEAST_GROWTH = 0.005  # of the squared residual without the effects from which a joint has a mismatch; twice as much marks fewer
+BINS = 12  # of a variable for the range with the largest error; more bins give narrower ranges
+FAR = 3.0  # residual over noise above which a joint has a mismatch whatever was found; twice as much: fewer "cannot tell"
+NOTABLE = 1.25  # ratio to the final mean square from which a recording is named
 
 
 def mismatch(
@@ -24,14 +25,13 @@ def mismatch(
     fitted: Fitted,
     findings: Sequence[Finding],
     left_over: np.ndarray,
-    calibration: np.ndarray,
-    held_out: np.ndarray,
+    nrmse: tuple[np.ndarray, np.ndarray],
 ) -> tuple[dict[str, Any], ...]:
-    """For each joint whether, where and in which recordings the plain model's error is larger than what remains in the end.
+    """For each joint whether, where and in which recordings the plain model's error exceeds that of the final model.
 
     Args:
-        left_over: What `fitted` leaves of each joint's torque over what noise accounts for, (n,): far beyond it (`FAR`) there is a
-            mismatch, whatever was found.
+        left_over: Residual of `fitted` over noise, (n,); above `FAR` a joint has a mismatch whatever was found.
+        nrmse: Of the plain model on the recordings calibrated on and on held-out ones, (n,) each.
     """
     result, joints = [], plain.model.joints
     growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)
@@ -40,7 +40,7 @@ def mismatch(
         own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
         p = min((f.p_value for f in own), default=1.0)
         significant = bool(own and growth[j] > LEAST_GROWTH)
-        if not significant and findings and growth[j] > 0.1:  # an effect elsewhere shows here too
+        if not significant and findings and growth[j] > 0.1:  # an effect of another joint acts here too
             significant, p = True, min(f.p_value for f in findings)
         alone = left_over[j] > FAR and not significant
         if alone:
@@ -56,7 +56,7 @@ def mismatch(
                 "joint": joint,
                 "significant": significant,
                 "p_value": p,
-                "nrmse": {"calibration": number(calibration[j]), "held_out": number(held_out[j])},
+                "nrmse": {"calibration": number(nrmse[0][j]), "held_out": number(nrmse[1][j])},
                 "where": _where(error, moving, j, joint, variables) if significant else [],
                 "recordings": list(dict.fromkeys(files)) if significant else [],
             }
@@ -65,7 +65,7 @@ def mismatch(
 
 
 def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
-    """What error may depend on, at the rows kept: (n, M) by name, with units."""
+    """Variables that the error may depend on, filtered, at the rows of the fit: (n, M) by name, with units."""
     parts: dict[str, list[np.ndarray]] = {}
     units = {
         "q": "rad",
@@ -99,7 +99,7 @@ def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarr
 def _where(
     error: np.ndarray, moving: np.ndarray, j: int, joint: str, variables: Mapping[str, tuple[np.ndarray, str]]
 ) -> list[dict[str, Any]]:
-    """The ranges of up to three variables in which the error is densest: half of it and more, in the least time."""
+    """For up to three variables the range that holds at least half of the squared error in the smallest share of time."""
     found = []
     total = float(error.sum()) or 1.0
     for name, (values, unit) in variables.items():

@@ -1,4 +1,4 @@
-"""The diagnosis of a recording set: where a calibrated model fails, what it lacks, and how well it predicts once that is added."""
+"""Diagnosis of a recording set: calibration, selection of effects, comparison with alternatives, validation on held-out recordings."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -21,35 +21,33 @@ from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted, refit
 from rrr_oc.diagnosis.mismatch import FAR, mismatch
 from rrr_oc.diagnosis.reversals import blurred_joints, other_turns, with_turns
-from rrr_oc.diagnosis.selection import SAME, Found, Lawless, above_noise, as_seen, search, worth
+from rrr_oc.diagnosis.selection import SAME, Found, Lawless, above_noise, as_seen, select_effects, worth
 from rrr_oc.diagnosis.signatures import view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
-from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.inertial_parameters import precision, prior
 
-FOLDS = 4  # of the recordings, each held out once
-FEWER = 2  # with more than `SMALL` joints, where a search takes minutes
-SMALL = 4
-BLOCKS = 4  # of the only recording
-FEW = 5  # effects, of which each is tried to leave where a term that no law stands behind is worth nothing
-SHORT = 10  # samples of a segment that a block has no use for
-UNSURE = 0.0027  # p-value of absence, of three standard errors, for a linear effect to stay
-LEAST_WORTH = 0.002  # of the squared residual on recordings held out (`Shares.worth`), for an effect to stay
-HARM = 0.05  # of the squared residual on any of the folds, by which a term that no law stands behind must not raise it
-HEAVY = 5e8  # bytes of signatures, above which another process finds them anew
+FOLDS = 4  # of the recordings, each held out once; twice as many double the time
+FOLDS_OF_MANY, MANY_JOINTS = 2, 5  # folds of arms with so many joints or more, where a selection takes minutes
+BLOCKS = 4  # contiguous pieces of a single recording, each held out once
+FEW_EFFECTS = 5  # up to which the removal of each is tried when a black-box term is worth nothing; more cost time
+SHORT = 10  # samples; shorter segments are left out of the blocks
+WALD_P = 0.0027  # largest p-value of a linear effect that is kept (three standard errors); twice as much keeps fainter ones
+LEAST_WORTH = 0.002  # relative fall of the held-out squared residual for an effect to be kept; twice as much drops the faintest
+HARM = 0.05  # relative rise of any fold's squared residual above which a black-box term is removed; twice as much keeps more
+HEAVY = 5e8  # bytes of signatures above which another process computes them instead of receiving them
 VERDICTS = ("missing_physics", "nothing_missing", "cannot_tell")
 
 
 @dataclass(frozen=True)
 class Shares:
-    """What each effect is worth on recordings that took part in no fit.
+    """What each effect contributes on held-out recordings; one entry per effect.
 
     Attributes:
-        share: Fall of the squared residual with the effect, over what it was before any effect, one an effect.
-        worth: The fall, as `diagnose.worth` has it; of what is another in each of several recordings, where the others are there.
-        before, after: NRMSE of the effect's joints without and with it, one an effect.
-        least: The share of the fall that `worth` is of, in the fold where it is least.
+        share: Fall of the squared residual when the effect is added, relative to the plain model's squared residual.
+        worth: The fall as `selection.worth` measures it; for an effect with separate parameters in several groups, beside the others.
+        before, after: NRMSE of the effect's joints without and with it.
+        least: Smallest relative fall over the folds.
     """
 
     share: tuple[float, ...]
@@ -61,12 +59,12 @@ class Shares:
 
 @dataclass(frozen=True)
 class Fold:
-    """What comes out without some of the recordings, and how well it predicts them.
+    """The models found without some of the recordings, and their errors on them.
 
     Attributes:
-        held: Numbers of the recordings held out (of the blocks of an only one).
-        plain, model: Without and with effects, fitted to and chosen on the rest.
-        before, after: Their NRMSE on what was held out, each (number held, n).
+        held: Indices of the held-out recordings (of the blocks of a single recording).
+        plain, model: Without and with effects, selected and fitted on the rest.
+        before, after: Their NRMSE on the held-out recordings, each (number held out, n).
     """
 
     held: tuple[int, ...]
@@ -78,20 +76,20 @@ class Fold:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found.
+    """The result of a diagnosis.
 
     Attributes:
         recordings: The set.
         plain, model: Without and with the effects, both calibrated on all recordings.
-        findings: The effects, most important first; empirical terms among them.
-        shares: As `findings`.
+        findings: The effects and black-box terms, most important first.
+        shares: Contribution of each finding on held-out recordings.
         calibration: NRMSE of each joint with the plain and the extended model on all recordings, two of (n,).
-        held_out: The same on recordings that took part in no fit and no choice.
+        held_out: The same on recordings that took part in no fit and no selection.
         way: "recordings" or "blocks": what was held out.
-        mismatch: One entry a joint, as in the file.
-        suggestions: Recordings that would decide between effects that these do not tell apart.
-        folds: What `held_out` comes from.
-        above_noise: What the final model leaves of each joint's torque, over what noise accounts for, (n,).
+        mismatch: One entry per joint, as in the file.
+        suggestions: Recordings that would separate effects which these do not separate.
+        folds: The held-out fits behind `held_out`.
+        above_noise: Residual of the final model over noise, (n,).
     """
 
     recordings: RecordingSet
@@ -112,23 +110,23 @@ class Diagnosis:
         """One of `VERDICTS`."""
         if not self.findings:
             return "cannot_tell" if max(self.above_noise, default=0.0) > FAR else "nothing_missing"
-        undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.lawless)
-        named = any(not f.term.effect.lawless for f in self.findings)
+        undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
+        named = any(not f.term.effect.black_box for f in self.findings)
         return "cannot_tell" if named and undecided else "missing_physics"
 
 
 @dataclass(frozen=True)
 class _Searched:
-    """Where the search on all recordings ended.
+    """The selection on all recordings.
 
     Attributes:
         recordings: The set.
-        whole: Every row, without the moments at which joints reverse that were left out.
-        bench: What effects are looked for on.
+        whole: All samples, without the reversals that were left out.
+        bench: The thinned samples on which effects are selected.
         plain: The plain model, calibrated.
-        start: The plain model with the widths that it has on the bench.
-        begin: The same with the links' inertial parameters, if these were identified; where every search begins.
-        found: What it found.
+        start: The plain model with the friction widths estimated on the bench.
+        begin: The same with identified inertial parameters, if any; every selection starts from it.
+        found: The outcome of the selection.
     """
 
     recordings: RecordingSet
@@ -144,8 +142,8 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     """Diagnose a recording set.
 
     Args:
-        report: Is told what happens, a line at a time.
-        jobs: Processes for the held-out fits (-1: one a core).
+        report: Receives one line of progress at a time.
+        jobs: Processes for the held-out fits (-1: one per core).
 
     Raises:
         UserError: The recordings are too short for the filter.
@@ -157,18 +155,18 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
     outcomes = _without_each(folds, at, findings, report, jobs)
     held_out = _mean([o.before for o in outcomes]), _mean([o.after for o in outcomes])
     if _refuted(findings, fitted, held_out):
-        report("what was found there predicts them worse")
+        report("the selected effects predict held-out recordings worse: they are dropped")
         findings = []
     model, shares = plain, Shares((), (), (), (), ())
     if findings:
-        report("what each effect is worth on recordings held out")
+        report("measuring what each effect contributes on held-out recordings")
         fitted, model, findings, shares = _claimed(at, folds, fitted, findings, report)
     if not findings:
         fitted, held_out = at.found.plain, (held_out[0], held_out[0])
         outcomes = [replace(o, model=o.plain, after=o.before) for o in outcomes]
     left = above_noise(bench, fitted)
     calibration = _nrmse(bench, plain), _nrmse(bench, model)
-    where = mismatch(bench, refit(bench, plain), fitted, findings, left, calibration[0], held_out[0])
+    where = mismatch(bench, refit(bench, plain), fitted, findings, left, (calibration[0], held_out[0]))
     suggestions = suggest(recordings, plain, findings, bool(np.any(left > FAR)), view(bench.prepared, plain))
     return Diagnosis(
         recordings,
@@ -187,7 +185,7 @@ def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _:
 
 
 def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searched:
-    """The search on all recordings; again where what happens as joints reverse hides or feigns effects."""
+    """The selection on all recordings, repeated where errors at reversals hide or imitate effects."""
     report("calibrating the plain model")
     whole = prepare(recordings)
     start = with_widths(whole, plain_model(recordings))
@@ -198,19 +196,19 @@ def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searc
     report("looking for effects")
     start = with_widths(bench.prepared, start, free=True)
     begin = replace(start, robot=plain.robot) if unknown else start
-    found = search(bench, begin, report)
+    found = select_effects(bench, begin, report)
     if np.any(blurred := blurred_joints(bench, found)):
         names = ", ".join(np.array(recordings.joints)[blurred])
         report(f"looking for effects without the moments at which these joints reverse: {names}")
         whole = without_reversals(whole, blurred)
         bench = bench.on(without_reversals(bench.prepared, blurred))
-        found = search(bench, begin, report)
+        found = select_effects(bench, begin, report)
     while turned := other_turns(bench, found):
         names = ", ".join(recordings.joints[j] for j in turned)
         report(f"looking for effects where dry friction changes sign in another way: {names}")
         plain, start, begin = (with_turns(m, turned) for m in (plain, start, begin))
         plain = _final(recordings, whole, plain).model
-        found = search(bench, begin, report)
+        found = select_effects(bench, begin, report)
     return _Searched(recordings, whole, bench, plain, start, begin, found)
 
 
@@ -221,8 +219,8 @@ def _without_each(
     report: Callable[[str], None],
     jobs: int,
 ) -> list[Fold]:
-    """What comes out without each fold of the recordings."""
-    empirical = any(f.term.effect.lawless for f in findings)
+    """Selection and fit without each fold of the recordings."""
+    empirical = any(f.term.effect.black_box for f in findings)
     lawless = "beside" if empirical or _few_cycles(at.bench, at.plain, findings) else "never"
     every = [fold for _, fold in folds]
     held = [(bench, at.begin, every, k, bool(findings), lawless) for k, (bench, _) in enumerate(folds)]
@@ -237,11 +235,11 @@ def _claimed(
     findings: Sequence[Finding],
     report: Callable[[str], None],
 ) -> tuple[Fitted, CalibratedModel, list[Finding], Shares]:
-    """What of the findings is worth something on recordings held out and is sure, and the model with that, calibrated on all."""
+    """The findings that contribute on held-out recordings and differ significantly from 0, and the model with them."""
     kept, shares = _weighed(folds, at.begin, fitted, findings)
-    if not kept and any(f.term.effect.lawless for f in findings):
+    if not kept and any(f.term.effect.black_box for f in findings):
         report("looking for effects of the catalogue first")
-        fitted, findings = contested(at.bench, search(at.bench, at.begin, report, "after"), report)
+        fitted, findings = contested(at.bench, select_effects(at.bench, at.begin, report, "after"), report)
         kept, shares = _weighed(folds, at.begin, fitted, findings)
     base = len(at.start.terms)
     fit = _calibrated(at, fitted, kept)
@@ -255,16 +253,15 @@ def _claimed(
 
 
 def _few_cycles(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> bool:
-    """Whether a ripple is among them that only takes the place of a series, as the recordings see less than two cycles of it."""
+    """Whether one is among them that only takes the place of a series, such as a ripple of less than two cycles."""
     seen, terms = view(bench.prepared, plain), [f.term for f in findings]
-    return any(isinstance(t.effect, TorqueRipple) and t.effect.is_slow(seen, t.named) for t in terms)
+    return any(t.effect.is_sparse(seen, t.named) for t in terms)
 
 
 def _refuted(findings: Sequence[Finding], fitted: Fitted, held_out: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Whether recordings held out speak against what was found: choosing and fitting without them makes errors larger.
+    """Whether held-out recordings refute the findings: selection and fit without them raise their errors significantly.
 
-    By more than chance: what is as faint as noise may be chosen otherwise from fewer recordings. An effect of some recordings only
-    may be unknown to those that it was to be chosen from.
+    Findings that hold in some recordings only exempt the set, since the training recordings may not contain the effect.
     """
     everywhere = all(f.term.recordings == "all" for f in findings)
     change = 2 * np.log(np.maximum(held_out[1], 1e-300) / np.maximum(held_out[0], 1e-300))
@@ -278,15 +275,15 @@ def _final(recordings: RecordingSet, prepared: Sequence[Prepared], model: Calibr
 
 
 def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
-    """Benches with the numbers of the recordings to hold out; an only recording is cut into blocks."""
+    """Benches with the indices of the recordings to hold out; a single recording is cut into blocks."""
     count = len(bench.prepared)
     if count == 1:
         bench, count, way = _blocks(bench), BLOCKS, "blocks"
     else:
         bench, way = bench if bench.signatures.nbytes < HEAVY else bench.on(bench.prepared), "recordings"
-    number = min(count, FOLDS if bench.n <= SMALL else FEWER)
+    number = min(count, FOLDS_OF_MANY if bench.n >= MANY_JOINTS else FOLDS)
     alike = sorted(range(count), key=lambda i: (*_mounted(bench.prepared[i].recording), bench.labels.index(bench.groups[i])))
-    return way, [(bench, sorted(alike[k::number])) for k in range(number)]  # those that are alike fall apart
+    return way, [(bench, sorted(alike[k::number])) for k in range(number)]  # recordings of one set-up go to different folds
 
 
 def _mounted(r: Recording) -> tuple[float, int]:
@@ -313,22 +310,22 @@ def _blocks(bench: Bench) -> Bench:
 def _held_out(
     bench: Bench, start: CalibratedModel, folds: Sequence[list[int]], number: int, look: bool, lawless: Lawless
 ) -> Fold:
-    """The plain and the extended model, fitted to and chosen on what is not in a fold, and their errors on the fold.
+    """The plain and the extended model, selected and fitted without one fold, and their errors on that fold.
 
-    Where terms that no law stands behind are not worth keeping on the other folds, the search is repeated without such.
+    If a black-box term is not worth keeping on the other folds, the selection is repeated without such terms.
     """
     fold, rest = folds[number], [i for i in range(len(bench.prepared)) if i not in folds[number]]
     train = bench.part(rest)
-    plain = after = refit(train, replace(start, compiled={}))
+    plain = after = refit(train, start)
     if look:
-        after = search(train, plain.model, lawless=lawless).fitted
+        after = select_effects(train, plain.model, lawless=lawless).fitted
         inner = [(train, [rest.index(i) for i in other]) for k, other in enumerate(folds) if k != number]
         found = after.model.terms[len(start.terms) :]
-        doubtful = [k for k, t in enumerate(found) if t.effect.lawless] if len(inner) > 1 else []
+        doubtful = [k for k, t in enumerate(found) if t.effect.black_box] if len(inner) > 1 else []
         if doubtful and not set(doubtful) <= set(_worth_keeping(inner, plain.model, found)[0]):
-            after = search(train, plain.model, lawless="never").fitted
+            after = select_effects(train, plain.model, lawless="never").fitted
     before, then = (_errors(bench.part(fold), fitted.model) for fitted in (plain, after))
-    return Fold(tuple(fold), replace(plain.model, compiled={}), replace(after.model, compiled={}), before, then)
+    return Fold(tuple(fold), plain.model, after.model, before, then)
 
 
 def _errors(bench: Bench, model: CalibratedModel) -> np.ndarray:
@@ -344,7 +341,7 @@ def _nrmse(bench: Bench, model: CalibratedModel) -> np.ndarray:
 
 
 def _mean(errors: Sequence[np.ndarray]) -> np.ndarray:
-    """Over recordings, where a joint moves; NaN where it never does."""
+    """Mean over the recordings in which a joint moves, (n,); NaN where it never moves."""
     whole = np.concatenate(errors)
     known = np.isfinite(whole)
     return np.where(known.any(axis=0), np.where(known, whole, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
@@ -355,7 +352,7 @@ def _with(start: CalibratedModel, terms: Sequence[Term]) -> CalibratedModel:
 
 
 def _at(start: CalibratedModel, fitted: Fitted) -> CalibratedModel:
-    """The plain model as it was fitted with the effects; far from there, those that are not linear would lead astray."""
+    """The plain model at its estimates beside the effects; nonlinear effects need a start near the optimum."""
     return replace(start, terms=fitted.model.terms[: len(start.terms)])
 
 
@@ -366,17 +363,17 @@ def _calibrated(at: _Searched, fitted: Fitted, findings: Sequence[Finding]) -> F
 
 
 def _sure(terms: Sequence[Term], covariance: np.ndarray) -> list[bool]:
-    """Of each linear effect, whether it is clear of absence, beside everything else that was found (Wald's test).
+    """Whether each linear effect differs significantly from 0 beside all other terms (Wald's test); nonlinear ones count as sure.
 
     Args:
-        covariance: Of the parameters of all terms of the model, of which these are the last, (p, p); NaN where nothing decides.
+        covariance: Of the parameters of all terms of the model, these terms last, (p, p); NaN for undetermined ones.
     """
     sure, at = [], len(covariance) - sum(len(t.estimates) for t in terms)
     for t in terms:
         own = slice(at, at := at + len(t.estimates))
         away, matrix = t.values - [p.nominal for p in t.effect.parameters], covariance[own, own]
         known = np.all(np.isfinite(matrix))
-        far = not known or away @ np.linalg.pinv(matrix, hermitian=True) @ away > chi2.isf(UNSURE, len(away))
+        far = not known or away @ np.linalg.pinv(matrix, hermitian=True) @ away > chi2.isf(WALD_P, len(away))
         sure.append(not t.effect.linear or bool(far))
     return sure
 
@@ -384,7 +381,7 @@ def _sure(terms: Sequence[Term], covariance: np.ndarray) -> list[bool]:
 def _weighed(
     folds: Sequence[tuple[Bench, list[int]]], begin: CalibratedModel, fitted: Fitted, findings: Sequence[Finding]
 ) -> tuple[list[Finding], Shares]:
-    """The effects that are worth something on recordings held out, most first, with their shares."""
+    """The effects that contribute on held-out recordings, largest contribution first, with their shares."""
     there = _at(begin, fitted)
     ordered = _ordered(folds, there, findings)
     kept, shares = _worth_keeping(folds, there, [f.term for f in ordered])
@@ -392,7 +389,7 @@ def _weighed(
 
 
 def _ordered(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, findings: Sequence[Finding]) -> list[Finding]:
-    """The effects by what each, alone, is worth on recordings held out, most first."""
+    """The effects in descending order of what each alone contributes on held-out recordings."""
     if len(findings) < 2:
         return list(findings)
     alone = [_shares(folds, start, [f.term]).share[0] for f in findings]
@@ -402,31 +399,30 @@ def _ordered(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, f
 def _worth_keeping(
     folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]
 ) -> tuple[list[int], Shares]:
-    """Numbers of the terms that are worth something on recordings held out, and their shares; the others leave one by one.
+    """Indices of the terms that contribute on held-out recordings, and their shares (backward elimination).
 
-    A term of all recordings that no law stands behind must do harm on none of the folds, too: it may fit motions that are alike, and
-    no others. Of terms of which one must leave, the one leaves without which the others predict best: together they may do worse
-    than alone.
+    A black-box term of all recordings must in addition not harm any fold: it may fit similar motions and no others. Of several terms
+    that contribute too little, the one is removed without which the rest predicts best.
     """
     kept = list(range(len(terms)))
     while True:
         shares = _shares(folds, start, [terms[k] for k in kept])
         poor, lawless = [], False
         for k, value, least in zip(kept, shares.worth, shares.least, strict=True):
-            unnamed = terms[k].effect.lawless and not terms[k].groups
+            unnamed = terms[k].effect.black_box and not terms[k].groups
             if value <= LEAST_WORTH or (unnamed and least < -HARM):
                 poor.append(k)
                 lawless |= unnamed
         if not poor:
             return kept, shares
-        if lawless and len(kept) <= FEW:
+        if lawless and len(kept) <= FEW_EFFECTS:
             poor = kept
         left = [_left(folds, start, [terms[i] for i in kept if i != k]) if len(poor) > 1 else 0.0 for k in poor]
         kept = [k for k in kept if k != poor[int(np.argmin(left))]]
 
 
 def _left(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]) -> float:
-    """Sum over the joints of the logarithm of the squared residual on recordings held out, with these effects; less is better."""
+    """Sum over the joints of the log squared residual on held-out recordings with these effects; smaller is better."""
     squares = []
     for bench, fold in folds:
         train = bench.part([i for i in range(len(bench.prepared)) if i not in fold])
@@ -436,9 +432,9 @@ def _left(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, term
 
 
 def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, terms: Sequence[Term]) -> Shares:
-    """Effects are added one after the other, in their order; everything is fitted to the rest of the recordings each time.
+    """Contributions of effects that are added in their order, all parameters fitted without the held-out recordings each time.
 
-    Where one is another in each of several recordings, its worth is what it adds where the others are there already.
+    For an effect with separate parameters in several groups, `worth` is measured beside the other groups' terms.
     """
     base, count = len(start.terms), len(terms)
     some = [tuple(range(k)) for k in range(count + 1)]
@@ -467,5 +463,5 @@ def _shares(folds: Sequence[tuple[Bench, list[int]]], start: CalibratedModel, te
 
 
 def _siblings(terms: Sequence[Term], k: int) -> list[int]:
-    """The terms that are the same effect in other recordings."""
+    """Indices of the terms with the same effect in other groups."""
     return [i for i, t in enumerate(terms) if t.effect == terms[k].effect and t.groups and terms[k].groups]

@@ -1,6 +1,6 @@
-"""What happens when a joint reverses, where plain dry friction is only nearly the law and what is missing may be its own course.
+"""Reversals of a joint: where smoothed dry friction is inexact, and which smoothed sign describes a joint best.
 
-How a real joint changes direction no model knows: for which of them that spoils a diagnosis, and in which way the sign changes.
+Near a reversal the recorded speed does not resolve the direction of motion, and errors there can look like further effects.
 """
 
 from collections import Counter
@@ -16,61 +16,61 @@ from rrr_oc.calibration.samples import SPEED_WINDOW, without_reversals
 from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, with_turn
 from rrr_oc.diagnosis.selection import Found, noisy
-from rrr_oc.effects.friction.dry_friction import DryFriction
-from rrr_oc.effects.friction.presliding_hysteresis import PreslidingHysteresis
 from rrr_oc.numerics.savitzky_golay import smooth
-from rrr_oc.numerics.smooth import TURNS
 
-LEAST = 7  # samples of a smooth motion, from which positions are told
-BLURRED = 1.2  # of the variance away from reversals: where it is larger with them, they do not count
+LEAST_SAMPLES = 7  # in the window of a smooth motion
+VARIANCE_RATIO = 1.2  # with reversals over without, above which reversals are left out; twice as much keeps nearly all
 
 
 def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
-    """The joints of which no law of the catalogue explains what happens when they reverse, (n,).
+    """Joints whose reversals no law of the catalogue explains, (n,).
 
-    Abrupt dry friction may hold a joint for a moment then, and may be anything below its level; a term that no law stands behind
-    may take up even that, so that it is asked without such, too. Where hardly more than noise was to be explained, bristles that bend
-    by less than recorded positions tell are none.
+    At a reversal dry friction may take any value below its level. A black-box term may fit that, so the variance is also compared
+    without black-box terms. Where little more than noise is to be explained, bristles that bend by less than the resolution of the
+    recorded positions do not count as an explanation.
     """
     clear, model = without_reversals(bench.prepared), found.fitted.model
-    lawful = replace(model, terms=tuple(t for t in model.terms if not t.effect.lawless))
+    lawful = replace(model, terms=tuple(t for t in model.terms if not t.effect.black_box))
     result = np.zeros(bench.n, bool)
     for one in (model,) if len(lawful.terms) == len(model.terms) else (model, refit(bench, lawful).model):
-        result |= variance(bench.prepared, one) > BLURRED * variance(clear, one)
-    bristles = [(t.effect.joints[0], t.named) for t in lawful.terms if isinstance(t.effect, PreslidingHysteresis)]
+        result |= variance(bench.prepared, one) > VARIANCE_RATIO * variance(clear, one)
     much = noisy(bench, found.plain)
-    for j, theta in bristles:
-        result[j] |= j not in much and theta["level"] < theta["stiffness"] * _resolution(bench, j)
+    travels = {t.effect.joints: t.effect.travel(t.named) for t in lawful.terms}
+    for (j, *_), travel in ((joints, travel) for joints, travel in travels.items() if travel is not None):
+        result[j] |= j not in much and travel < _resolution(bench, j)
     return result
 
 
 def _resolution(bench: Bench, j: int) -> float:
-    """Deviation of a joint's recorded positions from a smooth motion [rad]."""
+    """Standard deviation of a joint's recorded positions about a smooth motion [rad], from the median absolute deviation."""
     off = []
     for r in (p.recording for p in bench.prepared):
-        window = max(SPEED_WINDOW, LEAST * float(np.median(np.diff(r.t))))
+        window = max(SPEED_WINDOW, LEAST_SAMPLES * float(np.median(np.diff(r.t))))
         off.append(r.q[j] - smooth(r.t, r.q[j : j + 1], r.segments, window)[0])
     return float(median_abs_deviation(np.concatenate(off), scale="normal"))  # pyright: ignore[reportArgumentType] (stubs)
 
 
 def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
-    """Dry friction, by joint, that changes sign in another way than tanh and so explains what laws of speed were found for.
+    """Dry friction, by joint, that changes sign in another way than by default and so explains what laws of speed were found for.
 
-    All of them or some: with the fewer parameters the model must do as well (Akaike's criterion). Joints of an arm are alike, so that
-    the others follow where they do not fit worse.
+    The model with fewer laws must fit as well by Akaike's criterion. The joints of an arm are alike: the others take the most common
+    sign where they do not fit worse with it.
     """
     plain, fitted, result = found.plain.model.terms, found.fitted, {}
-    tanh = [i for i, term in enumerate(plain) if term.effect == DryFriction(term.effect.joints)]
-    for number in tanh:
+    default = [i for i, term in enumerate(plain) if term.effect in term.effect.sign_forms[:1]]
+    for number in default:
         laws = [
-            t for t in fitted.model.terms[len(plain) :] if t.effect.of_speed and t.effect.joints == plain[number].effect.joints
+            t
+            for t in fitted.model.terms[len(plain) :]
+            if t.effect.resembles == "friction_over_speed" and t.effect.joints == plain[number].effect.joints
         ]
-        ways = [_with_fewer(bench, fitted, number, turn, laws) for turn in TURNS if turn != "tanh"]
+        others = range(1, len(plain[number].effect.sign_forms))
+        ways = [_with_fewer(bench, fitted, number, turn, laws) for turn in others]
         most = max(ways, key=lambda way: (way[0], -way[1].misfit))
         if most[0]:
             fitted, result[number] = most[1], most[1].model.terms[number]
-    turns = Counter(term.effect.turn for term in result.values())
-    for number in [i for i in tanh if turns and i not in result]:
+    turns = Counter(term.effect.sign_forms.index(term.effect) for term in result.values())
+    for number in [i for i in default if turns and i not in result]:
         terms = with_turn(fitted.model.terms, number, turns.most_common(1)[0][0])
         tried = as_abrupt(bench, replace(fitted.model, terms=terms))
         if tried.better_than(fitted) > 0:
@@ -78,8 +78,8 @@ def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
     return {term.effect.joints[0]: term for term in result.values()}
 
 
-def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: str, laws: Sequence[Term]) -> tuple[int, Fitted]:
-    """How many laws leave where a joint's dry friction has this turn and the fit does as well, and the fit."""
+def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: int, laws: Sequence[Term]) -> tuple[int, Fitted]:
+    """Number of laws that can be removed if a joint's dry friction has this smoothed sign, and the fit without them."""
     terms, fewer, left, dropped = with_turn(fitted.model.terms, number, turn), fitted, list(laws), 0
     while left:
         tried = []
@@ -96,10 +96,10 @@ def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: str, laws: Sequ
 
 
 def with_turns(model: CalibratedModel, turned: Mapping[int, Term]) -> CalibratedModel:
-    """The model with dry friction that changes sign as these terms do."""
+    """The model whose dry friction has the smoothed sign of these terms, by joint."""
 
     def alike(term: Term) -> Term:
-        other = turned.get(term.effect.joints[0]) if isinstance(term.effect, DryFriction) else None
+        other = turned.get(term.effect.joints[0]) if term.effect.sign_forms else None
         return term if other is None else replace(term, effect=other.effect, width=other.width)
 
     return replace(model, terms=tuple(alike(t) for t in model.terms))

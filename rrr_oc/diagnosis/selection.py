@@ -1,7 +1,7 @@
-"""Which physics a calibrated model lacks: candidates compete after all parameters are estimated anew with each of them.
+"""Forward selection with pruning: which effects a calibrated model lacks.
 
-Forward: the trial with the most evidence joins the model, is fitted with everything else on the exact equations, and what it made
-superfluous leaves again, until nothing is left beyond chance.
+In each round the candidate with the most evidence joins the model, all parameters are estimated again, and effects that have become
+superfluous are removed. The rounds end when no candidate explains more than chance.
 """
 
 from collections import Counter
@@ -21,37 +21,36 @@ from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, chance, robust
 from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, steadily_better, with_turn
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.effects import CATALOGUE, Effect
-from rrr_oc.effects.black_box.empirical import Empirical
-from rrr_oc.effects.friction.dry_friction import DryFriction
-from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
-from rrr_oc.effects.friction.position_dependent_friction import PositionDependentFriction
 from rrr_oc.numerics.rank import pseudo_inverse
-from rrr_oc.numerics.smooth import TURNS
 
-MOST = 12  # effects
-TRIED = 5  # candidates that are fitted exactly in each round
-CLOSE = 0.4  # of the best score, for a candidate to be tried
-DOUBT = 0.05  # p-value of the robust test, all effects together
-CONFIRMED = 0.3  # of the fall of the squared residual in the fit, that recordings left out of it must show
-LEAST_SHARE = 0.007  # of a joint's squared residual, for an effect to be named
-APART = 0.1  # of a parameter, by which it must differ between recordings to be another in each
-LESS_LEFT = 0.8  # of the squared residual: what that must leave far from the noise, where it takes up what else is missing
-FEWER_LEFT = 2.0  # times less of the squared residual: better, however few independent rows that leaves
-HALF = 0.5  # of what a joint lacks
-EXACT = 3e-4  # of a joint's torque (deviation): no law, and no simulation, is more exact than that
-FLOOR = 1.1  # of the deviation that the noise accounts for
-MARGIN = 1.1  # by which an empirical term must do better than a law of the catalogue
-RARE = 0.25  # of the evidence for what is mounted in all recordings and listed in none
-BY_LOAD = (
-    0.7  # of the evidence for friction over position: beyond it that over load, in slow motion all but the same, goes first
+MOST_EFFECTS = 12  # at which the selection stops; more would only cost time
+EXACT_FITS = 5  # candidates fitted on the exact equations in each round; twice as many cost twice the time
+CLOSE = 0.4  # share of the best score that a candidate needs for an exact fit; twice as much leaves fewer candidates
+ROBUST_P = 0.05  # largest p-value of the robust score test, corrected for all tests; twice as much doubles its false alarms
+CONFIRMED = (
+    0.3  # share of the fitted fall of the squared residual that left-out recordings must show; twice as much rejects more
 )
-TOGETHER = 4  # effects that may explain what an empirical term does
-HOPELESS = 0.25  # of what it explains, that two of them must
-NEARLY = 0.8  # of the best score, for a torque that begins at an edge to be looked at more closely
-EDGES_APART, LEAST_STEP = 0.05, 0.002  # of a range: first step towards where a torque begins, and below which there is none
-ROUGH = 0.05  # of a width that several laws share, until that of dry friction alone is looked for again
-SAME = 9.0  # twice the log-likelihood within which two models do equally well
-DOUBTFUL = 3.0  # times what an effect must be worth, as foreseen, below which it is tried without it
+LEAST_SHARE = 0.007  # share of a joint's squared residual that an effect must explain; twice as much drops the faintest effects
+APART = (
+    0.1  # relative difference between groups from which a parameter gets one value per group; twice as much splits less often
+)
+LESS_LEFT = 0.8  # far above the noise, values per group must reduce the squared residual to this share; a larger share splits more often
+FEWER_LEFT = (
+    2.0  # factor in the squared residual by which a fit is better whatever its effective sample size; twice as much: seldom
+)
+HALF = 0.5  # share of the residual above which an effect of some recordings explains most of it
+EXACT = 3e-4  # share of a joint's torque (standard deviation) below which a change counts for nothing: no law is more exact
+NOISE_RATIO = 1.1  # residual over noise above which a joint still lacks something; twice as much calls more fits complete
+MARGIN = 1.1  # factor in the score by which a black-box term must beat a law of the catalogue; twice as much: hardly ever
+UNLISTED = 0.25  # share of its evidence that a mounted effect loses if all recordings have it and none lists it
+PRECEDENCE = 0.7  # of the evidence for an effect: a law of its `precedence` with more goes before it where there is noise
+TOGETHER = 4  # effects tried in place of one black-box term; more cost time
+HOPELESS = 0.25  # share of its score that two effects must reach for a third to be tried
+NEARLY = 0.8  # share of the best score from which the edge of a piecewise torque is refined
+EDGE_STEP, LEAST_STEP = 0.05, 0.002  # first and last step of that refinement, as shares of the range
+ROUGH = 0.05  # relative tolerance of a smoothing width that several laws share
+SAME = 9.0  # difference in twice the log-likelihood within which two models count as equal; twice as much lists more rivals
+DOUBTFUL = 3.0  # multiple of the required worth below which, as predicted linearly, the fit without an effect is computed
 Lawless = Literal["beside", "after", "never"]
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
 Best = tuple[float, Fitted, Candidate]  # score, fit with it, candidate
@@ -59,12 +58,12 @@ Best = tuple[float, Fitted, Candidate]  # score, fit with it, candidate
 
 @dataclass(frozen=True)
 class Found:
-    """What a search ended with.
+    """The outcome of a selection.
 
     Attributes:
-        plain: The model that it began with, fitted.
-        fitted: With the effects, its last terms.
-        first: The evidence at the plain model.
+        plain: The plain model, fitted.
+        fitted: The model with the selected effects as its last terms, fitted.
+        first: Evidence at the plain model.
     """
 
     plain: Fitted
@@ -72,43 +71,45 @@ class Found:
     first: Evidence
 
 
-def search(
+def select_effects(
     bench: Bench, model: CalibratedModel, report: Callable[[str], None] = lambda _: None, lawless: Lawless = "beside"
 ) -> Found:
-    """The model with the effects that the recordings hold beyond chance.
+    """The model with all effects for which the recordings hold evidence beyond chance.
 
     Args:
-        report: Is told what happens, a line at a time.
-        lawless: Whether torques that no law of the catalogue describes are looked for beside those of the catalogue, after them,
-            or never.
+        report: Receives one line of progress at a time.
+        lawless: Whether black-box terms compete with the laws of the catalogue, only come after them, or are not used.
     """
     base = len(model.terms)
     plain = fitted = refit(bench, model)
     first = evidence = gathered(bench, fitted.model)
     planned: list[Key] = []
     seen: set[frozenset] = set()
-    while len(fitted.model.terms) - base < MOST:
-        chosen, planned = _next(bench, evidence, plain, fitted, lawless, planned, report)
-        if chosen is None:
+    while len(fitted.model.terms) - base < MOST_EFFECTS:
+        best, planned = _next(bench, evidence, (plain, fitted), lawless, planned)
+        if best is None:
             break
-        chosen = _each_its_own(bench, chosen, report)
+        report(f"{described(best[2], fitted.model)}: evidence {best[0]:.0f}")
+        chosen = _each_its_own(bench, _exactly_fitted(bench, best), report)
         fitted = rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
-        terms = frozenset(Counter((_whatever_range(t.effect), t.groups) for t in fitted.model.terms[base:]).items())
+        terms = frozenset(Counter((t.effect.without_range(), t.groups) for t in fitted.model.terms[base:]).items())
         if terms in seen:
-            break  # two ways to say the same would oust each other for ever
+            break  # two equivalent sets of effects would replace each other for ever
         seen.add(terms)
         evidence = gathered(bench, fitted.model)
     return Found(plain, fitted, first)
 
 
 def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -> Fitted:
-    """The fit with the newest effect, of some groups, with parameters of its own in each, where these are others beyond doubt.
+    """The fit in which the newest effect has separate parameters in each of its groups, if they differ significantly.
 
-    Of what is put on and taken off, of sensors, which are set anew, and of what no law stands behind; a law of the drives stays
-    what it is.
+    This holds for what is mounted and taken off, for sensors and for black-box terms; the friction of a drive does not change with
+    the set-up.
     """
     *others, newest = fitted.model.terms
-    if len(newest.groups) < 2 or not (newest.effect.mounted or newest.effect.side == "sensor" or newest.effect.lawless):
+    if len(newest.groups) < 2 or not (
+        newest.effect.scope == "mounted" or newest.effect.side == "sensor" or newest.effect.black_box
+    ):
         return fitted
     each = [replace(newest, groups=(g,)) for g in newest.groups]
     tried = refit(bench, replace(fitted.model, terms=(*others, *each)))
@@ -118,19 +119,14 @@ def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -
         apart &= tried.misfit < fitted.misfit + np.log(LESS_LEFT)
     if not apart or tried.better_than(fitted) < chance(values.size - values.shape[1], fitted.counts, len(each)):
         return fitted
-    report(f"{newest.effect.name} is another in each")
+    report(f"{newest.effect.name} has its own parameters in each group")
     return tried
 
 
-def _whatever_range(effect: Effect) -> Effect:
-    """The effect, of a series without its range, which changes a little with all else that a model has."""
-    return replace(effect, low=(), high=(), largest=0.0) if isinstance(effect, Empirical) else effect
-
-
 def rewidened(bench: Bench, fitted: Fitted) -> Fitted:
-    """The fit with dry friction as abrupt as the new model shows it; what was missing had distorted it.
+    """The fit with the width of each friction's change of sign estimated again; missing effects had biased it.
 
-    With its course over speed left open and as it is: which is right depends on what is still missing.
+    It is estimated with the dependence of friction on speed left free and with the model's own; the better fit is returned.
     """
     tried = {tuple(t.width for t in fitted.model.terms): fitted}
     for free in (True, False):
@@ -142,10 +138,10 @@ def rewidened(bench: Bench, fitted: Fitted) -> Fitted:
 
 
 def _widened_together(bench: Bench, fitted: Fitted) -> Fitted:
-    """The fit with the newest law and all other friction of its joint as abrupt as each other, where that is better beyond doubt.
+    """The fit in which the newest law and all other friction of its joint share one width, if it is significantly better.
 
-    A wide dry friction beside an abrupt newer law, or the reverse, may do worse than both as they are. Bristles may also turn at
-    once.
+    A wide dry friction beside an abrupt newer law, or the reverse, may be a worse local optimum. A law with bristles may also change
+    sign with a width of 0.
     """
     *others, newest = fitted.model.terms
     if newest.effect.width is None or newest.effect.width.unit != "rad/s":
@@ -170,22 +166,22 @@ def _best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Best |
 
 
 def _at_its_edge(evidence: Evidence) -> Evidence | None:
-    """The evidence for the best torque that begins at an edge, from where it explains most and not only from one of a few places."""
-    every, step, there = evidence.candidates(), EDGES_APART, None
-    best = next((c for c in every if isinstance(c.trial.effect, Empirical) and c.trial.effect.edges), None)
+    """Evidence for the best piecewise torque with its edge refined from the coarse grid to where it explains most."""
+    every, step, there = evidence.candidates(), EDGE_STEP, None
+    best = next((c for c in every if c.trial.effect.has_edges), None)
     if best is None or best.score < NEARLY * every[0].score:
         return None
     effect, seen = best.trial.effect, view(evidence.bench.whole, evidence.model)
-    while step > LEAST_STEP and isinstance(effect, Empirical):
+    while step > LEAST_STEP:
         there = Evidence.gather(evidence.bench, evidence.model, [e.trial(seen) for e in (effect, *effect.near(step))])
         scores = {c.trial.effect: c.score for c in there.candidates()}
-        nearest = max(scores, key=lambda e: (scores[e], e == effect), default=effect)  # of equals, where it is
+        nearest = max(scores, key=lambda e: (scores[e], e == effect), default=effect)  # of equal scores, the present edge
         effect, step = nearest, step / 2 if nearest == effect else step
     return there
 
 
 def _exactly(bench: Bench, fitted: Fitted, best: Best) -> Best:
-    """The same with the fit and the score that all parameters together reach."""
+    """The same choice with all parameters fitted on the exact equations, and the score of that fit."""
     there = rewidened(bench, refit(bench, best[1].model))
     return max(best[0], there.better_than(fitted) - best[2].penalty), there, best[2]
 
@@ -195,14 +191,19 @@ def _size(*candidates: Candidate) -> int:
 
 
 def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
-    """The evidence for torques on a joint that no law of the catalogue describes."""
+    """Evidence for black-box terms on a joint."""
     seen, ranges = view(bench.whole, model), _ranges(bench, model)
-    every = [trial for kind in CATALOGUE.values() if kind.lawless for trial in kind.unnamed(seen, j, ranges, model.torque)]
+    every = [
+        trial
+        for kind in CATALOGUE.values()
+        if kind.role == "black_box"
+        for trial in kind.black_box_trials(seen, j, ranges, model.torque)
+    ]
     return Evidence.gather(bench, model, every)
 
 
 def _ranges(bench: Bench, model: CalibratedModel) -> dict[tuple[str, int], tuple[float, float]]:
-    """Least and greatest of what a torque may depend on, as the recordings show it, by name and joint."""
+    """Smallest and largest recorded value of each variable that a torque may depend on, by name and joint."""
     seen, torques = view(bench.prepared, model), [model.torques(p.recording) for p in bench.prepared]
     motor, load = (np.concatenate(parts, axis=1) for parts in zip(*torques, strict=True))
     acceleration = np.quantile(np.concatenate([np.abs(p.recording.ddq) for p in bench.prepared], axis=1), 0.99, axis=1)
@@ -220,34 +221,31 @@ def _ranges(bench: Bench, model: CalibratedModel) -> dict[tuple[str, int], tuple
 
 
 def as_seen(bench: Bench, model: CalibratedModel, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The terms for a fit to other recordings: series begin anew, over the ranges that these show and beyond which nothing is known."""
-    series = [isinstance(t.effect, Empirical) and not t.effect.edges for t in terms]
-    if not any(series):
+    """The terms for a fit to other recordings: series start at 0, over the part of their range that these recordings cover."""
+    if all(t.effect.has_edges or not t.effect.validity for t in terms):
         return tuple(terms)
     result, ranges = [], _ranges(bench, model)
-    for term, anew in zip(terms, series, strict=True):
-        if anew and isinstance(term.effect, Empirical):
-            low, high = np.array([ranges[v] for v in term.effect.variables]).T
-            low, high = np.maximum(low, term.effect.low), np.minimum(high, term.effect.high)
-            effect = replace(term.effect, low=tuple(low.tolist()), high=tuple(np.maximum(high, low + 1e-6).tolist()))
-            term = replace(term, effect=effect).with_values(0 * term.values)
-        result.append(term)
+    for term in terms:
+        effect = term.effect.renewed(ranges)
+        result.append(term if effect is None else replace(term, effect=effect).with_values(0 * term.values))
     return tuple(result)
 
 
 def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
-    """The evidence for every trial at a model."""
+    """Evidence for every trial of the catalogue at a model."""
     seen = view(bench.whole, model)
     return Evidence.gather(bench, model, trials(seen, model.torque))
 
 
 def _next(
-    bench: Bench, evidence: Evidence, plain: Fitted, fitted: Fitted, lawless: Lawless, planned: list[Key], report
-) -> tuple[Fitted | None, list[Key]]:
-    """The model with the best further effect, or empirical term where no effects come near it; None where all is chance.
+    bench: Bench, evidence: Evidence, fits: tuple[Fitted, Fitted], lawless: Lawless, planned: list[Key]
+) -> tuple[Best | None, list[Key]]:
+    """The best further effect, or a black-box term where no law comes near it; None where all is chance.
 
-    And the effects that are then to come before any empirical term; `planned` are those to come now.
+    `fits` are the plain model and the present one. The second result lists the effects that must precede any black-box term in later
+    rounds; `planned` is that list for this round.
     """
+    plain, fitted = fits
     named = _best(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
     joints = noisy(bench, fitted) if named is None else [_joint(evidence, named[2])]
     as_planned = named is not None and key(named[2]) in planned[:1]
@@ -260,21 +258,26 @@ def _next(
         return None, []
     if named is not None and other is not None and other[0] > _bar(named, other):
         other = _exactly(bench, fitted, other)
-        everywhere = other[2].scope is None  # several laws at once, in some recordings only, are no likelier
+        everywhere = other[2].scope is None  # several laws that all act in some recordings only are no more probable
         laws = _as_good(bench, plain, fitted, named, other) if everywhere else None
         if laws is None and not _beside(bench, joints[0], plain, named, other):
             chosen = other
         planned = laws or []
-    report(f"{described(chosen[2], fitted.model)}: evidence {chosen[0]:.0f}")
-    if chosen[2].trial.effect.abrupt:
-        return _best_start(bench, chosen[1].model, (0.8, 1.0, 1.2)), planned
-    return refit(bench, chosen[1].model), planned
+    return chosen, planned
+
+
+def _exactly_fitted(bench: Bench, best: Best) -> Fitted:
+    """The fit of a choice on the exact equations, from several starts where the prediction is not smooth."""
+    if best[2].trial.effect.dynamics == "impact":
+        return _best_start(bench, best[1].model, (0.8, 1.0, 1.2))
+    return refit(bench, best[1].model)
 
 
 def _bar(named: Best, other: Best) -> float:
-    """Score that an empirical term must reach to be preferred to a law; friction changes in some recordings, but not its law.
+    """Score that a black-box term must reach to be preferred to a law.
 
-    A law that explains as much is the likelier one, however few parameters the term has.
+    A law that explains as much has the higher prior, however few parameters the term has. Where both act in some recordings only and
+    the law is one of friction, the prior is equal: friction changes between recordings more easily than its law does.
     """
     changed = named[2].scope is not None and other[2].scope is not None and named[2].trial.effect.side == "drive"
     as_much = named[0] + named[2].penalty - other[2].penalty + SAME
@@ -282,14 +285,14 @@ def _bar(named: Best, other: Best) -> float:
 
 
 def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, other: Best) -> list[Key] | None:
-    """The further effects that together with one explain as much as an empirical term; None without such."""
+    """Further effects that, together with the named one, explain as much as a black-box term; None if there are none."""
     best, found, cost, goal, series = named, [], 0.0, other[0], other[2].trial.effect
     while best is not None and len(found) < TOGETHER:
         found.append(key(best[2]))
         cost += best[2].penalty
         there = rewidened(bench, refit(bench, best[1].model))
         reached = there.better_than(fitted) - cost
-        if reached < goal and len(found) == 1 and series.of_speed:  # it may also say how friction changes sign
+        if reached < goal and len(found) == 1 and series.resembles == "friction_over_speed":  # or say how its sign changes
             reached = max(reached, _turned(bench, there, series.joints[0]).better_than(fitted) - cost)
         if reached >= goal:
             return found[1:]
@@ -301,25 +304,26 @@ def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Best, other: Be
 
 
 def _turned(bench: Bench, fitted: Fitted, j: int) -> Fitted:
-    """The fit with a joint's dry friction changing sign in the way that leaves least; a series over its speed may say no more."""
-    terms, tanh = fitted.model.terms, DryFriction((j,))
-    number = next((i for i, t in enumerate(terms) if t.effect == tanh), None)
+    """The fit with that smoothed sign of a joint's dry friction which gives the smallest residual."""
+    terms = fitted.model.terms
+    number = next((i for i, t in enumerate(terms) if t.effect in t.effect.sign_forms[:1] and t.effect.joints == (j,)), None)
     if number is None:
         return fitted
-    tried = [as_abrupt(bench, replace(fitted.model, terms=with_turn(terms, number, turn))) for turn in TURNS if turn != "tanh"]
+    others = range(1, len(terms[number].effect.sign_forms))
+    tried = [as_abrupt(bench, replace(fitted.model, terms=with_turn(terms, number, turn))) for turn in others]
     return min([fitted, *tried], key=lambda f: f.misfit)
 
 
 def _beside(bench: Bench, j: int, plain: Fitted, named: Best, other: Best) -> bool:
-    """Whether an effect and a simpler empirical term explain more than an empirical term."""
+    """Whether an effect and a simpler black-box term together explain more than the black-box term alone."""
     both = _best_unnamed(bench, j, plain, refit(bench, named[1].model))
     return both is not None and named[0] + both[0] >= MARGIN * other[0] + SAME and _size(both[2], named[2]) < _size(other[2])
 
 
 def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidate) -> Fitted:
-    """The model with a candidate, fitted; where all is linear, as the evidence has it already."""
+    """The model with a candidate, fitted; for a linear effect the fit that the evidence holds already."""
     model, effect = extended(fitted.model, candidate), candidate.trial.effect
-    if effect.abrupt:
+    if effect.dynamics == "impact":
         return _best_start(bench, model, (1.0,), fitted.rows)
     if not effect.linear:
         return refit(bench, model, without_last=fitted.rows)
@@ -327,7 +331,7 @@ def fit_of(bench: Bench, evidence: Evidence, fitted: Fitted, candidate: Candidat
 
 
 def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], plain: Fitted, fitted: Fitted) -> Best | None:
-    """Score, fit and candidate of the best that is beyond chance and explains a share of the error worth a name."""
+    """Score, fit and candidate of the best effect that is significant and explains enough of the residual; None without one."""
     found: list[Best] = []
     for candidate in candidates:
         tried = fit_of(bench, evidence, fitted, candidate)
@@ -346,71 +350,71 @@ def _best(bench: Bench, evidence: Evidence, candidates: Sequence[Candidate], pla
             found.append((score, tried, candidate))
     best = max(found, key=lambda b: b[0], default=None)
     equal = [b for b in found if best is not None and b[0] > best[0] - SAME]
-    if len(equal) > 1:  # as things are; but each may show another width of dry friction
+    if len(equal) > 1:  # equal at the present widths; each may imply other widths of friction
         there = [rewidened(bench, refit(bench, tried.model)) for _, tried, _ in equal]
         equal = [(b[0] + f.better_than(b[1]), f, b[2]) for b, f in zip(equal, there, strict=True)]
         best = max(equal, key=lambda b: b[0])
-    if best is not None and isinstance(best[2].trial.effect, PositionDependentFriction) and noisy(bench, best[1]):
-        by_load = [b for b in found if b[2].trial.effect == LoadDependentFriction(best[2].trial.effect.joints)]
-        best = max((b for b in by_load if b[0] > BY_LOAD * best[0]), key=lambda b: b[0], default=best)
-    if best is not None:  # what leaves another effect's torque, to be found next, leaves few rows that are independent
+    if best is not None and best[2].trial.effect.precedence and noisy(bench, best[1]):
+        first = [b for b in found if b[2].trial.effect in best[2].trial.effect.precedence]
+        best = max((b for b in first if b[0] > PRECEDENCE * best[0]), key=lambda b: b[0], default=best)
+    if best is not None:  # a residual that still holds another effect is correlated, so its effective sample size is small
         fewer = [b for b in found if _size(b[2]) <= _size(best[2]) and b[1].misfit < best[1].misfit - np.log(FEWER_LEFT)]
         best = min(fewer, key=lambda b: b[1].misfit, default=best)
     return best
 
 
 def _share(bench: Bench, plain: Fitted, less: Fitted, more: Fitted) -> float:
-    """What an effect is worth on the joint where that is most, of those whose torque it changes by more than `EXACT`."""
+    """Largest `worth` of an effect over the joints whose torque it changes by more than `EXACT`."""
     felt = less.squares - more.squares > plain.rows.moving.sum(axis=1) * (EXACT * bench.torque) ** 2
     return float(np.max(np.where(felt, worth(plain.squares, less.squares, more.squares), 0.0)))
 
 
 def worth(plain, less, more):
-    """Fall of squared residuals, `less` without and `more` with an effect, as a share.
+    """Relative fall of the squared residual from `less` (without the effect) to `more` (with it).
 
-    Of the geometric mean of what the plain model leaves and what is left without the effect: of the first alone, nothing would
-    be worth a name beside an effect a hundred times as strong, and of the second, neither law of the plant nor of the catalogue
-    is as exact as the noise is small beside such an effect.
+    It is relative to the geometric mean of the plain model's squared residual and of `less`. Relative to the first alone, no effect
+    would count beside one that is a hundred times as strong; relative to the second alone, small errors of the strong law would
+    count as effects.
     """
     return (less - more) / np.sqrt(plain * less)
 
 
 def _by_amplitude(effect: Effect) -> bool:
-    """Whether its signature holds for any size of it, so that the robust test of that says all."""
-    return effect.linear or effect.lawless
+    """Whether its signature is proportional to its amplitude, so that the score test is exact."""
+    return effect.linear or effect.black_box
 
 
 def _bent(effect: Effect) -> bool:
-    """Whether it has a shape that its signature holds as it is."""
-    return not effect.lawless and len(effect.parameters) > len(effect.amplitudes)
+    """Whether it has parameters of shape, which its signature keeps at the values of the trial."""
+    return not effect.black_box and len(effect.parameters) > len(effect.amplitudes)
 
 
 def _most_of_some(candidate: Candidate, share: float) -> bool:
-    """Whether a candidate of some recordings explains most of what is missing, whatever else is."""
+    """Whether a candidate of some recordings explains most of the residual."""
     return candidate.scope is not None and share > HALF
 
 
 def _settled(evidence: Evidence, candidate: Candidate) -> bool:
-    """Whether a candidate that acts in a few places only is beyond chance there; it must leave little of what is missing."""
-    return not candidate.trial.effect.abrupt and robust_p(evidence, candidate) * evidence.tests < DOUBT
+    """Whether a candidate that acts in few places passes the robust score test."""
+    return candidate.trial.effect.dynamics != "impact" and robust_p(evidence, candidate) * evidence.tests < ROBUST_P
 
 
 def rarity(bench: Bench, fitted: Fitted, effect: Effect, everywhere: bool) -> float:
-    """Share of its evidence that an effect loses for being unlikely.
+    """Share of its evidence that an effect loses for a low prior: something mounted in all recordings and listed in none.
 
-    That somebody mounted something for all recordings and listed it for none. While a model is far from the noise, all laws are
-    wrong, and likelihoods alone compare what else they happen to take up.
+    It applies while the residual is far above the noise: all models are wrong there, and the likelihood also rewards what a law
+    absorbs of other effects.
     """
-    return RARE if effect.mounted and everywhere and noisy(bench, fitted) else 0.0
+    return UNLISTED if effect.scope == "mounted" and everywhere and noisy(bench, fitted) else 0.0
 
 
 def noisy(bench: Bench, fitted: Fitted) -> list[int]:
-    """The joints with more residual than the noise of single samples accounts for."""
-    return np.flatnonzero(above_noise(bench, fitted) > FLOOR).tolist()
+    """Joints whose residual exceeds what the noise of single samples explains."""
+    return np.flatnonzero(above_noise(bench, fitted) > NOISE_RATIO).tolist()
 
 
 def above_noise(bench: Bench, fitted: Fitted) -> np.ndarray:
-    """Deviation of each joint's filtered residual over what the noise of single samples accounts for, (n,)."""
+    """Standard deviation of each joint's filtered residual over that of filtered sample noise, (n,)."""
     passed = np.sqrt(
         np.mean(np.concatenate([np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]))
     )
@@ -424,13 +428,15 @@ def _joint(evidence: Evidence, candidate: Candidate) -> int:
 
 
 def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
-    """The candidates worth an exact fit: beyond chance, robustly so, near the best; of each effect at its joints the best."""
+    """Candidates for an exact fit: significant, also by the robust test, and near the best; one per effect and joints."""
     others = len(evidence.bench.prepared) > 1
     result: list[Candidate] = []
     every = evidence.candidates()
     most = max((c.compared for c in every), default=0.0)
     for candidate in every:
-        far = bool(result) and (len(result) >= TRIED or candidate.score < min(CLOSE * result[0].score, result[0].score - SAME))
+        far = bool(result) and (
+            len(result) >= EXACT_FITS or candidate.score < min(CLOSE * result[0].score, result[0].score - SAME)
+        )
         if far and candidate.compared < most:
             continue
         if candidate.likelihood < candidate.least:
@@ -438,9 +444,9 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
         same = any(key(c) == key(candidate) for c in result)
         if same or present(candidate, model):
             continue
-        beyond_chance = not _by_amplitude(candidate.trial.effect) or robust_p(evidence, candidate) * evidence.tests < DOUBT
+        beyond_chance = not _by_amplitude(candidate.trial.effect) or robust_p(evidence, candidate) * evidence.tests < ROBUST_P
         foremost, bent = candidate is every[0], _bent(candidate.trial.effect)
-        # what is not linear may be another for a shape little off that of its trial: the foremost is fitted in any case
+        # a nonlinear effect may fit well at a shape near its trial: the first candidate is fitted in any case
         held = not others or (foremost and bent) or evidence.confirmed(candidate) > CONFIRMED
         if beyond_chance and (held or (foremost and _confirmed_as_abrupt(evidence, candidate, model))):
             result.append(candidate)
@@ -448,19 +454,19 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
 
 
 def _confirmed_as_abrupt(evidence: Evidence, candidate: Candidate, model: CalibratedModel) -> bool:
-    """Whether a law of speed is confirmed where friction is as abrupt as it is beside that law, whose part a width had taken."""
-    if not candidate.trial.effect.of_speed:
+    """Whether a law of speed is confirmed once the width of friction is the one estimated beside that law."""
+    if candidate.trial.effect.resembles != "friction_over_speed":
         return False
     bench = evidence.bench
     beside = rewidened(bench, refit(bench, extended(model, candidate))).model.terms[: len(model.terms)]
-    widths = {t.effect.joints: t.width for t in beside if isinstance(t.effect, DryFriction) and t.width}
+    widths = {t.effect.joints: t.width for t in beside if t.effect.sign_forms and t.width}
     there = refit(bench, replace(model, terms=tuple(widened(t, widths) for t in model.terms))).model
     anew = Evidence.gather(bench, there, [candidate.trial])
     return any(anew.confirmed(c) > CONFIRMED for c in anew.candidates() if c.scope == candidate.scope)
 
 
 def _best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float], without_last: Rows | None = None) -> Fitted:
-    """The best fit from several starts of the last term, of which the prediction is no smooth function; these shares of its size."""
+    """The best fit from several starts of the last term, whose prediction is not smooth: its amplitudes times each of `shares`."""
     last, fits = model.terms[-1], []
     for share in shares:
         sized = {name: share * value if name in last.effect.amplitudes else value for name, value in last.named.items()}
@@ -479,7 +485,7 @@ def key(candidate: Candidate) -> Key:
 def present(candidate: Candidate, model: CalibratedModel) -> bool:
     """Whether the model has the effect there already."""
     effect, scope = candidate.trial.effect, candidate.scope
-    return not effect.many and any(
+    return effect.placement != "many" and any(
         t.effect.name == effect.name
         and t.effect.joints == effect.joints
         and (not t.groups or scope is None or set(scope) & set(t.groups))
@@ -488,7 +494,7 @@ def present(candidate: Candidate, model: CalibratedModel) -> bool:
 
 
 def extended(model: CalibratedModel, candidate: Candidate) -> CalibratedModel:
-    """The model with a candidate's effect."""
+    """The model with the candidate's effect as its last term."""
     return replace(model, terms=(*model.terms, term(candidate)))
 
 
@@ -513,12 +519,12 @@ def described(candidate: Candidate, model: CalibratedModel) -> str:
 
 
 def without(model: CalibratedModel, i: int) -> CalibratedModel:
-    """The model less one term."""
+    """The model without its term number i."""
     return replace(model, terms=(*model.terms[:i], *model.terms[i + 1 :]))
 
 
 def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, report) -> Fitted:
-    """The model without those earlier effects that the newest made superfluous."""
+    """The model without earlier effects that are superfluous beside the newest."""
 
     def superfluous(less: Fitted, i: int, by: float = 1.0) -> bool:
         return _share(bench, plain, less, fitted) < by * LEAST_SHARE or fitted.better_than(less) < by * least(fitted, i, tests)
@@ -537,9 +543,9 @@ def _pruned(bench: Bench, plain: Fitted, fitted: Fitted, base: int, tests: int, 
 
 
 def _foreseen(fitted: Fitted, i: int) -> Fitted | None:
-    """What the fit without one term would leave if all were linear: its amplitudes at 0, all else where that is best.
+    """The fit without one term as linearisation predicts it: its amplitudes at 0, all other parameters at their optimum.
 
-    None where the effect does not vanish there.
+    None for an effect that does not vanish at amplitudes of 0.
     """
     model, found = fitted.model, fitted.rows
     start = sum(len(t.estimates) for t in model.terms[:i])
@@ -554,6 +560,6 @@ def _foreseen(fitted: Fitted, i: int) -> Fitted | None:
 
 
 def least(fitted: Fitted, i: int, tests: int) -> float:
-    """Likelihood that a term must add to stay."""
+    """Growth of twice the log-likelihood that a term must contribute to be kept."""
     number = len(fitted.model.terms[i].estimates)
     return min(chance(number, fitted.counts, tests), significant(number, tests))

@@ -13,8 +13,6 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import Prepared
 from rrr_oc.effects import CATALOGUE, Trial, View
-from rrr_oc.effects.black_box.empirical import Empirical
-from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLE = 400  # positions that trials look at
@@ -28,7 +26,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
     low, high = np.quantile(q, [0.002, 0.998], axis=1)
     widths = np.full(len(q), 0.05)
     for term in model.terms:
-        if isinstance(term.effect, DryFriction) and term.width is not None:
+        if term.effect.sign_forms and term.width is not None:
             widths[term.effect.joints[0]] = term.width
     springs = {spring.joints for p in prepared for spring, _ in p.recording.springs}
     positions = q[:, :: max(1, q.shape[1] // SAMPLE)]
@@ -44,13 +42,13 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         inertia=np.maximum(np.median(inertia, axis=0), 1e-9),
         springs=tuple(sorted(springs)),
         payload=any(np.any(p.recording.payload > 0) for p in prepared)
-        or any(term.effect.name == "payload_mass" for term in model.terms),
+        or any(term.effect.alters == "payload" for term in model.terms),
     )
 
 
 def trials(seen: View, torque: str) -> list[Trial]:
     """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive."""
-    kinds = [kind for kind in CATALOGUE.values() if not kind.plain and not (torque == "load" and kind.side == "drive")]
+    kinds = [kind for kind in CATALOGUE.values() if kind.role != "plain" and not (torque == "load" and kind.side == "drive")]
     return [trial for kind in kinds for trial in kind.trials(seen)]
 
 
@@ -142,7 +140,7 @@ def _signature(prepared: Prepared, at: Prediction, trial: Trial, cache: Signatur
     def find() -> Signature:
         return prepared.nonzero_passed(at.by_trial(trial) if gain is None else at.before_sensors(trial), 1)
 
-    parts = None if isinstance(effect, Empirical) or gain is None else at.depends_on(effect)
+    parts = None if effect.validity or gain is None else at.depends_on(effect)
     if parts is None:
         where, passed = find()
     else:

@@ -1,18 +1,53 @@
 """The catalogue of effects: one piece of physics a file, in a folder for each place where physics acts.
 
-Every concrete `Effect` that a file below this folder defines is in `CATALOGUE`, in the order of the names.
-Imports `numerics` and `robot`.
+`CATALOGUE` holds every concrete `Effect` of the files below this folder and of installed packages that name a module in the entry
+point group `rrr_oc.effects`, and what `register` adds, in the order of the names. Imports `numerics` and `robot`.
 """
 
 import importlib
 import inspect
 import pkgutil
 from collections.abc import Iterator
+from importlib.metadata import entry_points
+from typing import TypeVar
 
 from rrr_oc.effects.base import Body, Effect, Signals, Trial, View
+from rrr_oc.errors import UserError
 
-for _module in pkgutil.walk_packages(__path__, f"{__name__}."):
-    importlib.import_module(_module.name)
+CATALOGUE: dict[str, type[Effect]] = {}
+Kind = TypeVar("Kind", bound=type[Effect])
+
+
+def register(kind: Kind) -> Kind:
+    """Add an effect to the catalogue; usable as a decorator of its class.
+
+    Other processes have it only if they import its module, as they do with an entry point. Raises `UserError` where another effect
+    has its name.
+    """
+    if CATALOGUE.get(kind.name, kind) is not kind:
+        raise UserError(f"there are two effects of the name {kind.name!r}: {CATALOGUE[kind.name]} and {kind}")
+    CATALOGUE[kind.name] = kind
+    every = sorted(CATALOGUE.items())
+    CATALOGUE.clear()
+    CATALOGUE.update(every)
+    return kind
+
+
+def plain_effects() -> tuple[type[Effect], ...]:
+    """The effects of every calibrated model, friction first."""
+    return tuple(sorted((k for k in CATALOGUE.values() if k.role == "plain"), key=lambda k: (k.provides != "friction", k.name)))
+
+
+def listed_springs() -> dict[str, type[Effect]]:
+    """The springs that a recording set may list, by their key in its header, those of one joint first."""
+    listed = sorted((k for k in CATALOGUE.values() if k.listing is not None), key=lambda k: (k.placement == "pair", k.name))
+    return {kind.listing.key: kind for kind in listed if kind.listing is not None}
+
+
+def design_forms() -> dict[str, type[Effect]]:
+    """The springs that a co-design may use, by the label of the configuration that has them alone, those of one joint first."""
+    drawn = sorted((k for k in CATALOGUE.values() if k.design is not None), key=lambda k: (k.placement == "pair", k.name))
+    return {kind.design.label: kind for kind in drawn if kind.design is not None}
 
 
 def _concrete(kind: type[Effect]) -> Iterator[type[Effect]]:
@@ -23,6 +58,22 @@ def _concrete(kind: type[Effect]) -> Iterator[type[Effect]]:
             yield below
 
 
-CATALOGUE: dict[str, type[Effect]] = {kind.name: kind for kind in sorted(_concrete(Effect), key=lambda kind: kind.name)}
+for _module in pkgutil.walk_packages(__path__, f"{__name__}."):
+    importlib.import_module(_module.name)
+for _point in entry_points(group=__name__):
+    _point.load()
+for _kind in _concrete(Effect):
+    register(_kind)
 
-__all__ = ["CATALOGUE", "Body", "Effect", "Signals", "Trial", "View"]
+__all__ = [
+    "CATALOGUE",
+    "Body",
+    "Effect",
+    "Signals",
+    "Trial",
+    "View",
+    "design_forms",
+    "listed_springs",
+    "plain_effects",
+    "register",
+]

@@ -1,12 +1,17 @@
-"""What every effect is: one piece of physics beside the rigid body, written once as a CasADi expression."""
+"""What every effect is: one piece of physics beside the rigid body, written once as a CasADi expression.
+
+An effect declares what it can do, so that no other folder asks for one by its name or class.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from rrr_oc.effects.design_form import DesignForm
+from rrr_oc.effects.listing import Listing
 from rrr_oc.robot.parameters import Parameter
 
 SIDES = {
@@ -16,6 +21,17 @@ SIDES = {
     "drive": "the torque acts between motor and link, as friction in a gear does, and the motor sees it",
     "sensor": "the recorded torque is not the true one",
 }  # in the order in which a prediction goes from the recorded motion to the recorded torque
+PLACEMENTS = {
+    "joint": "one joint",
+    "many": "one joint, which may have several of it",
+    "pair": "two joints",
+    "spring": "the joints of a spring that a recording lists; absent where none is",
+    "arm": "the arm as a whole, no single joint",
+}
+Input = Literal["load", "friction", "springs"]
+Role = Literal["plain", "law", "black_box"]
+Scope = Literal["everywhere", "set_up", "some", "mounted"]
+Dynamics = Literal["instantaneous", "states", "load_states", "link", "impact", "delay"]
 
 
 @dataclass(frozen=True)
@@ -109,31 +125,38 @@ class Trial:
 class Effect(ABC):
     """One piece of physics, placed on its joints.
 
-    A subclass in a file of its own under `rrr_oc/effects/` appears in the catalogue by itself.
+    A subclass in a file of its own under `rrr_oc/effects/` appears in the catalogue by itself; others are added by
+    `effects.register`. All attributes but `joints` are declarations of the class.
 
     Attributes:
-        name: Key in files (class attribute).
-        equation: The law in a line, for people (class attribute).
-        parameters: Its parameters (class attribute).
-        amplitudes: Those parameters in which it is linear and with which it vanishes (class attribute).
-        width: Smoothing width of what is not smooth in it (class attribute; None where all is smooth). The nominal value is
-            used unless a solver drives it down.
-        states: Internal states, nominal = initial value (class attribute).
-        load_dependent: Whether its torque depends on `Signals.load`, so that forward dynamics must solve for the load.
-        side: Where on the way from links to motor it acts (class attribute), see `SIDES`.
-        plain: Whether every calibrated model has it (class attribute).
-        local: Whether it may be present in some recordings only, as what depends on how the arm was set up (class attribute).
-        partial: Whether it is never present in all of them, where it would be what every model has (class attribute).
-        of_arm: Whether it belongs to no single joint (class attribute).
-        of_spring: Whether it is one of a spring that a recording lists, and absent where none is (class attribute).
-        of_friction: Whether it depends on `Signals.friction` (class attribute).
-        of_speed: Whether it may stand for another course of plain dry friction over its joint's speed (class attribute).
-        many: Whether a joint may have more than one of it (class attribute).
-        abrupt: Whether predictions are no smooth function of its parameters (class attribute).
-        simulated: Whether the links' own motion follows from the recording by `motion`, not `shift` (class attribute).
-        driven: Whether its internal states follow from the recorded load by `course`, not from the motion by `rate` (class attribute).
-        lawless: Whether it is no law of the catalogue but stands for what none explains (class attribute).
-        mounted: Whether it is put on and taken off between recordings, hence likelier where only some have it (class attribute).
+        name: Key in files.
+        equation: The law in a line, for people.
+        parameters: Its parameters.
+        amplitudes: Those parameters in which it is linear and with which it vanishes.
+        width: Smoothing width of what is not smooth in it; None where all is smooth. The nominal value is used unless a solver
+            drives it down.
+        states: Internal states, nominal = initial value.
+        side: Where on the way from links to motor it acts, see `SIDES`.
+        inputs: Which of the signals beside the motion its torque depends on: "load", so that forward dynamics must solve for the
+            load; "friction", the plain friction of its joint; "springs", those that a recording lists.
+        provides: Which of these signals its torque is part of: "friction", "springs" (which a recording may list), or "".
+        role: "plain": part of every calibrated model. "law": a diagnosis looks for it. "black_box": no law of the catalogue; it
+            stands for a torque that none explains.
+        scope: In which recordings it may be present. "everywhere": all or none. "set_up": all, none, or those of some set-ups.
+            "some": never all, where it would be what every model has. "mounted": as "set_up", and it is put on and taken off between
+            recordings, so that it is more probable where only some have it.
+        placement: See `PLACEMENTS`.
+        dynamics: "instantaneous": its torque follows from the signals of the instant. "states": its internal states follow from the
+            motion by `rate`. "load_states": they follow from the recorded load by `course`. "link": the link moves otherwise than
+            its drive, by `motion`. "impact": as "link", and it strikes stops, so that predictions are no smooth function of the
+            parameters. "delay": it shifts what is recorded in time, by `delay`.
+        resembles: What other description its torque may be taken for. "friction_over_speed": another course of plain dry friction
+            over the speed. "position_harmonic", "constant": a harmonic and the mean of a series over the joint's position. Or "".
+        alters: The field of `Body` that it changes, for the side "body".
+        options: Names of its dataclass fields that a report shows beside the parameters.
+        composed: Where parameters are the components of vectors or matrices: shown name to parameters' names, nested.
+        listing: How it stands in the header of a recording set; None where recordings cannot list it.
+        design: Its form in a co-design; None where it is no part of one.
         joints: Indices of the joints it acts on.
     """
 
@@ -143,21 +166,19 @@ class Effect(ABC):
     amplitudes: ClassVar[tuple[str, ...]] = ()
     width: ClassVar[Parameter | None] = None
     states: ClassVar[tuple[Parameter, ...]] = ()
-    load_dependent: ClassVar[bool] = False
     side: ClassVar[str] = "link"
-    plain: ClassVar[bool] = False
-    local: ClassVar[bool] = False
-    partial: ClassVar[bool] = False
-    of_arm: ClassVar[bool] = False
-    of_spring: ClassVar[bool] = False
-    of_friction: ClassVar[bool] = False
-    of_speed: ClassVar[bool] = False
-    many: ClassVar[bool] = False
-    abrupt: ClassVar[bool] = False
-    simulated: ClassVar[bool] = False
-    driven: ClassVar[bool] = False
-    lawless: ClassVar[bool] = False
-    mounted: ClassVar[bool] = False
+    inputs: ClassVar[tuple[Input, ...]] = ()
+    provides: ClassVar[Literal["", "friction", "springs"]] = ""
+    role: ClassVar[Role] = "law"
+    scope: ClassVar[Scope] = "everywhere"
+    placement: ClassVar[Literal["joint", "many", "pair", "spring", "arm"]] = "joint"
+    dynamics: ClassVar[Dynamics] = "instantaneous"
+    resembles: ClassVar[Literal["", "friction_over_speed", "position_harmonic", "constant"]] = ""
+    alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
+    options: ClassVar[tuple[str, ...]] = ()
+    composed: ClassVar[Mapping[str, Any]] = {}
+    listing: ClassVar[Listing | None] = None
+    design: ClassVar[DesignForm | None] = None
 
     joints: tuple[int, ...]
 
@@ -169,18 +190,6 @@ class Effect(ABC):
         true one, which is `signals.load`.
         """
 
-    def rate(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """Time derivative of each internal state, affine in the states."""
-        return ()
-
-    def rest(self, load: np.ndarray) -> tuple[float, ...]:
-        """Internal states of an arm that has been at rest under a load torque (n,) [Nm]."""
-        return tuple(state.nominal for state in self.states)
-
-    def course(self, t: np.ndarray, load: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
-        """Internal states along a stretch (number, K) under the joint's load torque (K,) [Nm] at times t (K,) [s], if it is `driven`."""
-        raise NotImplementedError
-
     def energy(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> Any:
         """Energy stored [J], with torque = −d energy / d q; 0 where nothing is stored."""
         return 0.0
@@ -190,24 +199,49 @@ class Effect(ABC):
         return body
 
     def shift(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """True less recorded position of each of `joints` [rad], the same all along, for the side "motion" if not `simulated`."""
+        """True less recorded position of each of `joints` [rad], constant, for the side "motion" if the link does not move by itself."""
         return ()
+
+    def delay(self, theta: Mapping[str, float]) -> float:
+        """By how much what is recorded lags what is true [s]."""
+        return 0.0
+
+    # internal states
+
+    def rate(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
+        """Time derivative of each internal state, affine in the states."""
+        return ()
+
+    def rest(self, load: np.ndarray) -> tuple[float, ...]:
+        """Internal states of an arm that has been at rest under a load torque (n,) [Nm]."""
+        return tuple(state.nominal for state in self.states)
+
+    def course(self, t: np.ndarray, load: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
+        """Internal states (number, K) at times t (K,) [s] under the joint's load torque (K,) [Nm], for `dynamics` "load_states"."""
+        raise NotImplementedError
+
+    # a link that moves otherwise than its drive
+
+    @property
+    def moves_link(self) -> bool:
+        """Whether the link moves otherwise than its drive, by `motion`."""
+        return self.dynamics in ("link", "impact")
 
     def motion(
         self, t: np.ndarray, load: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]
     ) -> np.ndarray:
-        """True less recorded position, speed and acceleration of the joint along a stretch, (3, K), for the side "motion".
+        """True less recorded position, speed and acceleration of the joint along a segment, (3, K).
 
         Args:
             t: Times [s], (K,).
             load: Torque that the recorded motion would need if it were the link's [Nm], (K,).
-            stiffness, inertia: By how much that torque grows with the joint's position and acceleration, (K,).
+            stiffness, inertia: By how much that torque grows with the joint's position [Nm/rad] and acceleration [kg m²], (K,).
         """
         raise NotImplementedError
 
     @property
     def window(self) -> float:
-        """Over which the load is smoothed that `motion` is given [s]; 0 for as it is."""
+        """Window over which the load is smoothed that `motion` is given [s]; 0 for none."""
         return 0.0
 
     def sharper(self) -> "Effect | None":
@@ -215,20 +249,43 @@ class Effect(ABC):
         return None
 
     def free(self, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
-        """What adds to `motion` when a stretch begins 1 rad or 1 rad/s off, (2, 3, K), to first order; () where that is known."""
+        """What adds to `motion` when a segment begins 1 rad or 1 rad/s off, (2, 3, K), to first order; empty where that is known."""
         return np.zeros((0, 3, len(t)))
+
+    # in MuJoCo
 
     def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> bool:
         """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""
         return False
 
     def gear(self, twist: Any, theta: Mapping[str, float], stiffest: float) -> None:
-        """Make the `mujoco.MjsJoint` by which the link moves otherwise than its drive what the effect says, if it is `simulated`.
+        """Set up the `mujoco.MjsJoint` by which the link moves otherwise than its drive, if it does.
 
         Args:
             stiffest: What the engine's step can follow [Nm/rad].
         """
         raise NotImplementedError
+
+    # as a spring that a recording lists
+
+    def lever(self, theta: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Derivative of the spring's stretch by the position of each of `joints`, up to a common sign."""
+        return (1.0,) * len(self.joints)
+
+    def moved(self, theta: Mapping[str, Any], offset: Any) -> dict[str, Any]:
+        """Parameters of the spring with its equilibrium moved by an offset [rad]."""
+        raise NotImplementedError
+
+    @classmethod
+    def from_entry(cls, joints: tuple[int, ...], entry: Mapping[str, Any]) -> tuple["Effect", dict[str, float]]:
+        """The spring on its joints, and its parameters, from the quantities and options of its `listing`."""
+        raise NotImplementedError
+
+    def entry(self, theta: Mapping[str, float]) -> dict[str, Any]:
+        """The reverse: quantities and options of the spring with these parameters."""
+        raise NotImplementedError
+
+    # in fits
 
     @property
     def linear(self) -> bool:
@@ -243,41 +300,106 @@ class Effect(ABC):
         """The same law in the parameters that people expect, where several stand for it."""
         return dict(theta)
 
+    def starts(self, theta: dict[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
+        """Forms of the effect on the same joints, and parameters, from which a fit begins, if `dynamics` is "impact"."""
+        yield self, theta
+
+    @property
+    def sign_forms(self) -> tuple["Effect", ...]:
+        """For plain dry friction, whose width that of all friction of the joint follows: itself with each way to change sign.
+
+        The first is the default; empty for all other effects.
+        """
+        return ()
+
+    def travel(self, theta: Mapping[str, float]) -> float | None:
+        """Travel over which its friction builds up after a reversal [rad]; None where it needs none."""
+        return None
+
+    # beside other effects
+
+    def equivalents(self, theta: Mapping[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
+        """Other effects, with parameters, that are the same law over part of its range and are more probable in some recordings only."""
+        yield from ()
+
+    @property
+    def precedence(self) -> tuple["Effect", ...]:
+        """Laws that go before this one where noise hides most of the difference."""
+        return ()
+
+    # a term that stands for no law
+
+    @property
+    def black_box(self) -> bool:
+        """Whether it is no law of the catalogue but stands for a torque that none explains."""
+        return self.role == "black_box"
+
     @property
     def depends_on(self) -> tuple[tuple[str, int], ...]:
-        """What a torque that is `lawless` depends on: ("q", joint), ("load", joint), ("sign", joint), ("time", −1), …"""
+        """What a black-box term depends on: ("q", joint), ("load", joint), ("sign", joint), ("time", −1), …"""
         return ()
 
     @property
     def validity(self) -> tuple[tuple[tuple[str, int], float, float], ...]:
-        """What it depends on with the range beyond which nothing is known of it."""
+        """What it depends on with the range (least, greatest) beyond which nothing is known of it."""
         return ()
 
+    @property
+    def has_edges(self) -> bool:
+        """Whether it begins at an edge within its range, rather than being a series over it."""
+        return False
+
+    def near(self, step: float) -> Iterator["Effect"]:
+        """The same with one of its edges moved by a share `step` of the range, either way."""
+        yield from ()
+
+    def renewed(self, ranges: Mapping[tuple[str, int], tuple[float, float]]) -> "Effect | None":
+        """A series over the ranges that other recordings show; None for what keeps its range."""
+        return None
+
+    def without_range(self) -> "Effect":
+        """The effect without the range that recordings gave it, for comparisons."""
+        return self
+
+    def basis(self, signals: Signals, width: Any) -> list | None:
+        """Torque on its joint for each amplitude being 1 [Nm], where that is all there is to its law and quicker; else None."""
+        return None
+
     def words(self, theta: Mapping[str, float]) -> str:
-        """What the model carries for a torque that is `lawless`, in words."""
+        """What a black-box term carries, in words."""
         raise NotImplementedError
 
-    def starts(self, theta: dict[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
-        """Forms of the effect on the same joints, and parameters, from which a fit is to begin that began here, if it is `abrupt`."""
-        yield self, theta
+    # trials: the ways in which recordings might hold the effect
 
     @classmethod
     def trials(cls, view: View) -> Iterator[Trial]:
         """The ways in which recordings might hold the effect; none for what a diagnosis does not look for.
 
-        By default one for each joint, linear in the only parameter; none of what is `lawless`: the catalogue goes first, and what is
-        left over asks for those by `unnamed`.
+        By default one for each joint, linear in the only parameter; none of black-box terms: the catalogue goes first, and what is
+        left over asks for those by `black_box_trials`.
         """
-        if cls.amplitudes and not cls.lawless:
+        if cls.amplitudes and cls.role != "black_box":
             for j in range(view.n):
                 yield cls((j,)).trial(view)
 
     @classmethod
-    def unnamed(cls, view: View, j: int, ranges: Mapping[tuple[str, int], tuple[float, float]], torque: str) -> Iterator[Trial]:
-        """The ways in which a joint might have what is `lawless`.
+    def sparse_trials(cls, view: View, j: int) -> Iterator[Trial]:
+        """Further ways for a joint, of which recordings see too little to look for them before any smooth function."""
+        yield from ()
+
+    def is_sparse(self, view: View, theta: Mapping[str, float]) -> bool:
+        """Whether the recordings see so little of it that it may be any smooth function."""
+        return False
+
+    @classmethod
+    def black_box_trials(
+        cls, view: View, j: int, ranges: Mapping[tuple[str, int], tuple[float, float]], torque: str
+    ) -> Iterator[Trial]:
+        """The ways in which a joint might have a black-box term.
 
         Args:
             ranges: (least, greatest) of everything that a torque may depend on, by kind and joint as in `depends_on`.
+            torque: What is recorded: "motor", "load" or "current".
         """
         yield from ()
 

@@ -20,8 +20,6 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.sweeps import STEP, PlannedRecording, times
 from rrr_oc.model.symbolic_model import Model
@@ -131,9 +129,7 @@ class Rig:
     def springs(self) -> tuple[Spring, ...]:
         """The springs among the model's effects."""
         values = self.model.values(self.theta)
-        return tuple(
-            (e, values[self.model.label(e)]) for e in self.model.effects if isinstance(e, ParallelSpring | BiarticularSpring)
-        )
+        return tuple((e, values[self.model.label(e)]) for e in self.model.effects if e.listing is not None)
 
     @cached_property
     def path(self) -> "PathLimits":
@@ -144,15 +140,9 @@ class Rig:
         rows, high = [torque[int(i)] for i in bounded], [*self.limits.torque[bounded]]
         low, names = [-limit for limit in high], ["torque"] * len(high)
         if math.isfinite(self.limits.floor):
-            rows, low, high, names = [*rows, self._height(q)], [*low, self.limits.floor], [*high, math.inf], [*names, "floor"]
+            height = self.model.tool_height(q)
+            rows, low, high, names = [*rows, height], [*low, self.limits.floor], [*high, math.inf], [*names, "floor"]
         return PathLimits(ca.Function("path", [q, dq, ddq], [ca.vertcat(*rows)]), np.array(low), np.array(high), tuple(names))
-
-    def _height(self, q: ca.SX) -> ca.SX:
-        """Of the tool against gravity [m]."""
-        tool, gravity = self.model.tool, self.model.robot.gravity
-        frame = self.model.body.joint_frames(q)[:, tool.joint]
-        position = ca.reshape(frame[:9], 3, 3) @ ca.DM(tool.position) + frame[9:]
-        return -ca.dot(ca.DM(gravity), position) / max(float(np.linalg.norm(gravity)), 1e-12)
 
     def excess(self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> dict[str, float]:
         """By how much a motion (n, K) breaks each limit at worst, in the limit's unit; negative or zero where it is kept."""

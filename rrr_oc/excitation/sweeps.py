@@ -8,11 +8,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects import listed_springs
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.importers.prototype import PAYLOAD, SPRINGS
-from rrr_oc.storage import write_text
+from rrr_oc.storage import write_csv
 
 Direction = Literal["rising", "falling"]
 
@@ -44,9 +44,7 @@ class PlannedRecording:
 
 def write_trajectory(path: str | Path, plan: PlannedRecording) -> None:
     """Write a planned motion as CSV with the columns t [s] and q_<joint> [rad]; numbers read back exactly."""
-    rows = np.vstack([plan.t, plan.q]).T.tolist()
-    header = ",".join(["t", *(f"q_{joint}" for joint in plan.joints)])
-    write_text(path, "\n".join([header, *(",".join(map(repr, row)) for row in rows)]) + "\n")
+    write_csv(path, {"t": plan.t, **{f"q_{joint}": q for joint, q in zip(plan.joints, plan.q, strict=True)}})
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +95,9 @@ PROTOTYPE_SWEEP = Sweep(
 )
 PROTOTYPE_JOINTS = ("joint1", "joint2", "joint3")
 PROTOTYPE_SPRINGS: tuple[Spring, ...] = tuple(
-    (
-        ParallelSpring((PROTOTYPE_JOINTS.index(joint),), spring["active"]),
-        {"stiffness": spring["stiffness_Nm_per_rad"], "equilibrium": spring["equilibrium_rad"]},
-    )
-    for joint, spring in SPRINGS["pea"].items()
+    listed_springs()[key].from_entry((PROTOTYPE_JOINTS.index(joint),), spring)
+    for key, springs in SPRINGS.items()
+    for joint, spring in springs.items()
 )
 
 

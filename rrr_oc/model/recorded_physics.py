@@ -83,7 +83,7 @@ class Physics:
     def twist(self, recording: Recording) -> np.ndarray:
         """The part of `shift` by which links move by themselves behind their gears."""
         effects, shifts = self.model.effects, self._moved(recording)[0]
-        return _summed({i: shift for i, shift in shifts.items() if effects[i].simulated}, recording)
+        return _summed({i: shift for i, shift in shifts.items() if effects[i].moves_link}, recording)
 
     def _moved(self, recording: Recording) -> tuple[Shifts, Reaction | None]:
         """For each effect that moves the links, by its number, its shift as a function of its parameters, and the shift.
@@ -97,7 +97,7 @@ class Physics:
         total = _summed(found, recording)
         motion = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
         reaction = None
-        rigid, alone = ([one for one in motion if one[1].simulated == simulated] for simulated in (False, True))
+        rigid, alone = ([one for one in motion if one[1].moves_link == by_itself] for by_itself in (False, True))
         for i, effect, theta, width in rigid:
             shift = partial(moved, recording, effect, width=width)
             found[i] = shift, shift(theta)
@@ -167,7 +167,7 @@ class Physics:
         """
         (shifts, reaction), states, n = self._moved(recording), self.states(recording), len(recording.q)
         total, base, named, found = _summed(shifts, recording), self.torques(recording)[load], self.named(), []
-        for i in [i for i in shifts if named[i][0].simulated]:
+        for i in [i for i in shifts if named[i][0].moves_link]:
             effect, theta, _ = named[i]
             (j,) = effect.joints
             assert reaction is not None
@@ -186,7 +186,7 @@ class Physics:
         result, delay = np.array(torque), 0.0
         for effect, theta, width in self.named():
             if effect.side == "sensor":
-                delay += theta.get("delay", 0.0)
+                delay += effect.delay(theta)
                 for j, more in zip(effect.joints, effect.torque(Signals(recording.q, load=torque), theta, width), strict=True):
                     result[j] += more
         return later(recording, result, delay) if delay else result
@@ -203,7 +203,11 @@ class Physics:
 
     def _find_states(self, recording: Recording) -> np.ndarray:
         named = [one for one in self.named() if one[0].states]
-        load = self._load(recording, self.shift(recording)) if any(effect.driven for effect, *_ in named) else None
+        load = (
+            self._load(recording, self.shift(recording))
+            if any(effect.dynamics == "load_states" for effect, *_ in named)
+            else None
+        )
         found = [states_along(recording, *one, load) for one in named]
         return np.concatenate([*found, np.zeros((0, len(recording.t)))])
 
@@ -233,11 +237,11 @@ def moved(
     Args:
         load: Torque that the link would need if it moved with its drive (n, K) [Nm].
         reaction: From joint j to by how much its load torque grows with its position [Nm/rad] and acceleration [kg m²], (K,) each.
-            Both are needed of effects that are simulated.
+            Both are needed where the link moves by itself.
     """
     n = len(recording.q)
     result = np.zeros((3 * n, len(recording.t)))
-    if effect.simulated:
+    if effect.moves_link:
         assert load is not None
         assert reaction is not None
         for j in effect.joints:
@@ -282,7 +286,7 @@ def states_along(
     """
     states = np.zeros((len(effect.states), len(recording.t)))
     for s in recording.segments:
-        if effect.driven:
+        if effect.dynamics == "load_states":
             assert load is not None
             states[:, s] = effect.course(recording.t[s], load[effect.joints[0], s], theta)
             continue

@@ -15,7 +15,6 @@ from rrr_oc.robot.rigid_body import RigidBody, rigid_body, with_payload
 from rrr_oc.robot.robot import Robot, ToolPoint
 
 CHAIN = ("q", "dq", "ddq", "time", "payload", "theta", "widths", "inertial")  # arguments of `Model.motor_inverse`
-LISTED = ("parallel_spring", "biarticular_spring")  # what recordings may list
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,10 @@ class Model:
     def body(self) -> RigidBody:
         """The rigid-body Functions of the robot."""
         return rigid_body(self.robot)
+
+    def tool_height(self, q):
+        """Height of the tool against gravity, from the base [m]; `q` (n,) and the result are casadi's or numbers."""
+        return self.body.tool_height(q, self.tool, self.robot.gravity)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -80,7 +83,7 @@ class Model:
         return [self._on_joints(*one) for one in self.with_signals(signals, theta, widths)]
 
     def side_torque(self, side: str, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
-        """Torque of all effects that act on one side, of `effects.effect.SIDES`, on all joints (n,) [Nm]."""
+        """Torque of all effects that act on one side, of `effects.base.SIDES`, on all joints (n,) [Nm]."""
         torques = [self._on_joints(*one) for one in self.with_signals(signals, theta, widths) if one[0].side == side]
         return sum(torques, ca.SX.zeros(self.robot.n))
 
@@ -215,10 +218,10 @@ class Model:
     def with_signals(self, signals: Signals, theta, widths):
         """Effects with what each may depend on: its own states, the plain friction, the springs listed."""
         unpacked = list(self._unpacked(theta, widths))
-        springs = {e.joints: (e, named, width) for e, named, width in reversed(unpacked) if e.name in LISTED}
+        springs = {e.joints: (e, named, width) for e, named, width in reversed(unpacked) if e.provides == "springs"}
         signals, state, friction = replace(signals, springs=springs), 0, ca.SX.zeros(self.robot.n)
         for e, named, width in unpacked:
-            if e.plain and not e.states and signals.dq is not None and e.name != "armature":
+            if e.provides == "friction" and not e.states and signals.dq is not None:
                 friction += self._on_joints(e, signals, named, width)
         for e, named, width in unpacked:
             own = None if signals.states is None else signals.states[state : state + len(e.states)]

@@ -1,9 +1,9 @@
-"""Paths through equally spaced points by Akima's interpolation, for whole populations (numpy) and as expressions (casadi).
+"""Akima's interpolation of equally spaced points, for arrays of paths (numpy) and for expressions (casadi).
 
-Akima, J. ACM 17(4), 1970, 589–602: the slope at a point weighs the secants beside it by how little the secants beyond bend,
-t = (|m₊₁ − m₀| m₋₁ + |m₋₁ − m₋₂| m₀) / (|m₊₁ − m₀| + |m₋₁ − m₋₂|), and between points runs the cubic with these slopes. The path has
-a continuous speed; its acceleration is linear between points and jumps at them. |·| has a kink, and where both weights vanish the
-slope is 0/0: sqrt(·² + width²) stands in for it, `width` in the unit of the points.
+Akima, J. ACM 17(4), 1970, 589–602: with the secants m₋₂, m₋₁, m₀, m₊₁ around a point, the slope there is
+t = (|m₊₁ − m₀| m₋₁ + |m₋₁ − m₋₂| m₀) / (|m₊₁ − m₀| + |m₋₁ − m₋₂|); between two points runs the cubic with these slopes. The path has
+a continuous speed; its acceleration is linear between points and discontinuous at them. |x| is replaced by sqrt(x² + width²), `width`
+in the unit of the points: |x| has a kink, and the slope is 0/0 where both weights vanish.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-WIDTH = 1e-9  # [rad]; only decides 0/0, as the mean of the two secants
+WIDTH = 1e-9  # [rad]; makes the slope the mean of the two secants where it would be 0/0; doubled, nothing changes in 1e-8 rad
 
 
 def slopes(points: Sequence[Any], rest: bool, width: float = WIDTH) -> list[Any]:
@@ -20,8 +20,8 @@ def slopes(points: Sequence[Any], rest: bool, width: float = WIDTH) -> list[Any]
 
     Args:
         points: At least three, equally spaced; numbers, arrays or casadi columns of one shape.
-        rest: Whether the slope is zero at both ends, instead of Akima's, who goes on with parabolas.
-        width: Of the smoothed weights, in the unit of the points.
+        rest: Whether the slope is zero at both ends. Otherwise, as in Akima's paper, the path is continued by parabolas.
+        width: Smoothing width of the weights, in the unit of the points.
     """
     inner = [b - a for a, b in pairwise(points)]
     first, last = 2 * inner[0] - inner[1], 2 * inner[-1] - inner[-2]
@@ -49,15 +49,15 @@ def motion(cubic: tuple[Any, Any, Any, Any], s: Any, h: Any) -> tuple[Any, Any, 
 
 
 def extremes(cubic: tuple[Any, Any, Any, Any], h: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What q, dq and ddq reach in an interval, exactly: candidates for the largest and least, (4, …), (3, …), (2, …) in numpy.
+    """Exact extremes of q, dq and ddq in an interval: values among which the largest and the least are, (4, …), (3, …), (2, …).
 
-    q at the ends and where dq = 0, dq at the ends and where ddq = 0 (or at an end, where that lies outside), ddq at the ends.
+    q at the ends and where dq = 0, dq at the ends and where ddq = 0 (at an end where that instant lies outside), ddq at the ends.
     """
     _, c1, c2, c3 = cubic
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = -c2 / (3 * c3)
         root = np.sqrt(np.maximum(c2**2 - 3 * c1 * c3, 0.0))
-        larger = -(c2 + np.where(c2 >= 0, root, -root))  # of the quadratic's two roots the one without cancellation
+        larger = -(c2 + np.where(c2 >= 0, root, -root))  # the root of the quadratic that is computed without cancellation
         stops = larger / (3 * c3), c1 / larger
     ends = [np.zeros_like(c1), np.ones_like(c1)]
     inside = [np.clip(np.nan_to_num(s), 0.0, 1.0) for s in (*stops, turn)]

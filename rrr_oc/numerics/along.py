@@ -1,4 +1,4 @@
-"""A CasADi Function at many instants at once, on all cores."""
+"""A CasADi Function evaluated at many instants at once, on all cores."""
 
 import os
 from functools import lru_cache
@@ -10,16 +10,14 @@ import rrr_oc.numerics._along as extension
 
 WANTED = os.environ.get("OMP_NUM_THREADS", "")  # joblib sets it, too, so that processes share the cores
 CORES = int(WANTED) if WANTED.isdigit() and int(WANTED) > 0 else os.cpu_count() or 1
-SHARED = 1000  # instants, from which on a thread is worth its start
+SHARED = 1000  # fewest instants for one thread; doubled, short recordings are evaluated by fewer threads
 
 
 def along(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
-    """Outputs of a Function of scalar operations at K instants; each (rows, columns · K), the instants side by side.
-
-    Many instants are shared out to threads.
+    """Outputs of a Function of `casadi.SX` at K instants, each (rows, columns · K): the instants side by side.
 
     Args:
-        arguments: (rows, columns · K) each, or (rows, columns) for what is the same at all instants.
+        arguments: (rows, columns · K) each, or (rows, columns) for an argument that is the same at all instants.
 
     Raises:
         ValueError: An argument has another size, or the Function is not made of `casadi.SX`.

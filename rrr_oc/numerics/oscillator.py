@@ -1,4 +1,4 @@
-"""A damped spring with a mass, driven by a sampled signal: how links ring behind gears, and whatever else rings along."""
+"""A damped oscillator driven by a sampled signal, such as a link behind an elastic gear."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,18 @@ from scipy.linalg import get_blas_funcs
 
 
 def substituted(bands: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x (K,) of L x = right, L a triangle of few diagonals, given one below the other from the main one (number, K)."""
+    """Solution x (K,) of L x = right, L lower triangular and banded: `bands` (number, K) are its diagonals, the main one first."""
     return _substitute(len(bands) - 1, np.asfortranarray(bands), right, lower=1)
 
 
 @dataclass(frozen=True)
 class Oscillator:
-    """mass x'' + damping x' + total x = a signal, mass and stiffness constant over each of K − 1 steps.
+    """mass x'' + damping x' + total x = signal, with mass and stiffness constant over each of K − 1 steps.
 
     Attributes:
         t: Times [s], strictly increasing, (K,), at least 3.
-        mass, total: Inertia and stiffness of each step, (K − 1,), above 0.
-        damping: The same for all.
+        mass, total: Inertia and stiffness in each step, (K − 1,), above 0.
+        damping: Damping, the same in all steps.
     """
 
     t: np.ndarray
@@ -30,13 +30,16 @@ class Oscillator:
     damping: float
 
     def driven(self, signal: np.ndarray, rested: bool = False) -> np.ndarray:
-        """Position, speed and acceleration (3, K), exact for a signal (K,) that is a cubic spline of samples.
+        """Position, speed and acceleration (3, K), exact for the cubic spline through a signal (K,).
 
         Args:
-            rested: Whether it has been at rest before, under what the signal begins with. Default: it begins without ringing.
+            rested: Whether it starts at rest in equilibrium with the first sample. Default: it starts on the slowly varying
+                solution, estimated over half a period, without oscillation.
         """
         t = self.t
-        p = CubicSpline(t, signal).c[::-1] / self.total  # of ascending powers: where it is when it neither rings nor lags
+        p = (
+            CubicSpline(t, signal).c[::-1] / self.total
+        )  # coefficients of ascending powers of the particular solution, corrected below
         p[2] -= 3 * self.damping / self.total * p[3]
         p[1] -= 2 * self.damping / self.total * p[2] + 6 * self.mass / self.total * p[3]
         p[0] -= self.damping / self.total * p[1] + 2 * self.mass / self.total * p[2]
@@ -47,11 +50,11 @@ class Oscillator:
         return self._along(p, np.array([[p[0, 0], speed]]))[0]
 
     def free(self) -> np.ndarray:
-        """What adds to that when it begins 1 further off, and when it begins with a speed of 1 more, (2, 3, K)."""
+        """Free motions from an initial position of 1 at rest, and from an initial speed of 1 at zero, (2, 3, K)."""
         return self._along(np.zeros((4, len(self.t) - 1)), np.eye(2))
 
     def _along(self, p: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Motions (m, 3, K) from starts (m, 2), where the powers `p` (4, K − 1) are one solution in each step."""
+        """Motions (m, 3, K) from initial states (m, 2); `p` (4, K − 1) is the particular solution in each step, by powers of time."""
         h, decay, square = np.diff(self.t), self.damping / self.mass / 2, self.total / self.mass
         end = np.array([((p[3] * h + p[2]) * h + p[1]) * h + p[0], (3 * p[3] * h + 2 * p[2]) * h + p[1]])
         root = np.sqrt((decay**2 - square).astype(complex))

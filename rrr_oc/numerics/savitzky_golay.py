@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-GAP = 5.0  # longest step within a segment, in median steps
-WINDOW = 0.15  # default length of the window [s]
-LEAST_ROWS = 5  # fewest samples of a segment from which a derivative is taken
-CHUNK = 100_000  # samples worked on at once: what they need stays in the processor's cache
+GAP = 5.0  # longest step within a segment, in median steps (file contract); doubled, filters reach across gaps twice as long
+WINDOW = (
+    0.15  # [s], default length of the window (file contract); doubled, derivatives have half the noise and 16 times the bias
+)
+LEAST_ROWS = 5  # fewest samples of a segment from which a derivative is taken; doubled, more short segments are dropped
+CHUNK = 100_000  # samples in one block of arrays, which then fit into the processor's cache; results do not depend on it
 
 
 def split(t: np.ndarray) -> tuple[slice, ...]:
@@ -24,8 +26,8 @@ def split(t: np.ndarray) -> tuple[slice, ...]:
 def differentiate(t: np.ndarray, x: np.ndarray, segments: Sequence[slice], derivative: int = 1) -> np.ndarray:
     """Derivative of x (n, K) [1/s, 1/s²], from polynomials two orders above it over `WINDOW` or 7 samples.
 
-    So the bias is of order window⁴. A segment shorter than the window gets the polynomial of lowest order, because there
-    noise is worse than bias; one below `LEAST_ROWS` samples gets NaN.
+    The bias is of order window⁴. In a segment shorter than the window the polynomial has the lowest order, because noise
+    is then worse than bias; in one of fewer than `LEAST_ROWS` samples the result is NaN.
     """
     count = window_samples(t, WINDOW, least=derivative + 5)
     result = np.full(x.shape, np.nan)
@@ -64,12 +66,12 @@ def window_samples(t: np.ndarray, window: float, least: int = 1) -> int:
 def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, count: int) -> np.ndarray:
     """Derivative at each t (K,) of the least-squares polynomial of `order` over the `count` nearest samples of x (n, K).
 
-    On uniform times this is the Savitzky–Golay filter. The polynomials are fitted to the samples at their own times: to
-    interpolate first, onto uniform times, would mix neighbours before the fit and bias it by the jitter. At both ends the
-    window stays inside and the point moves in it. NaN where the times decide no polynomial.
+    On uniform times this is the Savitzky–Golay filter. The polynomials are fitted to the samples at their own times:
+    interpolation onto uniform times would bias the fit by the jitter. At both ends the window stays inside the data and the
+    point moves within it. NaN where the normal equations are singular.
 
-    The cost does not grow with the window: windows that start next to one another form a block; over its samples, centred
-    and scaled to -1 … 1, the normal equations of every window are differences of cumulative sums of powers.
+    The cost does not grow with the window: over a block of neighbouring windows, with time centred and scaled to -1 … 1, the
+    normal equations of every window are differences of cumulative sums of powers.
     """
     windows, half = len(t) - count + 1, count // 2
     size = min(count, windows)  # windows of a block
@@ -89,7 +91,7 @@ def local_polynomial(t: np.ndarray, x: np.ndarray, derivative: int, order: int, 
 
 
 def as_matrix(t: np.ndarray, segments: Sequence[slice], window: float = WINDOW, order: int = 3) -> csr_matrix:
-    """`smooth` as a matrix (K, K), for signals that are many and windows that are short; never more than a third of a segment."""
+    """The filter as a sparse matrix (K, K), for many signals and short windows; the window is at most a third of a segment."""
     rows, columns, values = [], [], []
     for s in segments:
         size, count = s.stop - s.start, _smoothing_samples(t, s, window, 3)
@@ -119,8 +121,8 @@ class _Polynomials:
     """Polynomials in (t − centre) / scale of n signals, one a window.
 
     Attributes:
-        centre, scale: Of each block [s], shape (blocks, 1).
-        offset: Taken off each signal for accuracy's sake, shape (n, blocks, 1).
+        centre, scale: Of time in each block [s], shape (blocks, 1).
+        offset: Subtracted from each signal for numerical accuracy, shape (n, blocks, 1).
         coefficients: Shape (n, blocks, windows, order + 1).
     """
 
@@ -146,7 +148,7 @@ class _Polynomials:
         return cls(centre, scale, offset, coefficients)
 
     def one(self, end: int) -> "_Polynomials":
-        """The very first (0) or last (-1) polynomial of each signal."""
+        """The first (0) or last (-1) polynomial of each signal."""
         coefficients = self.coefficients[:, end, end][:, None, None]
         return _Polynomials(self.centre[end, None], self.scale[end, None], self.offset[:, end, None], coefficients)
 

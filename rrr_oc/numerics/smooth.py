@@ -1,6 +1,6 @@
-"""Functions that laws are written with, for casadi expressions and for numpy arrays, which casadi would copy.
+"""Functions for physical laws, of casadi expressions and of numpy arrays (which casadi would copy).
 
-C2-smooth stand-ins for the non-smooth functions of springs among them, each with a named width and exact outside it.
+Among them C2-smooth approximations of the sign and the ramp, each with a smoothing width outside which it is exact.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ arctan, erf = _either(ca.atan, np.arctan), _either(ca.erf, special.erf)
 fabs, fmax, fmin = (_either(getattr(ca, name), getattr(np, name)) for name in ("fabs", "fmax", "fmin"))
 
 
-TURNS: dict[str, Callable[[Any], Any]] = {  # ways from −1 to 1; the last two are not twice differentiable
+TURNS: dict[str, Callable[[Any], Any]] = {  # approximations of the sign; the last two are not twice differentiable
     "tanh": tanh,
     "erf": erf,
     "arctan": lambda x: 2 / np.pi * arctan(x),

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign, drawn_bounds, from_drawn
-from rrr_oc.codesign.task import PHASES, tool_height
+from rrr_oc.codesign.task import PHASES
 from rrr_oc.errors import UserError
 from rrr_oc.numerics import akima
 from rrr_oc.numerics.along import along
@@ -234,4 +234,4 @@ def _height(design: CoDesign) -> ca.Function:
     full = ca.SX.zeros(design.task.robot.n)
     for row, joint in enumerate(design.task.moving):
         full[joint] = q[row]
-    return ca.Function("height", [q], [tool_height(design.task, design.model.body, full)])
+    return ca.Function("height", [q], [design.model.tool_height(full)])

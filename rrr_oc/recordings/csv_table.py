@@ -1,8 +1,9 @@
-"""CSV files of numbers under a header line, read fast, with exact line numbers where they are wrong."""
+"""CSV files of numbers under a header line: read by pandas, with exact line numbers where they are wrong."""
 
+import csv
 import io
 import math
-import warnings
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from rrr_oc.errors import UserError
+from rrr_oc.storage import read_utf8
+
+LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 
 
 @dataclass(frozen=True)
@@ -21,16 +25,18 @@ class Table:
 
     Attributes:
         path: The file.
-        text: All of it.
+        data: All of it, in UTF-8.
         names: The columns.
         header_line: Number of the header's line, the first being 1.
+        start: Number of bytes before the first row.
         delimiter: What separates cells.
     """
 
     path: Path
-    text: str
+    data: bytes
     names: tuple[str, ...]
     header_line: int
+    start: int
     delimiter: str
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
@@ -39,35 +45,44 @@ class Table:
         Raises `UserError` for a row with more or fewer cells than the header and a cell that is no number.
         """
         indices = [self.names.index(name) for name in names]
-        stream = io.StringIO(self.text, newline=None)
-        for _ in range(self.header_line):
-            stream.readline()
-        try:
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", "loadtxt: input contained no data")
-                values = np.loadtxt(stream, delimiter=self.delimiter, ndmin=2)
-        except ValueError:  # the file is wrong, or has empty cells or text in columns that nobody asked for: look closely
-            return self._closely(indices)
-        if values.size == 0 or values.shape[1] != len(self.names):
-            return self._closely(indices)
-        return np.ascontiguousarray(values[:, indices].T)
+        values = self._parsed(indices)
+        if values is None:
+            rows = [self._row(number, content, indices) for number, content in self._rows()]
+            values = np.array(rows, float).reshape(-1, len(indices)).T
+        return values
 
     def line(self, row: int) -> int:
         """Number of the line that holds a row of `columns`."""
         return next(number for i, (number, _) in enumerate(self._rows()) if i == row)
 
-    def _rows(self) -> Iterator[tuple[int, str]]:
-        for number, line in enumerate(io.StringIO(self.text, newline=None), 1):
-            content = line.split("#", 1)[0]
-            if number > self.header_line and content.strip():
-                yield number, content
+    def _parsed(self, indices: Sequence[int]) -> np.ndarray | None:
+        """Values as pandas reads them; None where it refuses the file or would accept what is no row of numbers."""
+        import pandas  # takes half a second, so only where a recording is read
 
-    def _closely(self, indices: Sequence[int]) -> np.ndarray:
-        rows = [self._row(number, content, indices) for number, content in self._rows()]
-        return np.array(rows, float).reshape(-1, len(indices)).T
+        body = self.data[self.start :]
+        if any(word in body for word in (b"rue", b"RUE", b"alse", b"ALSE")):  # it takes "true" for 1
+            return None
+        if len(next((content for _, content in self._rows()), "").split(self.delimiter)) != len(self.names):
+            return None  # it cuts off what the first row has too much
+        try:
+            frame = pandas.read_csv(
+                io.BytesIO(body), sep=self.delimiter, header=None, names=range(len(self.names)), usecols=indices, dtype=float,
+                index_col=False, comment="#", quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=["", "nan", "NaN"],
+            )  # fmt: skip
+        except ValueError:
+            return None
+        if body.count(self.delimiter.encode()) != len(frame) * (len(self.names) - 1):
+            return None  # it fills short rows with NaN
+        return np.ascontiguousarray(frame[list(indices)].to_numpy().T)
+
+    def _rows(self) -> Iterator[tuple[int, str]]:
+        for i, line in enumerate(LINE.finditer(self.data, self.start), self.header_line + 1):
+            content = line[1].split(b"#", 1)[0].decode()
+            if content.strip():
+                yield i, content
 
     def _row(self, number: int, content: str, indices: Sequence[int]) -> list[float]:
-        cells = content.rstrip("\r\n").split(self.delimiter)
+        cells = content.split(self.delimiter)
         if len(cells) != len(self.names):
             raise UserError(
                 f"{self.path}, line {number}: {len(cells)} {'cell' if len(cells) == 1 else 'cells'}, "
@@ -86,39 +101,28 @@ class Table:
             ) from None
 
 
-def read_text(path: Path) -> str:
-    """A text file in UTF-8, with or without a byte-order mark; raises `UserError` where it is missing or something else."""
-    try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise UserError(f"{path}, line {line}: found byte 0x{data[error.start]:02x}; text in UTF-8 is required") from None
-
-
 def read_table(path: Path) -> Table:
     """Read a file and its header; raises `UserError` where there is none, or a name is empty or stands twice."""
-    text = read_text(path)
+    data = read_utf8(path)
     comment = None
-    for number, line in enumerate(io.StringIO(text, newline=None), 1):
-        content = line.strip()
+    for number, line in enumerate(LINE.finditer(data), 1):
+        content = line[1].decode().strip()
         if content.startswith("#"):
-            comment = number, content.lstrip("# ")
+            comment = number, line.end(), content.lstrip("# ")
         elif content:
+            header = number, line.end(), content
             if _all_numbers(content):
                 if comment is None:
                     raise UserError(
                         f"{path}, line {number}: found numbers; a header line that names the columns must come first"
                     )
-                number, content = comment
-            return _with_header(path, text, number, content)
+                header = comment
+            return Table(path, data, *_with_names(path, *header))
     raise UserError(f"{path}: the file is empty; a header line and rows of numbers are required")
 
 
-def _with_header(path: Path, text: str, number: int, content: str) -> Table:
+def _with_names(path: Path, number: int, start: int, content: str) -> tuple[tuple[str, ...], int, int, str]:
+    """Names of the columns, the header's line, its end and the delimiter."""
     content = content.split("#", 1)[0]
     delimiter = next((d for d in ",;\t" if d in content), ",")
     names = tuple(name.strip().strip("\"'").strip() for name in content.split(delimiter))
@@ -131,7 +135,7 @@ def _with_header(path: Path, text: str, number: int, content: str) -> Table:
     for i, name in enumerate(names):
         if name in names[:i]:
             raise UserError(f"{path}, line {number}: column {name!r} stands twice; each may stand once")
-    return Table(path, text, names, number, delimiter)
+    return names, number, start, delimiter
 
 
 def _all_numbers(content: str) -> bool:

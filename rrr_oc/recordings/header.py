@@ -1,278 +1,213 @@
 """`recordings.json`: what a recording set says about itself, read and checked key by key."""
 
-import json
 import math
-import reprlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from rrr_oc.effects import Effect
-from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring, reduced
-from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+import msgspec
+from msgspec import Meta, field
+
+from rrr_oc.effects import Effect, listed_springs
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.csv_table import read_text
+from rrr_oc.schema import NonNegative, Schema, Text, Vector, check_names, parsed, validated
+from rrr_oc.storage import read_utf8
 
+HEADER = "recordings.json"
 FORMAT = "rrr_oc-recordings/1"
-FREE = ("comment", "description", "license", "source")  # text for people, allowed everywhere and not read
-KEYS = ("format", "robot", "joints", "torque", "inertial", "gravity", "tool", "actuators", "recordings")
-TORQUES = ("motor", "load", "current")
-INERTIAL = ("nominal", "identify")
-LARGEST_ANGLE = 20 * math.pi  # [rad], ten turns; a spring's equilibrium beyond it is in degrees
-LARGEST_RADIUS = 5.0  # [m]; a pulley's radius beyond it is in millimetres
-SMALLEST_RADIUS = 1e-6  # [m]
+FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
+LARGEST_ANGLE = 20 * math.pi  # [rad], ten turns; an equilibrium beyond it is taken for degrees; doubled, 110° would pass as rad
+LARGEST_RADIUS = 5.0  # [m]; a pulley's radius beyond it is taken for millimetres; doubled, radii of 5 mm to 10 mm would pass
+SMALLEST_RADIUS = 1e-6  # [m]; smaller ones leave no finite torque
 
+Angle = Annotated[
+    float,
+    Meta(
+        ge=-LARGEST_ANGLE,
+        le=LARGEST_ANGLE,
+        description=f"a finite number up to {LARGEST_ANGLE:.3g} is required; the unit is rad; a larger one looks like degrees",
+    ),
+]
+Radius = Annotated[
+    float,
+    Meta(
+        ge=SMALLEST_RADIUS,
+        le=LARGEST_RADIUS,
+        description=f"a number of {SMALLEST_RADIUS:g} or more, up to {LARGEST_RADIUS:g}, is required; the unit is m; "
+        "a larger one looks like millimetres",
+    ),
+]
 Spring = tuple[Effect, dict[str, float]]
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One recording as it is listed: file, group, payload [kg] and the springs believed to be mounted."""
+class Tool(Schema):
+    """Where a payload is held: a point [m] in a link's frame."""
 
-    file: str
-    group: str
-    payload: float
-    springs: tuple[Spring, ...]
+    link: Text
+    position: Vector
 
 
-@dataclass(frozen=True)
-class Header:
-    """The content of `recordings.json`; `tool` is a link and a position [m], `torque_constant` [Nm/A] per joint."""
+class Actuator(Schema):
+    """A joint's drive: motor torque at the joint's output by current [Nm/A]."""
 
-    robot: str
-    joints: tuple[str, ...]
-    torque: str
-    inertial: str
-    gravity: tuple[float, ...]
-    tool: tuple[str, tuple[float, ...]] | None
-    torque_constant: tuple[float | None, ...]
-    entries: tuple[Entry, ...]
+    torque_constant: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.torque_constant == 0:
+            raise ValueError("torque_constant: found 0; a number of Nm/A other than 0 is required")
+
+
+class Entry(Schema):
+    """One recording as it is listed; `payload` in kg."""
+
+    file: Text
+    group: Text | None = None
+    payload: NonNegative = 0.0
+    springs: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if PurePosixPath(self.file).is_absolute() or ".." in PurePosixPath(self.file).parts:
+            raise ValueError(f"file: found {self.file!r}; a recording must lie in the set's own folder")
+
+
+class Header(Schema):
+    """The content of `recordings.json`."""
+
+    format: Literal["rrr_oc-recordings/1"]
+    robot: Text
+    joints: Annotated[tuple[Text, ...], Meta(min_length=1)]
+    recordings: Annotated[tuple[Entry, ...], Meta(min_length=1)]
+    torque: Literal["motor", "load", "current"] = "motor"
+    inertial: Literal["nominal", "identify"] = "nominal"
+    gravity: Vector = (0.0, 0.0, -9.81)
+    tool: Tool | None = None
+    actuators: dict[str, Actuator] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(set(self.joints)) != len(self.joints):
+            raise ValueError(f"joints: found {', '.join(self.joints)}; each joint may stand once")
+        files = [PurePosixPath(entry.file) for entry in self.recordings]
+        for i, file in enumerate(files):
+            if file in files[:i]:
+                raise ValueError(f"recordings[{i}].file: {str(file)!r} stands twice; each file may stand once")
+        missing = [joint for joint, k in zip(self.joints, self.torque_constant, strict=True) if k is None]
+        if self.torque == "current" and missing:
+            raise ValueError(
+                f"actuators: no torque_constant [Nm/A] of {', '.join(missing)}; torque 'current' needs one per joint"
+            )
+
+    @property
+    def torque_constant(self) -> tuple[float | None, ...]:
+        """Per joint [Nm/A]; None where it is not given."""
+        return tuple(self.actuators.get(joint, Actuator()).torque_constant for joint in self.joints)
 
 
 def read_header(path: Path) -> Header:
     """Read and check `recordings.json`; raises `UserError` that names the key, what was found and what is allowed."""
-    data = _Node(str(path), _json(path)).table(KEYS, required=("format", "robot", "joints", "recordings"))
-    data["format"].choice((FORMAT,))
-    joints = tuple(joint.text() for joint in data["joints"].entries())
-    if len(set(joints)) != len(joints):
-        raise UserError(f"{data['joints'].where}: found {', '.join(joints)}; each joint may stand once")
-    torque = data["torque"].choice(TORQUES) if "torque" in data else "motor"
-    return Header(
-        robot=data["robot"].text(),
-        joints=joints,
-        torque=torque,
-        inertial=data["inertial"].choice(INERTIAL) if "inertial" in data else "nominal",
-        gravity=data["gravity"].numbers(3) if "gravity" in data else (0.0, 0.0, -9.81),
-        tool=_tool(data["tool"]) if "tool" in data else None,
-        torque_constant=_torque_constants(data.get("actuators", _Node(f"{path}: actuators", {})), joints, torque),
-        entries=_entries(data["recordings"], joints),
-    )
+    header = validated(path, _without_free_text(parsed(path, read_utf8(path).decode())), Header)
+    check_names(header.actuators, header.joints, f"{path}: actuators", "joint")
+    return header
+
+
+def _without_free_text(data: Any) -> Any:
+    """The same without text for people and without nulls, which stand for keys left out."""
+    if isinstance(data, dict):
+        return {key: _without_free_text(value) for key, value in data.items() if value is not None and key not in FREE}
+    return [_without_free_text(item) for item in data] if isinstance(data, list) else data
+
+
+def mounted_springs(path: Path, header: Header) -> list[tuple[Spring, ...]]:
+    """The springs of each recording as effects with their parameters. Raises `UserError` that names the key in the file."""
+    kinds = listed_springs()
+    schemas = {key: _schema_of(kind) for key, kind in kinds.items()}
+    keys = [(key, _one_or_many(kinds[key], schema), None) for key, schema in schemas.items()]
+    schema = msgspec.defstruct("Springs", keys, bases=(Schema,))
+    result = []
+    for i, entry in enumerate(header.recordings):
+        place = f"recordings[{i}].springs"
+        given = msgspec.structs.asdict(validated(path, entry.springs, schema, place))
+        result.append(
+            tuple(s for key, kind in kinds.items() for s in _springs(f"{path}: {place}.{key}", kind, given[key], header.joints))
+        )
+    return result
+
+
+def _schema_of(kind: type[Effect]) -> type[Schema]:
+    """The entry of a spring, from its `Listing`."""
+    listing = kind.listing
+    assert listing is not None
+    keys: list[Any] = [(key, _quantity(key, key in listing.zero)) for key in listing.quantities]
+    if kind.placement == "pair":
+        keys.append(("joints", tuple[str, str] | None, None))
+    for key, allowed in listing.options.items():
+        count = listing.counts.get(key)
+        keys.append((key, (Literal[allowed] if count is None else tuple[(float,) * count]) | None, None))
+    return msgspec.defstruct(kind.__name__, keys, bases=(Schema,))
+
+
+def _quantity(key: str, zero: bool) -> Any:
+    """The type of a number whose unit is the ending of its key."""
+    if key.endswith("_m"):
+        return Radius | Literal[0] if zero else Radius
+    return Angle if key.endswith("_rad") and not key.endswith("_per_rad") else NonNegative
+
+
+def _one_or_many(kind: type[Effect], schema: type[Schema]) -> Any:
+    some = schema | list[schema] | None
+    return some if kind.placement == "pair" else dict[str, some] | None
+
+
+def _springs(where: str, kind: type[Effect], given: Any, joints: tuple[str, ...]) -> Iterator[Spring]:
+    """Springs of one kind: those of one joint by its name, those of two in a list."""
+    if kind.placement != "pair":
+        check_names(given or {}, joints, where, "joint")
+    for joint, some in [(None, given)] if kind.placement == "pair" else (given or {}).items():
+        for spring in some if isinstance(some, list) else [] if some is None else [some]:
+            place = where if joint is None else f"{where}.{joint}"
+            entry = {key: value for key, value in msgspec.structs.asdict(spring).items() if value is not None}
+            _check_options(place, kind, entry)
+            pair = _pair(place, entry.pop("joints", None), joints) if joint is None else (joint,)
+            try:
+                yield kind.from_entry(tuple(map(joints.index, pair)), entry)
+            except UserError as error:
+                raise UserError(f"{place}: {error}") from None
+
+
+def _check_options(where: str, kind: type[Effect], entry: Mapping[str, Any]) -> None:
+    """Raise `UserError` for a list with another value than those allowed."""
+    assert kind.listing is not None
+    for key, count in kind.listing.counts.items():
+        allowed = kind.listing.options[key]
+        if any(value not in allowed for value in entry.get(key, ())):
+            wanted = f"{count} numbers, each {' or '.join(map(str, allowed))}, are required"
+            raise UserError(f"{where}.{key}: found {list(entry[key])}; {wanted}")
+
+
+def _pair(where: str, given: tuple[str, str] | None, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """The joints that a spring spans; those not named are the last two of three, or the two there are."""
+    if given is None and len(joints) not in (2, 3):
+        raise UserError(f"{where}: 'joints' is missing; with {len(joints)} joints it must name the two that the spring spans")
+    pair = given or joints[-2:]
+    check_names(pair, joints, f"{where}.joints", "joint")
+    if pair[0] == pair[1]:
+        raise UserError(f"{where}.joints: found {', '.join(pair)}; two different joints are required")
+    return pair
 
 
 def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, Any]:
-    """The `springs` of a recording as they stand in the file; a spring across two joints is written with r_2 = 1 m."""
+    """The `springs` of a recording as they stand in the file: by joint, or in a list where they span two."""
     result: dict[str, Any] = {}
     for effect, theta in springs:
         names = [joints[j] for j in effect.joints]
-        if isinstance(effect, ParallelSpring):
-            spring = {
-                "stiffness_Nm_per_rad": theta["stiffness"],
-                "equilibrium_rad": theta["equilibrium"],
-                "active": effect.active,
-            }
-            result.setdefault("pea", {}).setdefault(names[0], []).append(spring)
-        elif isinstance(effect, BiarticularSpring):
-            r = effect.pulleys  # Eq. 5 decides κ, ρ and φ only, and a change of q_0 the ratio r_1/r_2
-            radii = {"radius1_m": r, "radius2_m": 1.0, "radius3_m": theta["rho"]}
-            spring = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
-            result.setdefault("bpea", []).append({**spring, "joints": names, "winding": list(effect.winding)})
+        if effect.listing is None:
+            allowed = " and ".join(kind.name for kind in listed_springs().values())
+            raise UserError(f"a recording cannot list {effect.name!r}; allowed are {allowed}")
+        key, spring = effect.listing.key, effect.entry(theta)
+        if effect.placement == "pair":
+            result.setdefault(key, []).append({**spring, "joints": names})
         else:
-            raise UserError(f"a recording cannot list {effect.name!r}; allowed are parallel_spring and biarticular_spring")
-    if "pea" in result:
-        result["pea"] = {joint: pea[0] if len(pea) == 1 else pea for joint, pea in result["pea"].items()}
+            result.setdefault(key, {}).setdefault(names[0], []).append(spring)
+    for key, by_joint in result.items():
+        if isinstance(by_joint, dict):
+            result[key] = {joint: each[0] if len(each) == 1 else each for joint, each in by_joint.items()}
     return result
-
-
-def _entries(node: "_Node", joints: tuple[str, ...]) -> tuple[Entry, ...]:
-    entries = tuple(_entry(item, joints) for item in node.entries())
-    files = [PurePosixPath(entry.file) for entry in entries]
-    for i, file in enumerate(files):
-        if file in files[:i]:
-            raise UserError(f"{node.where}[{i}].file: {str(file)!r} stands twice; each file may stand once")
-    return entries
-
-
-def _entry(node: "_Node", joints: tuple[str, ...]) -> Entry:
-    data = node.table(("file", "group", "payload", "springs"), required=("file",))
-    file = data["file"].text()
-    if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts:
-        raise UserError(f"{data['file'].where}: found {file!r}; a recording must lie in the set's own folder")
-    payload = data["payload"].number(at_least=0.0) if "payload" in data else 0.0
-    springs = _springs(data["springs"], joints) if "springs" in data else ()
-    return Entry(file, data["group"].text() if "group" in data else file, payload, springs)
-
-
-def _springs(node: "_Node", joints: tuple[str, ...]) -> tuple[Spring, ...]:
-    data, springs = node.table(("pea", "bpea")), []
-    if "pea" in data:
-        for joint, pea in data["pea"].table(joints, what="joint").items():
-            springs += [_pea(item, joints.index(joint)) for item in pea.one_or_list()]
-    if "bpea" in data:
-        springs += [_bpea(item, joints) for item in data["bpea"].one_or_list()]
-    return tuple(springs)
-
-
-def _pea(node: "_Node", joint: int) -> Spring:
-    required = ("stiffness_Nm_per_rad", "equilibrium_rad")
-    data = node.table((*required, "active"), required)
-    active = data["active"].choice(("below", "above")) if "active" in data else "below"
-    theta = {"stiffness": data[required[0]].number(at_least=0.0), "equilibrium": data[required[1]].angle()}
-    return ParallelSpring((joint,), active=active), theta
-
-
-def _bpea(node: "_Node", joints: tuple[str, ...]) -> Spring:
-    """A spring across two joints; those not named are the last two of the three, or the two there are."""
-    required = ("stiffness_Nm_per_rad", "equilibrium_rad", "radius1_m", "radius2_m", "radius3_m")
-    data = node.table((*required, "joints", "winding"), required)
-    radii = [data[key].radius(zero=key == "radius3_m") for key in required[2:]]
-    kappa, rho, phi = reduced(data[required[0]].number(at_least=0.0), data[required[1]].angle(), *radii)
-    if not all(math.isfinite(value) for value in (kappa, rho, phi)):
-        raise UserError(f"{node.where}: radii {radii} m give no finite torque; check the unit")
-    if "joints" in data:
-        pair = tuple(item.choice(joints) for item in data["joints"].entries())
-    elif len(joints) in (2, 3):
-        pair = joints[-2:]
-    else:
-        raise UserError(
-            f"{node.where}: 'joints' is missing; with {len(joints)} joints it must name the two that the spring spans"
-        )
-    if len(pair) != 2 or pair[0] == pair[1]:
-        raise UserError(f"{node.where}.joints: found {', '.join(pair)}; two different joints are required")
-    winding = (1, 1)
-    if "winding" in data:
-        winding = data["winding"].numbers(2)
-        if any(w not in (-1, 1) for w in winding):
-            raise UserError(f"{data['winding'].where}: found {list(winding)}; two numbers, each 1 or -1, are required")
-    effect = BiarticularSpring(
-        (joints.index(pair[0]), joints.index(pair[1])), winding=(int(winding[0]), int(winding[1])), pulleys=radii[0] / radii[1]
-    )
-    return effect, {"kappa": kappa, "rho": rho, "phi": phi}
-
-
-def _tool(node: "_Node") -> tuple[str, tuple[float, ...]]:
-    data = node.table(("link", "position"), required=("link", "position"))
-    return data["link"].text(), data["position"].numbers(3)
-
-
-def _torque_constants(node: "_Node", joints: tuple[str, ...], torque: str) -> tuple[float | None, ...]:
-    constants: dict[str, float] = {}
-    for joint, actuator in node.table(joints, what="joint").items():
-        data = actuator.table(("torque_constant",))
-        if "torque_constant" in data:
-            constants[joint] = data["torque_constant"].number()
-            if constants[joint] == 0:
-                raise UserError(f"{data['torque_constant'].where}: found 0; a number of Nm/A other than 0 is required")
-    missing = [joint for joint in joints if joint not in constants]
-    if torque == "current" and missing:
-        raise UserError(
-            f"{node.where}: no torque_constant [Nm/A] of {', '.join(missing)}; torque 'current' needs one per joint"
-        )
-    return tuple(constants.get(joint) for joint in joints)
-
-
-def _json(path: Path) -> Any:
-    text = read_text(path)
-    try:
-        return json.loads(text, object_pairs_hook=lambda pairs: _once(path, pairs))
-    except json.JSONDecodeError as error:
-        raise UserError(
-            f"{path}, line {error.lineno}, column {error.colno}: {error.msg}; one complete JSON object is required"
-        ) from None
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets thousands deep
-        raise UserError(f"{path}: not usable JSON: {error}") from None
-
-
-def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in result:
-            raise UserError(f"{path}: key {key!r} stands twice in one object; each may stand once")
-        result[key] = value
-    return result
-
-
-@dataclass(frozen=True)
-class _Node:
-    """A value of the file with the way to it, for messages."""
-
-    where: str
-    value: Any
-
-    def fail(self, allowed: str) -> UserError:
-        return UserError(f"{self.where}: found {reprlib.repr(self.value)}; {allowed}")
-
-    def table(self, allowed: Sequence[str], required: Sequence[str] = (), what: str = "key") -> dict[str, "_Node"]:
-        """The nodes of an object by key; null stands for a key left out."""
-        if not isinstance(self.value, dict):
-            raise self.fail(f"an object with {', '.join(allowed)} is required")
-        for key in self.value:
-            if key not in allowed and key not in FREE:
-                raise UserError(f"{self.where}: unknown {what} {key!r}; allowed are {', '.join(allowed)}")
-        dot = "." if self.where.count(": ") else ": "
-        nodes = {key: _Node(f"{self.where}{dot}{key}", v) for key, v in self.value.items() if v is not None and key in allowed}
-        for key in required:
-            if key not in nodes:
-                raise UserError(f"{self.where}: {what} {key!r} is missing; required are {', '.join(required)}")
-        return nodes
-
-    def entries(self) -> list["_Node"]:
-        if not isinstance(self.value, list) or not self.value:
-            raise self.fail("a list with at least one entry is required")
-        return [_Node(f"{self.where}[{i}]", item) for i, item in enumerate(self.value)]
-
-    def one_or_list(self) -> list["_Node"]:
-        return self.entries() if isinstance(self.value, list) else [self]
-
-    def text(self) -> str:
-        if not isinstance(self.value, str) or not self.value.strip() or not self.value.isprintable():
-            raise self.fail("a text is required")
-        return self.value
-
-    def choice(self, allowed: Sequence[str]) -> Any:
-        if self.value not in allowed:
-            raise self.fail(f"allowed {'is' if len(allowed) == 1 else 'are'} {', '.join(map(repr, allowed))}")
-        return self.value
-
-    def number(self, at_least: float = -math.inf) -> float:
-        allowed = (
-            "a finite number is required" if at_least == -math.inf else f"a finite number of {at_least:g} or more is required"
-        )
-        if isinstance(self.value, bool) or not isinstance(self.value, int | float):
-            raise self.fail(allowed)
-        try:
-            value = float(self.value)
-        except OverflowError:
-            value = math.inf
-        if not (math.isfinite(value) and value >= at_least):
-            raise self.fail(allowed)
-        return value
-
-    def numbers(self, count: int) -> tuple[float, ...]:
-        if not isinstance(self.value, list) or len(self.value) != count:
-            raise self.fail(f"a list of {count} numbers is required")
-        return tuple(node.number() for node in self.entries())
-
-    def angle(self) -> float:
-        value = self.number()
-        if abs(value) > LARGEST_ANGLE:
-            raise self.fail("the unit is rad; it looks like degrees")
-        return value
-
-    def radius(self, zero: bool) -> float:
-        value = self.number(at_least=0.0)
-        if value > LARGEST_RADIUS:
-            raise self.fail("the unit is m; it looks like millimetres")
-        if value < SMALLEST_RADIUS and not (zero and value == 0):
-            raise self.fail(f"a radius of {SMALLEST_RADIUS:g} m or more is required")
-        return value

@@ -1,4 +1,4 @@
-"""Units that cannot be right: raised only where the recording and the robot contradict each other by a known factor; absurd numbers."""
+"""Checks of units: a recording is refused where it contradicts the robot, or itself, by the factor between two units."""
 
 from collections.abc import Mapping
 
@@ -10,7 +10,7 @@ from rrr_oc.robot.robot import Robot
 
 DEGREES = 180 / np.pi
 RPM = 60 / (2 * np.pi)
-FACTORS = (  # measured derivative over computed one -> what it looks like
+FACTORS = (  # measured derivative over computed one, and the unit that explains it
     (DEGREES, "{rate} is in degrees"),
     (1 / DEGREES, "{value} is in degrees"),
     (RPM, "{rate} is in revolutions per minute"),
@@ -18,17 +18,18 @@ FACTORS = (  # measured derivative over computed one -> what it looks like
     (1e6, "t is in microseconds"),
     (1e9, "t is in nanoseconds"),
 )
-TOLERANCE = 0.1  # of the factor; filters and noise move it by less
-CORRELATION = 0.95  # above it two signals are one up to their scale
-LONGEST_STEP = 10.0  # [s] between samples
-SLOW_STEP, SLOW_SPEED, SLOW_TRAVEL = 0.5, 0.003, 0.5  # [s], [rad/s], [rad]: travels far, sampled rarely, never this fast
-TORQUE_FACTOR = 10.0  # a median torque above this many effort limits is in a smaller unit
-ABSURD = 1e9  # in any unit: beyond what an arm does, and its powers beyond what floating-point numbers hold
-ROWS = 20_000  # a longer recording is judged by its first rows
+# Every threshold decides whether a recording is refused; it lies far from what sensors and filters do to a right one.
+TOLERANCE = 0.1  # relative, of a factor; noise and filters change it by less; doubled, rates that are 20 % off would be taken for a unit
+CORRELATION = 0.95  # signals correlated above it are taken to be proportional; at 0.9, very noisy speeds would be judged, too
+LONGEST_STEP = 10.0  # [s], of a median step; longer ones are another unit of time; doubled, slow logs in seconds would pass
+SLOW_STEP, SLOW_SPEED, SLOW_TRAVEL = 0.5, 0.003, 0.5  # [s], [rad/s], [rad]: long steps, far travel and no faster: milliseconds
+TORQUE_FACTOR = 10.0  # a median torque above so many effort limits is in mNm or mA; doubled, limits 50 times too low would pass
+ABSURD = 1e9  # in any unit: above it a number is no measurement, and its powers overflow; doubled, nothing changes
+ROWS = 20_000  # first rows by which a derivative is judged; doubled, the check takes twice as long
 
 
 def check_magnitudes(where: str, columns: Mapping[str, np.ndarray]) -> None:
-    """Raise `UserError` where a signal (K,) but the time holds a number that no sensor gives."""
+    """Raise `UserError` where a signal (K,), time excepted, has a magnitude above `ABSURD`."""
     for name, values in columns.items():
         largest = float(np.max(np.abs(values)))
         if name != "t" and largest > ABSURD:
@@ -36,7 +37,7 @@ def check_magnitudes(where: str, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def check_time(where: str, t: np.ndarray) -> None:
-    """Raise `UserError` where the median step of t (K,) is no time between samples in seconds."""
+    """Raise `UserError` where the median step of t (K,) is too long for a sampling interval in seconds."""
     step = float(np.median(np.diff(t)))
     if step > LONGEST_STEP:
         units = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
@@ -48,7 +49,7 @@ def check_time(where: str, t: np.ndarray) -> None:
 
 
 def check_slowness(where: str, t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
-    """Raise `UserError` where time in milliseconds explains a slow recording whose dq (n, K) was computed from q (n, K)."""
+    """Raise `UserError` where t (K,) in milliseconds explains a slow motion q (n, K) whose speeds dq (n, K) were computed from it."""
     step = float(np.median(np.diff(t)))
     travel = float(np.max(np.ptp(q, axis=1)))
     speed = float(np.max(np.abs(dq)))
@@ -60,7 +61,7 @@ def check_slowness(where: str, t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> 
 
 
 def check_positions(where: str, robot: Robot, q: np.ndarray) -> None:
-    """Raise `UserError` where a joint's positions q (n, K) fit its range in degrees and by far not in radians."""
+    """Raise `UserError` where a joint's positions q (n, K) fit its range in degrees and are far outside it in radians."""
     for i, joint in enumerate(robot.joints):
         low, high = float(q[i].min()), float(q[i].max())
         room = robot.upper[i] - robot.lower[i]
@@ -100,7 +101,7 @@ def check_derivative(
 
 
 def check_torques(where: str, robot: Robot, torque: np.ndarray, columns: tuple[str, ...], unit: str) -> None:
-    """Raise `UserError` where most of a joint's output torques (n, K) [Nm] lie beyond ten times its effort limit."""
+    """Raise `UserError` where the median of a joint's output torque (n, K) [Nm] exceeds `TORQUE_FACTOR` effort limits."""
     for i, column in enumerate(columns):
         middle, limit = float(np.median(np.abs(torque[i]))), float(robot.effort[i])
         if limit > 0 and middle > TORQUE_FACTOR * limit:

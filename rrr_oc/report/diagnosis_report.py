@@ -11,7 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, save_model
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.held_out import intervals

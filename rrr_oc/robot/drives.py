@@ -1,28 +1,30 @@
 """Electrical servo drives: current, load torque and energy (Eq. 7–11)."""
 
-import importlib.resources
-import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import casadi as ca
+import msgspec
 import numpy as np
 
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp
-from rrr_oc.robot.parameters import read_number, read_object
+from rrr_oc.schema import Schema, read_preset
 
-COEFFICIENTS = (
-    "torque_constant_Nm_per_A",
-    "c_0_A",
-    "viscous_A_s_per_rad",
-    "c_v2_A_s2_per_rad2",
-    "c_1_A_per_Nm",
-    "c_12_A_per_Nm",
-    "inertia_A_s2_per_rad",
-)
+
+class Drive(Schema):
+    """A joint's drive in an actuator file, with the coefficients of `Actuators` in their order."""
+
+    torque_constant_Nm_per_A: float
+    c_0_A: float
+    viscous_A_s_per_rad: float
+    c_v2_A_s2_per_rad2: float
+    c_1_A_per_Nm: float
+    c_12_A_per_Nm: float
+    inertia_A_s2_per_rad: float
+    resistance_Ohm: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,23 +131,12 @@ def _signs(dq) -> list:
 
 
 def load_actuators(joints: Sequence[str], source: str = "prototype", form: str = "dissipative") -> Actuators:
-    """The drives of these joints from a bundled file, or from the path of a JSON file of the same form."""
-    try:
-        bundled = importlib.resources.files("rrr_oc.data").joinpath("actuators.json").read_text()
-        content = json.loads(bundled if source == "prototype" else Path(source).read_text())
-    except (OSError, json.JSONDecodeError) as error:
-        raise UserError(f"no usable actuators at {source!r}: {error}; give a JSON file or 'prototype'") from None
+    """The drives of these joints from a bundled file, or from the path of a JSON file of the same form; raises `UserError`."""
     if form not in ("dissipative", "printed"):
         raise UserError(f"the form of Eq. 9 is 'dissipative' or 'printed', got {form!r}")
-    content = read_object(
-        f"actuators {source!r}", "the file", content, tuple(content) if isinstance(content, dict) else ("joints",)
-    )
-    rows = []
+    where, drives = read_preset("actuators", source, {"prototype": "actuators.json"}, dict[str, Drive])
     for joint in joints:
-        if joint not in content:
-            raise UserError(f"actuators {source!r} have no joint {joint!r}; they have {', '.join(content)}")
-        where, keys = f"actuators {source!r}", (*COEFFICIENTS, "resistance_Ohm")
-        given = read_object(where, joint, content[joint], keys, COEFFICIENTS)
-        numbers = {k: read_number(where, f"{joint}'s {k}", v) for k, v in given.items()}
-        rows.append([numbers.get(k, np.nan) for k in keys])
+        if joint not in drives:
+            raise UserError(f"{where}: no joint {joint!r}; there are {', '.join(drives)}")
+    rows = [msgspec.structs.astuple(drives[joint]) for joint in joints]
     return Actuators(tuple(joints), *np.array(rows).T, form=form)

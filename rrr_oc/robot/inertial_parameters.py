@@ -1,4 +1,4 @@
-"""Inertial parameters of links: those that a motion can tell, and those that a body can have."""
+"""Inertial parameters of links: the identifiable combinations, physical consistency, and a prior."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,16 +13,18 @@ from rrr_oc.robot.robot import Robot
 
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # the rows of `Robot.inertial`
 UNITS = ("kg", "kg m", "kg m", "kg m", "kg m²", "kg m²", "kg m²", "kg m²", "kg m²", "kg m²")
-SMALLEST_LENGTH = 0.05  # [m], of a link whose next joint lies on its own
+SMALLEST_LENGTH = (
+    0.05  # [m], length assumed of a link whose next joint lies at its own origin; doubled, its prior is twice as wide
+)
 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """The combinations of inertial parameters that torques depend on: beta = independent + mixing @ dependent.
+    """The identifiable combinations of inertial parameters: beta = independent + mixing @ dependent.
 
     Attributes:
-        independent, dependent: Indices into the inertial parameters, link by link, in all 10 n.
-        mixing: (independent, dependent).
+        independent, dependent: Indices into the 10 n inertial parameters, link by link.
+        mixing: Coefficients of the dependent parameters, (independent, dependent).
         names: Of the combinations, such as "Izz[link2] + 0.16 m[link3]".
         units: Of the combinations.
     """
@@ -55,10 +57,10 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     states = rng.uniform(-np.pi, np.pi, (n, count)), rng.normal(0, 2, (n, count)), rng.normal(0, 5, (n, count))
     body = np.tile(
         [[1.0], [0.0], [0.0], [0.0], [1.0], [0.0], [1.0], [0.0], [0.0], [1.0]], n
-    )  # any will do, but for a massless one
+    )  # the regressor does not depend on it; its expression divides by the mass
     matrix = np.array(regressor(*states, body)).reshape(n * count, 10 * n)
     upper = np.asarray(np.linalg.qr(matrix / np.sqrt(n * count), mode="r"))
-    chosen = independent_columns(upper)  # a diagonal of R alone misleads behind a dependent column
+    chosen = independent_columns(upper)  # the diagonal of R alone is unreliable after a dependent column
     dependent = np.setdiff1d(np.arange(10 * n), chosen)
     mixing = np.linalg.lstsq(upper[:, chosen], upper[:, dependent], rcond=None)[0]
     mixing[np.abs(mixing) < 1e-9] = 0.0
@@ -79,7 +81,7 @@ def _name(robot: Robot, column: int, mixing: np.ndarray, dependent: np.ndarray) 
 
 
 def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
-    """The 4×4 matrix of a body's second moments, first moments and mass; positive definite for every body there can be.
+    """The 4×4 pseudo-inertia of a body: second moments, first moments and mass; positive definite for every physical body.
 
     Wensing, Kim & Slotine 2018: [[Σ, h], [hᵀ, m]] with Σ = tr(I)/2 − I, from the ten numbers of `Robot.inertial`.
     """
@@ -90,7 +92,7 @@ def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
 
 
 def is_physical(parameters: np.ndarray) -> bool:
-    """Whether a body with these ten numbers exists: mass above 0 and a positive definite pseudo-inertia."""
+    """Whether ten inertial parameters are physically consistent: finite, with a positive definite pseudo-inertia."""
     return bool(np.all(np.isfinite(parameters)) and np.linalg.eigvalsh(pseudo_inertia(parameters))[0] > 0)
 
 
@@ -99,7 +101,7 @@ def from_log_cholesky() -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     """xi (10,) -> (the ten inertial parameters, their derivatives by xi (10, 10)).
 
     Rucker & Wensing 2022: pseudo-inertia = U Uᵀ with U = exp(alpha) [[exp d1, s12, s13, t1], [0, exp d2, s23, t2],
-    [0, 0, exp d3, t3], [0, 0, 0, 1]], so that every xi is a body, t its centre of mass [m] and exp(2 alpha) its mass [kg].
+    [0, 0, exp d3, t3], [0, 0, 0, 1]], so that every xi is a physical body, t its centre of mass [m] and exp(2 alpha) its mass [kg].
     """
     xi = ca.SX.sym("xi", 10)
     alpha, d, s, t = xi[0], xi[1:4], xi[4:7], xi[7:10]
@@ -138,11 +140,11 @@ def to_log_cholesky(parameters: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of the links before a recording is looked at, in log-Cholesky coordinates, link by link.
+    """Normal prior of the links in log-Cholesky coordinates, link by link.
 
     Attributes:
-        centre: (10 n,).
-        std: (10 n,): a factor of e² in mass and of e in the radii of gyration, a link's length in its centre.
+        centre: Mean, (10 n,).
+        std: Standard deviation, (10 n,): a factor of e² in mass and of e in the radii of gyration, a link's length in its centre.
     """
 
     centre: np.ndarray
@@ -150,7 +152,7 @@ class Prior:
 
 
 def precision(guess: Prior, inertial: np.ndarray) -> np.ndarray:
-    """Of the prior in inertial parameters (10 n, 10 n), to first order about physical bodies (10, n)."""
+    """Precision matrix of the prior in inertial parameters (10 n, 10 n), linearised about physical bodies (10, n)."""
     result = np.zeros((guess.std.size,) * 2)
     for i, parameters in enumerate(inertial.T):
         own = slice(10 * i, 10 * i + 10)
@@ -160,7 +162,7 @@ def precision(guess: Prior, inertial: np.ndarray) -> np.ndarray:
 
 
 def prior(robot: Robot) -> Prior:
-    """Centred at the URDF's values where they make a body, else at 1 kg spread about the link's middle."""
+    """Prior centred at the URDF's values where they are physical, else at 1 kg about the middle of the link."""
     centres, stds = [], []
     for i in range(robot.n):
         reach = robot.placements[i + 1, :3, 3] if i + 1 < robot.n else _tip(robot)

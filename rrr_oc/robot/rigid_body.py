@@ -10,7 +10,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rrr_oc.robot.robot import Robot
+from rrr_oc.robot.robot import Robot, ToolPoint
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,16 @@ class RigidBody:
         jacobian = ca.jacobian(self._point(q, tool, self.n - 1), q)
         return ca.Function("tool_jacobian", [q, tool], [jacobian], ["q", "tool"], ["jacobian"])
 
+    def tool_height(self, q, tool: ToolPoint, gravity: np.ndarray):
+        """Height of a point of a link against gravity, from the base [m]; `q` (n,) and the result are casadi's or numbers."""
+        position = self._point(q, ca.DM(tool.position), tool.joint)
+        return ca.dot(ca.DM(upwards(gravity)), position)
+
     def free_inertia(self, inertial: np.ndarray) -> np.ndarray:
         """Each joint's inertia at q = 0 with the other joints free, 1/(M⁻¹)_ii: the least there, (n,) [kg m²]."""
         return 1 / np.diag(np.linalg.inv(np.asarray(self.mass_matrix(np.zeros(self.n), inertial))))
 
-    def _point(self, q: ca.SX, tool: ca.SX, joint: int) -> ca.SX:
+    def _point(self, q, tool, joint: int):
         frame = self.joint_frames(q)[:, joint]
         return ca.reshape(frame[:9], 3, 3) @ tool + frame[9:]
 
@@ -66,6 +71,11 @@ def rigid_body(robot: Robot) -> RigidBody:
     except ImportError:
         return RigidBody(robot.n, **_from_extension(robot))
     return RigidBody(robot.n, **_from_pinocchio(robot, symbolic))
+
+
+def upwards(gravity: np.ndarray) -> np.ndarray:
+    """Unit vector against gravity (3,); zeros without gravity."""
+    return -gravity / max(float(np.linalg.norm(gravity)), 1e-12)
 
 
 def with_payload(inertial, joint: int, mass, position):

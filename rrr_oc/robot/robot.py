@@ -1,4 +1,4 @@
-"""A robot: a serial chain of revolute joints, read from a URDF and checked at the door."""
+"""A robot: a serial chain of revolute joints, read from a URDF and validated."""
 
 import importlib.resources
 import os
@@ -52,8 +52,8 @@ class Robot:
         lower, upper: Joint ranges [rad], shape (n,).
         velocity: Speed limits [rad/s], shape (n,).
         effort: Torque limits [Nm], shape (n,).
-        tool: The last link's tool frame (a link fixed to it, if the URDF has one; else the last joint's origin). Of several the
-            last with a usual name, as tool0, else the last.
+        tool: Origin of the last link's tool frame: a link fixed to it with a usual name such as tool0, else the last link fixed
+            to it, else the link's own frame.
         frames: For each link of the URDF, the joint that moves it (-1: the base) and its pose in that joint's frame.
         gravity: Acceleration of gravity in the base frame [m/s²], shape (3,).
     """
@@ -132,10 +132,10 @@ def load_robot(
         placements=np.array([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]),
         axes=np.array([_axis(model.joints[i]) for i in range(1, model.njoints)]),
         inertial=parameters,
-        lower=_limits(model.lowerPositionLimit),
-        upper=_limits(model.upperPositionLimit),
-        velocity=_limits(model.upperVelocityLimit),
-        effort=_limits(model.upperEffortLimit),
+        lower=_with_infinities(model.lowerPositionLimit),
+        upper=_with_infinities(model.upperPositionLimit),
+        velocity=_with_infinities(model.upperVelocityLimit),
+        effort=_with_infinities(model.upperEffortLimit),
         tool=ToolPoint(last, frames[_tool_link(frames, last)][1][:3, 3]),
         frames=frames,
         gravity=np.asarray(gravity, float),
@@ -200,7 +200,7 @@ def _parse(name: str, text: str, joints: Sequence[str] | None) -> pin.Model:
             raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
     said: list[str] = []
     try:
-        with _heard(said):
+        with _captured_stderr(said):
             return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     except (RuntimeError, ValueError) as error:
         why = "; ".join(said[:2]) or str(error).strip()
@@ -221,19 +221,19 @@ def _check_axis(name: str, joint: ElementTree.Element) -> None:
 
 
 @contextmanager
-def _heard(said: list[str]) -> Iterator[None]:
-    """What the URDF parser, a C++ library, writes to stderr, without its own source's paths, instead of showing it."""
+def _captured_stderr(said: list[str]) -> Iterator[None]:
+    """Collect in `said` the errors that the URDF parser, a C++ library, writes to stderr, without paths of its source."""
     sys.stderr.flush()
-    with tempfile.TemporaryFile() as heard:
+    with tempfile.TemporaryFile() as captured:
         stderr = os.dup(2)
-        os.dup2(heard.fileno(), 2)
+        os.dup2(captured.fileno(), 2)
         try:
             yield
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)
-            heard.seek(0)
-            lines = heard.read().decode(errors="replace").splitlines()
+            captured.seek(0)
+            lines = captured.read().decode(errors="replace").splitlines()
             errors = [re.sub(r"\s*at line \d+ in .*$", "", line) for line in lines]
             said += [e.partition("Error:")[2].strip() for e in errors if "Error:" in e]
 
@@ -249,7 +249,7 @@ def _lock_all_but(name: str, model: pin.Model, joints: Sequence[str] | None) -> 
     for i in range(1, model.njoints):
         if model.parents[i] != i - 1:
             raise UserError(
-                f"robot {name!r} is no serial chain: joint {model.names[i]!r} hangs on "
+                f"robot {name!r} is no serial chain: joint {model.names[i]!r} is attached to "
                 f"{repr(model.names[model.parents[i]]) if model.parents[i] else 'the base'}; branches are not supported"
             )
     if joints is not None and tuple(model.names)[1:] != tuple(joints):
@@ -279,12 +279,12 @@ def _tool_link(frames: Mapping[str, tuple[int, np.ndarray]], last: int) -> str:
     return ([link for link in tips if _TOOL.search(link)] or tips)[-1]
 
 
-def _limits(values: np.ndarray) -> np.ndarray:
+def _with_infinities(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) >= float(_ENDLESS), np.copysign(np.inf, values), values)
 
 
 def _moved_link(model: pin.Model, joint: int) -> str:
-    """The link that hangs on a joint itself, not through fixed joints."""
+    """The link that a joint moves directly, not through fixed joints."""
     return next(f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
 
 

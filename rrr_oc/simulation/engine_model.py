@@ -129,7 +129,7 @@ class Twin:
     @cached_property
     def gears(self) -> tuple[int, ...]:
         """Joints whose gears give."""
-        return tuple(sorted({e.joints[0] for e in self.model.effects if e.simulated}))
+        return tuple(sorted({e.joints[0] for e in self.model.effects if e.moves_link}))
 
     def effects(self) -> AbstractContextManager[None]:
         """The context within which `mj` feels the compiled effects: step, forward and roll out inside it."""
@@ -189,7 +189,7 @@ def twin(
     robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
     tool = replace(model.tool, position=body.position)
     spec = build_spec(robot, tool, controller(model) if control is None else control, settings)
-    gives = any(effect.simulated for effect in model.effects)
+    gives = any(effect.moves_link for effect in model.effects)
     generated = _add_effects(spec, model, theta, settings.effects == "native" and not (gives or offset.any()))
     _add_gears(spec, model, theta, robot.inertial, settings.timestep)
     for joint, zero in zip(robot.joints, offset, strict=True):
@@ -323,7 +323,7 @@ def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: n
     robot, numbers, seen, least = model.robot, iter(theta.tolist()), set(), model.body.free_inertia(inertial)
     for effect in model.effects:
         named = {p.name: next(numbers) for p in effect.parameters}
-        if not effect.simulated:
+        if not effect.moves_link:
             continue
         (j,) = effect.joints
         if j in seen:

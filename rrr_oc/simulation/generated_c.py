@@ -213,7 +213,7 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     if model.states:
         fading = ca.fmax(-step * ca.diag(ca.jacobian(rates, states)), 1e-9)
         rates = ca.if_else(fading > STIFF, rates * (1 - ca.exp(-fading)) / fading, rates)
-    if any(chosen and e.load_dependent for e, chosen in zip(model.effects, inside, strict=True)):
+    if any(chosen and "load" in e.inputs for e, chosen in zip(model.effects, inside, strict=True)):
         carried, gravity = model.rigid(inertial, payload, theta, widths)
         bias = model.body.inverse_dynamics(links.q, links.dq, ca.SX.zeros(n), carried, gravity)
         own = -damping * dq - dry * ca.sign(dq) - armature * ddq
@@ -221,7 +221,7 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
         extra = bias - total("link", links, [True] * len(inside))  # the engine's own springs too
         needed = mass @ ddq + extra
         residual = needed - motor - ca.substitute(drive + own, load, needed)
-        gives = any(e.simulated for e in model.effects)
+        gives = any(e.moves_link for e in model.effects)
         found = mass @ (before if gives else _root(residual, ddq)) + extra
         drive, rates = (ca.substitute(x, load, found) for x in (drive, rates))
     arguments = [q, dq, time, step, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
@@ -242,7 +242,7 @@ def shift(model: Model, theta) -> ca.SX:
     for effect in model.effects:
         named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
         i += len(effect.parameters)
-        if effect.side == "motion" and not effect.simulated:
+        if effect.side == "motion" and not effect.moves_link:
             for j, value in zip(effect.joints, effect.shift(Signals(ca.SX.zeros(model.robot.n)), named, None), strict=True):
                 result[j] += value
     return result

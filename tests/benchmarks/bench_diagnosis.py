@@ -9,7 +9,7 @@ no more than a minute on two cores with three joints, five with seven.
 import pytest
 
 from rrr_oc.diagnosis.procedure import diagnose
-from rrr_oc.recordings.recording import load_recordings
+from rrr_oc.recordings.reader import load_recordings
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rrr_oc.recordings.recording import save_recordings
+from rrr_oc.recordings.writer import save_recordings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from recorded import Plant, as_set, record

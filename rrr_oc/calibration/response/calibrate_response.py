@@ -13,7 +13,7 @@ import cma
 import numpy as np
 
 from rrr_oc.calibration.calibrate import fit
-from rrr_oc.calibration.calibrated_model import CalibratedModel, number
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.covariance import covariance
 from rrr_oc.calibration.friction_width import with_widths
 from rrr_oc.calibration.inverse_dynamics import described, finished, plain_model
@@ -27,6 +27,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.rank import condition, undetermined
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.drives import Actuators
+from rrr_oc.storage import number
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
 PATIENCE = (

@@ -19,6 +19,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.prediction_error import DROPPED
 from rrr_oc.calibration.term_fit import with_parameter_values
+from rrr_oc.effects import Signals, plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -53,10 +54,14 @@ class Response:
                 np.concatenate([getattr(r, k)[j] for r in self.recordings.recordings]).std() for k in ("tau", "dq", "ddq")
             ]
             torque = spread[0] * (abs(self.model.torque_constant[j] or 1.0) if self.recordings.torque == "current" else 1.0)
-            by = {"dry_friction": 1.0, "viscous_friction": spread[1], "armature": spread[2]}
-            if term.effect.name not in by:
-                raise UserError(f"calibration on the simulated response knows {', '.join(by)}; not {term.effect.name}")
-            sizes.append(torque / max(by[term.effect.name], 1e-6))
+            if term.effect.role != "plain":
+                known = ", ".join(kind.name for kind in plain_effects())
+                raise UserError(f"calibration on the simulated response knows {known}; not {term.effect.name}")
+            one = np.ones(self.model.robot.n)
+            at = Signals(0 * one, max(spread[1], 1e-6) * one, max(spread[2], 1e-6) * one)
+            for p in term.effect.parameters:  # its torque per unit of each parameter, as of a joint with these deviations
+                alone = {other.name: float(other is p) for other in term.effect.parameters}
+                sizes.append(torque / max(abs(float(term.effect.torque(at, alone, 0.0)[0])), 1e-6))
         return np.array(sizes)
 
     @property

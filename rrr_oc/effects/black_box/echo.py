@@ -31,9 +31,9 @@ class Echo(Effect):
     amplitudes = ("lag", "swing")
     states = (Parameter("x", "Nm", 0.0), Parameter("v", "Nm/s", 0.0))
     side = "drive"
-    load_dependent = True
-    driven = True
-    lawless = True
+    inputs = ("load",)
+    role = "black_box"
+    dynamics = "load_states"
 
     @property
     def depends_on(self):
@@ -63,7 +63,7 @@ class Echo(Effect):
         return Oscillator(t, one, omega**2 * one, 2 * theta["damping"] * omega).driven(omega**2 * load, rested=True)[:2]
 
     @classmethod
-    def unnamed(cls, view, j, ranges, torque):
+    def black_box_trials(cls, view, j, ranges, torque):
         for frequency in FREQUENCIES if torque != "load" else ():  # there it would be driven by itself
             for damping in DAMPINGS:
                 points = tuple({"frequency": frequency, "damping": damping, "lag": lag, "swing": 1 - lag} for lag in (1.0, 0.0))

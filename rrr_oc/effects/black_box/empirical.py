@@ -44,7 +44,7 @@ class Empirical(Effect):
     equation = "tau = sum of c_kl cos(k pi x) cos(l pi y)"
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
-    lawless = True
+    role = "black_box"
 
     variables: tuple[tuple[str, int], ...] = field(default=())
     low: tuple[float, ...] = field(default=())
@@ -101,13 +101,15 @@ class Empirical(Effect):
             math.prod((row[k] for row, k in zip(cosines, powers, strict=True) if k), start=turned) for powers in self.powers
         ]
 
-    @property
-    def load_dependent(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return any(kind in ("load", "motor") for kind, _ in self.variables)
+    @cached_property
+    def inputs(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        kinds = [kind for kind, _ in self.variables]
+        of_friction = ("friction",) if "motor" in kinds else ()
+        return ("load", *of_friction) if of_friction or "load" in kinds else ()
 
     @property
-    def of_speed(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return ("dq", self.joints[0]) in self.variables
+    def resembles(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "friction_over_speed" if ("dq", self.joints[0]) in self.variables else ""
 
     @property
     def depends_on(self):
@@ -132,15 +134,29 @@ class Empirical(Effect):
         )
         return f"something that begins {where}"
 
+    @property
+    def has_edges(self):
+        return bool(self.edges)
+
+    def renewed(self, ranges):
+        """Over what these ranges and its own have in common."""
+        if self.edges:
+            return None
+        low, high = np.array([ranges[v] for v in self.variables]).T
+        low, high = np.maximum(low, self.low), np.minimum(high, self.high)
+        return replace(self, low=tuple(low.tolist()), high=tuple(np.maximum(high, low + 1e-6).tolist()))
+
+    def without_range(self):
+        return replace(self, low=(), high=(), largest=0.0)
+
     def near(self, step):
-        """The same with one of its edges moved by a share `step` of the range, either way."""
         for k, (side, edge, power) in enumerate(self.edges if self.edges != STRAIGHT else ()):
             for there in (edge - step, edge + step):
                 if 0 < there < 1:
                     yield replace(self, edges=(*self.edges[:k], (side, there, power), *self.edges[k + 1 :]))
 
     @classmethod
-    def unnamed(cls, view, j, ranges, torque):
+    def black_box_trials(cls, view, j, ranges, torque):
         """Of one variable, coarse and fine, or beginning at an edge; and of two."""
         on_link, largest = torque == "load", max(map(abs, ranges["motor", j]))
         for effect in cls._shapes(view.n, j, ranges, largest, on_link):

@@ -20,9 +20,8 @@ class FrictionChange(Effect):
     amplitudes = ("dry", "viscous")
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
-    local = True
-    partial = True
-    lawless = True
+    role = "black_box"
+    scope = "some"
 
     @property
     def depends_on(self):
@@ -36,6 +35,6 @@ class FrictionChange(Effect):
         return (-theta["dry"] * sign(speed, width) - theta["viscous"] * speed,)
 
     @classmethod
-    def unnamed(cls, view, j, ranges, torque):
+    def black_box_trials(cls, view, j, ranges, torque):
         if torque != "load":  # links have no drive's friction
             yield cls((j,)).trial(view)

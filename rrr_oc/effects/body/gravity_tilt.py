@@ -17,8 +17,9 @@ class GravityTilt(Effect):
     parameters = tuple(Parameter(name, "rad", 0.0, -math.pi / 2, math.pi / 2) for name in ("about_x", "about_y"))
     amplitudes = ("about_x", "about_y")
     side = "body"
-    local = True
-    of_arm = True
+    scope = "set_up"
+    placement = "arm"
+    alters = "gravity"
 
     def torque(self, signals, theta, width):
         return ()

@@ -21,6 +21,12 @@ class LinkInertial(Effect):
     )
     amplitudes = tuple(p.name for p in parameters)
     side = "body"
+    alters = "inertial"
+    composed = {  # noqa: RUF012
+        "mass": "mass",
+        "first_moment": ("first_moment_x", "first_moment_y", "first_moment_z"),
+        "inertia": tuple(tuple(f"inertia_{k}" for k in row.split()) for row in ("xx xy xz", "xy yy yz", "xz yz zz")),
+    }
 
     def torque(self, signals, theta, width):
         return (0 * signals.q[self.joints[0]],)

@@ -15,8 +15,9 @@ class PayloadCom(Effect):
     parameters = (Parameter("x", "m", 0.0), Parameter("y", "m", 0.0), Parameter("z", "m", 0.0))
     amplitudes = ("x", "y", "z")
     side = "body"
-    local = True
-    of_arm = True
+    scope = "set_up"
+    placement = "arm"
+    alters = "position"
 
     def torque(self, signals, theta, width):
         return ()

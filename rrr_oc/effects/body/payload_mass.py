@@ -17,9 +17,9 @@ class PayloadMass(Effect):
     parameters = (Parameter("mass", "kg", 0.0),)
     amplitudes = ("mass",)
     side = "body"
-    local = True
-    mounted = True
-    of_arm = True
+    scope = "mounted"
+    placement = "arm"
+    alters = "payload"
 
     def torque(self, signals, theta, width):
         return ()

@@ -1,14 +1,85 @@
 """Spring across two joints, wound over pulleys (BPEA)."""
 
+import math
 from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
 
 from rrr_oc.effects.base import Effect
+from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.listing import Listing
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
+
+WIDER = 1.05  # by which the box of the parameters is wider than it must be: the hardware's inequalities bind, not the box
+HARDWARE_LIMITS = (
+    "r_3 at its largest, r_2 at its smallest",
+    "r_3 at its smallest, r_2 at its largest",
+    "k_b and r_2 at their largest, r_1 at its smallest",
+    "k_b and r_3 at their largest, r_1 at its smallest",
+    "q_0 and r_1 at their largest, r_2 at its smallest",
+    "q_0 at its smallest, r_1 at its largest, r_2 at its smallest",
+    "q_0 and r_1 at their largest, r_3 at its smallest",
+    "q_0 at its smallest, r_1 at its largest, r_3 at its smallest",
+    "k_b and q_0 at their largest",
+    "k_b at its largest, q_0 at its smallest",
+)
+
+
+def reduced(k_b, q_0, r_1, r_2, r_3):
+    """(kappa, rho, phi) of hardware: stiffness [Nm/rad], equilibrium [rad], radii [m] (any type with arithmetic)."""
+    return k_b * (r_2 / r_1) ** 2, r_3 / r_2, r_1 * q_0 / r_2
+
+
+@dataclass(frozen=True)
+class BiarticularForm(DesignForm):
+    """Five quantities of hardware, of which the effect's three parameters are functions (`reduced`); the spring has their names."""
+
+    derived = True
+    limits = HARDWARE_LIMITS
+
+    def name(self, quantity, joints):
+        return quantity.symbol
+
+    def wrong(self, bounds):
+        (k_low, k_high), (q_low, q_high) = bounds["k_b"], np.degrees(bounds["q_0"])
+        if k_low != 0 or not k_high > 0:
+            return f"k_b_Nm_per_rad must reach from 0 to above 0, got {k_low:g} … {k_high:g}"
+        if not q_low < 0 < q_high:
+            return f"q_0_deg must have a negative lower and a positive upper bound, got {q_low:g} … {q_high:g}"
+        if min(bounds[r][0] for r in ("r_1", "r_2", "r_3")) <= 0:
+            return "radii must be above 0 mm"
+        return None
+
+    def box(self, bounds):
+        ratio = bounds["r_1"][1] / bounds["r_2"][0]
+        kappa = bounds["k_b"][1] * (bounds["r_2"][1] / bounds["r_1"][0]) ** 2
+        lower = [0.0, bounds["r_3"][0] / bounds["r_2"][1] / WIDER, bounds["q_0"][0] * ratio * WIDER]
+        upper = [kappa * WIDER, bounds["r_3"][1] / bounds["r_2"][0] * WIDER, bounds["q_0"][1] * ratio * WIDER]
+        return np.array(lower), np.array(upper)
+
+    def parameters(self, numbers):
+        return np.array(reduced(*numbers))
+
+    def exists(self, theta, bounds):
+        return hardware_exists(*theta, bounds)
+
+    def named(self, joints, theta, bounds, fixed):
+        if fixed:
+            return {**fixed, "q_0": theta["phi"] * fixed["r_2"] / fixed["r_1"]}
+        return pick_hardware(theta["kappa"], theta["rho"], theta["phi"], bounds) if bounds else {}
+
+    def held(self, joints, box, bounds, hardware, keep_free):
+        """kappa and rho are fixed by k_b and the radii; q_0 free leaves phi free within its bounds."""
+        if not bounds:
+            return *box, {}
+        fixed = {q.symbol: hardware[q.symbol] for q in self.bought}
+        kappa, rho, phi = reduced(fixed["k_b"], hardware.get("q_0", 0.0), fixed["r_1"], fixed["r_2"], fixed["r_3"])
+        ratio = fixed["r_1"] / fixed["r_2"]
+        free = [b * ratio for b in bounds["q_0"]] if "q_0" in keep_free else [phi, phi]
+        return np.array([kappa, rho, free[0]]), np.array([kappa, rho, free[1]]), fixed
 
 
 @dataclass(frozen=True)
@@ -30,8 +101,29 @@ class BiarticularSpring(Effect):
     )
     amplitudes = ("kappa",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
-    local = True
-    mounted = True
+    provides = "springs"
+    scope = "mounted"
+    placement = "pair"
+    options = ("winding",)
+    listing = Listing(
+        "bpea",
+        ("stiffness_Nm_per_rad", "equilibrium_rad", "radius1_m", "radius2_m", "radius3_m"),
+        zero=("radius3_m",),
+        options={"winding": (1, -1)},
+        counts={"winding": 2},
+    )
+    design = BiarticularForm(
+        "BPEA",
+        (
+            Quantity("k_b", "k_b_Nm_per_rad"),
+            Quantity("q_0", "q_0_deg", np.pi / 180, free=True),
+            Quantity("r_1", "r_1_mm", 1e-3),
+            Quantity("r_2", "r_2_mm", 1e-3),
+            Quantity("r_3", "r_3_mm", 1e-3),
+        ),
+        options=("winding",),
+        shop="biarticular_spring",
+    )
 
     winding: tuple[int, int] = field(default=(1, 1))
     pulleys: float = field(default=1.0)  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
@@ -54,12 +146,27 @@ class BiarticularSpring(Effect):
         return theta["kappa"] * ramp_integral(self._stretch(signals, theta), width)
 
     def lever(self, theta):
-        """By how much the stretch changes with each joint, less its sign."""
         return self.winding[0], self.winding[1] * theta["rho"]
 
     def moved(self, theta, offset):
-        """Parameters with the equilibrium q_0 moved by an offset [rad]."""
         return {**theta, "phi": theta["phi"] + self.pulleys * offset}
+
+    @classmethod
+    def from_entry(cls, joints, entry):
+        """Raises `UserError` where the radii give no finite torque."""
+        radii = [entry[f"radius{k}_m"] for k in (1, 2, 3)]
+        kappa, rho, phi = reduced(entry["stiffness_Nm_per_rad"], entry["equilibrium_rad"], *radii)
+        if not all(math.isfinite(value) for value in (kappa, rho, phi)):
+            raise UserError(f"radii {radii} m give no finite torque; check the unit")
+        wa, wb = (int(w) for w in entry.get("winding", (1, 1)))
+        return cls(joints, winding=(wa, wb), pulleys=radii[0] / radii[1]), {"kappa": kappa, "rho": rho, "phi": phi}
+
+    def entry(self, theta):
+        """With r_2 = 1 m: Eq. 5 decides kappa, rho and phi only, and a change of q_0 the ratio r_1/r_2."""
+        r = self.pulleys
+        radii = {"radius1_m": r, "radius2_m": 1.0, "radius3_m": theta["rho"]}
+        numbers = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
+        return {**numbers, "winding": list(self.winding)}
 
     @classmethod
     def trials(cls, view):
@@ -79,11 +186,6 @@ class BiarticularSpring(Effect):
         tendon.stiffness[0] = theta["kappa"]
         tendon.springlength = [-theta["phi"], 1e6]
         return True
-
-
-def reduced(k_b, q_0, r_1, r_2, r_3):
-    """(kappa, rho, phi) of hardware: stiffness [Nm/rad], equilibrium [rad], radii [m] (any type with arithmetic)."""
-    return k_b * (r_2 / r_1) ** 2, r_3 / r_2, r_1 * q_0 / r_2
 
 
 def hardware_exists(kappa, rho, phi, bounds):
@@ -114,20 +216,6 @@ def hardware_exists(kappa, rho, phi, bounds):
         kappa * ca.fmax(phi, 0) ** 2 / (k_max * q_high**2) - 1,
         kappa * ca.fmin(phi, 0) ** 2 / (k_max * q_low**2) - 1,
     )
-
-
-HARDWARE_LIMITS = (
-    "r_3 at its largest, r_2 at its smallest",
-    "r_3 at its smallest, r_2 at its largest",
-    "k_b and r_2 at their largest, r_1 at its smallest",
-    "k_b and r_3 at their largest, r_1 at its smallest",
-    "q_0 and r_1 at their largest, r_2 at its smallest",
-    "q_0 at its smallest, r_1 at its largest, r_2 at its smallest",
-    "q_0 and r_1 at their largest, r_3 at its smallest",
-    "q_0 at its smallest, r_1 at its largest, r_3 at its smallest",
-    "k_b and q_0 at their largest",
-    "k_b at its largest, q_0 at its smallest",
-)
 
 
 def pick_hardware(kappa: float, rho: float, phi: float, bounds) -> dict[str, float]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.elastic.parallel_spring import SIDES, ParallelSpring
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -16,7 +17,7 @@ class CableHarness(Effect):
     equation = "tau = -stiffness (q - rest)"
     parameters = (Parameter("stiffness", "Nm/rad", 0.0, lower=0.0), Parameter("rest", "rad", 0.0))
     amplitudes = ("stiffness", "rest")
-    local = True
+    scope = "set_up"
 
     def torque(self, signals, theta, width):
         return (-theta["stiffness"] * (signals.q[self.joints[0]] - theta["rest"]),)
@@ -27,6 +28,11 @@ class CableHarness(Effect):
     @property
     def linear(self):
         return False  # in the product of both
+
+    def equivalents(self, theta):
+        """A spring that always pulls; what some recordings have and others have not is more probably a spring."""
+        for active in SIDES:
+            yield ParallelSpring(self.joints, active), {"stiffness": theta["stiffness"], "equilibrium": theta["rest"]}
 
     @classmethod
     def trials(cls, view):

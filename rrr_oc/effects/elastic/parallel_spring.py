@@ -6,11 +6,14 @@ from typing import Literal
 import numpy as np
 
 from rrr_oc.effects.base import Effect
+from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.listing import Listing
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
 
 FURTHEST = 4 * np.pi  # [rad], of an equilibrium: beyond, a spring is no more than an offset
+SIDES = ("below", "above")
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,24 @@ class ParallelSpring(Effect):
     )
     amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
-    local = True
-    mounted = True
+    provides = "springs"
+    scope = "mounted"
+    options = ("active",)
+    listing = Listing("pea", ("stiffness_Nm_per_rad", "equilibrium_rad"), options={"active": SIDES})
+    design = DesignForm(
+        "PEA",
+        (
+            Quantity("k_p", "stiffness_Nm_per_rad", lowest=0.0),
+            Quantity("q_eq", "equilibrium_deg", np.pi / 180, free=True),
+        ),
+        options=("active",),
+        shop="parallel_springs_Nm_per_rad",
+    )
 
     active: Literal["below", "above"] = field(default="below")
 
     def __post_init__(self) -> None:
-        if self.active not in ("below", "above"):
+        if self.active not in SIDES:
             raise UserError(f"a parallel spring is active 'below' or 'above' its equilibrium, got {self.active!r}")
 
     @property
@@ -60,16 +74,27 @@ class ParallelSpring(Effect):
         return True
 
     def possible(self, theta, payload):
-        return abs(theta["equilibrium"]) < FURTHEST
+        return super().possible(theta, payload) and abs(theta["equilibrium"]) < FURTHEST
 
     def moved(self, theta, offset):
-        """Parameters with the equilibrium moved by an offset [rad]."""
         return {**theta, "equilibrium": theta["equilibrium"] + offset}
+
+    @classmethod
+    def from_entry(cls, joints, entry):
+        theta = {"stiffness": entry["stiffness_Nm_per_rad"], "equilibrium": entry["equilibrium_rad"]}
+        return cls(joints, active=entry.get("active", "below")), theta
+
+    def entry(self, theta):
+        return {
+            "stiffness_Nm_per_rad": theta["stiffness"],
+            "equilibrium_rad": theta["equilibrium"],
+            "active": self.active,
+        }
 
     @classmethod
     def trials(cls, view):
         for j in range(view.n):
-            for active in ("below", "above"):
+            for active in SIDES:
                 for share in (0.12, 0.25, 0.37, 0.5, 0.62, 0.75, 0.88, 1.0):
                     way = view.high[j] - view.low[j]
                     start = view.low[j] + share * way if active == "below" else view.high[j] - share * way

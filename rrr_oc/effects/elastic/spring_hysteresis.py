@@ -16,13 +16,13 @@ class SpringHysteresis(Effect):
     parameters = (Parameter("loss", "1", 0.0, lower=0.0),)
     amplitudes = ("loss",)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
-    local = True
-    of_spring = True
+    inputs = ("springs",)
+    scope = "set_up"
+    placement = "spring"
 
     def torque(self, signals, theta, width):
         spring, values, own = signals.springs[self.joints]
-        torques = spring.torque(signals, values, own)
-        lever = [1.0] if len(torques) == 1 else spring.lever(values)  # of the stretch's rate, by joint
+        torques, lever = spring.torque(signals, values, own), spring.lever(values)
         rate = sum(r * signals.dq[j] for r, j in zip(lever, self.joints, strict=True))
         turn = sign(rate, width)
         size = fabs(torques[0])

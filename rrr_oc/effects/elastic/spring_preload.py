@@ -14,8 +14,9 @@ class SpringPreload(Effect):
     equation = "true equilibrium = listed + offset"
     parameters = (Parameter("offset", "rad", 0.0),)
     amplitudes = ("offset",)
-    local = True
-    of_spring = True
+    inputs = ("springs",)
+    scope = "set_up"
+    placement = "spring"
 
     @property
     def linear(self):

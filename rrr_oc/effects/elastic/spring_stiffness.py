@@ -14,8 +14,9 @@ class SpringStiffness(Effect):
     equation = "true stiffness = scale x listed"
     parameters = (Parameter("scale", "1", 1.0, lower=0.0),)
     amplitudes = ("scale",)
-    local = True
-    of_spring = True
+    inputs = ("springs",)
+    scope = "set_up"
+    placement = "spring"
 
     def torque(self, signals, theta, width):
         spring, values, own = signals.springs[self.joints]

@@ -22,6 +22,8 @@ class CoupledFriction(Effect):
     amplitudes = ("coulomb", "viscous")
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
+    placement = "pair"
+    options = ("form",)
 
     form: Literal["sum", "difference", "other"] = field(default="sum")
 

@@ -20,7 +20,8 @@ class DryFriction(Effect):
     parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
-    plain = True
+    provides = "friction"
+    role = "plain"
 
     turn: str = field(default="tanh")
 
@@ -30,6 +31,10 @@ class DryFriction(Effect):
 
     def torque(self, signals, theta, width):
         return (-theta["level"] * sign(signals.dq[self.joints[0]], width, self.turn),)
+
+    @property
+    def sign_forms(self):
+        return tuple(DryFriction(self.joints, turn) for turn in TURNS)
 
     def native(self, spec, joints, theta):
         """The joint's `frictionloss`: the exact law, which holds a joint at rest."""

@@ -16,7 +16,7 @@ class FrictionDrift(Effect):
     parameters = (Parameter("ratio", "1", 0.0, lower=-1.0), Parameter("time_constant", "s", 10.0, lower=0.1))
     amplitudes = ("ratio",)
     side = "drive"
-    of_friction = True
+    inputs = ("friction",)
 
     def torque(self, signals, theta, width):
         return (theta["ratio"] * exp(-signals.time / theta["time_constant"]) * signals.friction[self.joints[0]],)

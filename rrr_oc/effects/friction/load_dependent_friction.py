@@ -20,8 +20,8 @@ class LoadDependentFriction(Effect):
     amplitudes = ("mu",)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
-    load_dependent = True
-    local = True
+    inputs = ("load",)
+    scope = "set_up"
 
     def torque(self, signals, theta, width):
         j = self.joints[0]

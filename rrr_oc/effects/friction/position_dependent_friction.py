@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.numerics.smooth import cos, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -28,6 +29,11 @@ class PositionDependentFriction(Effect):
         j = self.joints[0]
         profile = cos(theta["order"] * signals.q[j] - theta["phase"])
         return (-theta["amplitude"] * profile * sign(signals.dq[j], width),)
+
+    @property
+    def precedence(self):
+        """In slow motion the load is a function of position, so that friction over either is nearly the same."""
+        return (LoadDependentFriction(self.joints),)
 
     @classmethod
     def trials(cls, view):

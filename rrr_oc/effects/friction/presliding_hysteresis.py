@@ -21,7 +21,8 @@ class PreslidingHysteresis(Effect):
     states = (Parameter("z", "1", 0.0),)
     width = Parameter("width", "rad/s", 0.0, lower=0.0)
     side = "drive"
-    of_speed = True
+    dynamics = "states"
+    resembles = "friction_over_speed"
 
     def torque(self, signals, theta, width):
         return (-theta["level"] * (0 * signals.q[self.joints[0]] if signals.states is None else signals.states[0]),)
@@ -29,6 +30,9 @@ class PreslidingHysteresis(Effect):
     def rate(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]
         return (fabs(dq) * (sign(dq, width) - signals.states[0]) * theta["stiffness"] / fmax(theta["level"], 1e-9),)
+
+    def travel(self, theta):
+        return theta["level"] / theta["stiffness"]
 
     @classmethod
     def trials(cls, view):

@@ -19,7 +19,7 @@ class QuadraticDrag(Effect):
     parameters = (Parameter("coefficient", "Nm s²/rad²", 0.0),)
     amplitudes = ("coefficient",)
     side = "drive"
-    of_speed = True
+    resembles = "friction_over_speed"
 
     def torque(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]

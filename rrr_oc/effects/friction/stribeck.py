@@ -17,7 +17,7 @@ class Stribeck(Effect):
     amplitudes = ("excess",)
     width = Parameter("width", "rad/s", 0.05, lower=0.0)
     side = "drive"
-    of_speed = True
+    resembles = "friction_over_speed"
 
     def torque(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]

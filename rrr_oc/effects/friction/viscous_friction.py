@@ -13,7 +13,8 @@ class ViscousFriction(Effect):
     name = "viscous_friction"
     parameters = (Parameter("coefficient", "Nm s/rad", 0.0, lower=0.0),)
     side = "drive"
-    plain = True
+    provides = "friction"
+    role = "plain"
 
     def torque(self, signals, theta, width):
         return (-theta["coefficient"] * signals.dq[self.joints[0]],)

@@ -15,7 +15,7 @@ class EncoderOffset(Effect):
     parameters = (Parameter("offset", "rad", 0.0),)
     amplitudes = ("offset",)
     side = "motion"
-    local = True
+    scope = "set_up"
 
     def torque(self, signals, theta, width):
         return (0 * signals.q[self.joints[0]],)

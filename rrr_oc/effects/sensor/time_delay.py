@@ -17,12 +17,16 @@ class TimeDelay(Effect):
     parameters = (Parameter("delay", "s", 0.0, lower=0.0),)
     amplitudes = ("delay",)
     side = "sensor"
-    local = True
-    of_arm = True
+    scope = "set_up"
+    placement = "arm"
+    dynamics = "delay"
 
     def torque(self, signals, theta, width):
-        """Of first order in the delay; predictions of recordings shift whole signals instead."""
+        """None: whole signals are shifted instead."""
         return ()
+
+    def delay(self, theta):
+        return theta["delay"]
 
     @classmethod
     def trials(cls, view):

@@ -15,7 +15,7 @@ class TorqueGain(Effect):
     parameters = (Parameter("gain", "1", 0.0, lower=-0.6, upper=1.5),)  # beyond, all that the joint has scales with it
     amplitudes = ("gain",)
     side = "sensor"
-    local = True
+    scope = "set_up"
 
     def possible(self, theta, payload):
         (gain,) = self.parameters

@@ -15,7 +15,8 @@ class TorqueOffset(Effect):
     parameters = (Parameter("offset", "Nm", 0.0),)
     amplitudes = ("offset",)
     side = "sensor"
-    local = True
+    scope = "set_up"
+    resembles = "constant"
 
     def torque(self, signals, theta, width):
         return (theta["offset"] + 0 * signals.load[self.joints[0]],)

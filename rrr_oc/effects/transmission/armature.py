@@ -16,7 +16,7 @@ class Armature(Effect):
     name = "armature"
     parameters = (Parameter("inertia", "kg m²", 0.0, lower=0.0),)
     side = "drive"
-    plain = True
+    role = "plain"
 
     def torque(self, signals, theta, width):
         return (-theta["inertia"] * signals.ddq[self.joints[0]],)

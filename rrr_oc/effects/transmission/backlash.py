@@ -29,8 +29,7 @@ class Backlash(Effect):
     parameters = (Parameter("gap", "rad", 0.0, lower=0.0), Parameter("damping", "Nm s/rad", 0.0, lower=0.0, factor=3.0))
     amplitudes = ("gap",)
     side = "motion"
-    abrupt = True
-    simulated = True
+    dynamics = "impact"
 
     impacts: bool = field(default=True)
 

@@ -38,7 +38,7 @@ class JointElasticity(Effect):
     )
     amplitudes = ("stiffness",)
     side = "motion"
-    simulated = True
+    dynamics = "link"
 
     smoothed: float = field(default=0.2)
 

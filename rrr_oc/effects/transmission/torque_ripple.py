@@ -23,7 +23,8 @@ class TorqueRipple(Effect):
     )
     amplitudes = ("amplitude",)
     side = "drive"
-    many = True
+    placement = "many"
+    resembles = "position_harmonic"
 
     def torque(self, signals, theta, width):
         return (theta["amplitude"] * sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
@@ -36,12 +37,12 @@ class TorqueRipple(Effect):
             yield from cls._whole(j, max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
 
     @classmethod
-    def slow(cls, view: View, j: int) -> Iterator[Trial]:
-        """Whole orders of which the recordings see one cycle and less than two, for what is no other law of the catalogue."""
+    def sparse_trials(cls, view: View, j: int) -> Iterator[Trial]:
+        """Whole orders of which the recordings see one cycle and less than two."""
         least = _order(view, j, 1)
         yield from cls._whole(j, max(least, 1), _order(view, j, FEW) if least <= MOST_CYCLES else 0)
 
-    def is_slow(self, view: View, theta: Mapping[str, float]) -> bool:
+    def is_sparse(self, view: View, theta: Mapping[str, float]) -> bool:
         """Whether the recordings see less than two cycles of it."""
         return theta["order"] < _order(view, self.joints[0], FEW)
 

@@ -1,40 +1,43 @@
 """MCAP files (ROS 2 bags) with sensor_msgs/JointState messages, turned into a recording set."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.recording import RecordingSet, write_set
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.recordings.writer import write_set
 from rrr_oc.robot.robot import load_robot
 
 SCHEMAS = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 
 
-def import_mcap(
-    files: Sequence[str | Path],
-    robot: str | Path,
-    out: str | Path,
-    joints: Sequence[str] | None = None,
-    topic: str | None = None,
-    torque: str = "motor",
-    *,
-    inertial: str = "nominal",
-    torque_constant: Mapping[str, float] | None = None,
-) -> RecordingSet:
-    """Write MCAP files, each one recording, as a new recording set.
+@dataclass(frozen=True)
+class JointStates:
+    """How joint states are to be understood; keys and values as in `recordings.json`.
 
-    Args:
-        files: MCAP files.
-        robot: Bundled model or URDF.
-        out: Folder to make.
+    Attributes:
         joints: Joints recorded, in the order of the chain. Default: all of the robot's.
         topic: Topic of the joint states. Default: the only one there is.
-        torque: What the efforts are: "motor", "load" [Nm] or "current" [A], as in `recordings.json`.
-        inertial: "nominal" or "identify", as in `recordings.json`.
+        torque: What the efforts are: "motor" or "load" torque [Nm], or "current" [A].
+        inertial: "nominal" or "identify".
         torque_constant: By joint [Nm/A], for currents.
+    """
+
+    joints: Sequence[str] | None = None
+    topic: str | None = None
+    torque: str = "motor"
+    inertial: str = "nominal"
+    torque_constant: Mapping[str, float] = field(default_factory=dict)
+
+
+def import_mcap(
+    files: Sequence[str | Path], robot: str | Path, out: str | Path, states: JointStates | None = None
+) -> RecordingSet:
+    """Write MCAP files, each one recording, of a robot (bundled model or URDF) as a new recording set in the folder `out`.
 
     Time is the header's stamp, from the first one on. Joints are found by name; messages with none of them are another
     device's and skipped. Without velocities, speeds are computed when the set is read.
@@ -45,19 +48,22 @@ def import_mcap(
     """
     if not files:
         raise UserError("no MCAP file given; at least one is required")
-    names = tuple(joints) if joints is not None else load_robot(robot, None, inertial == "nominal").joints
-    effort = "current" if torque == "current" else "tau"
+    states = states or JointStates()
+    names = states.joints
+    if names is None:
+        names = load_robot(robot, None, states.inertial == "nominal").joints
+    effort = "current" if states.torque == "current" else "tau"
     tables = {}
     for file in map(Path, files):
         name = f"{file.stem}.csv"
         if name in tables:
             raise UserError(f"{file}: another file has the same name; each needs its own, for it becomes {name!r}")
-        tables[name] = _columns(file, _samples(file, topic, names), names, effort)
+        tables[name] = _columns(file, _samples(file, states.topic, names), names, effort)
     header = {
         "joints": list(names),
-        "torque": torque,
-        "inertial": inertial,
-        "actuators": {joint: {"torque_constant": constant} for joint, constant in (torque_constant or {}).items()},
+        "torque": states.torque,
+        "inertial": states.inertial,
+        "actuators": {joint: {"torque_constant": constant} for joint, constant in states.torque_constant.items()},
         "recordings": [{"file": name} for name in tables],
     }
     return write_set(out, robot, header, tables)
@@ -75,14 +81,14 @@ def _samples(file: Path, topic: str | None, joints: Sequence[str]) -> list[tuple
             missing = next(joint for joint in joints if joint not in present)
             raise UserError(f"{where}: joint {missing!r} is missing; found {', '.join(message.name)}")
         values = []
-        for field in ("position", "velocity", "effort"):
-            array = getattr(message, field)
-            if len(array) == 0 and field == "velocity":
+        for kind in ("position", "velocity", "effort"):
+            array = getattr(message, kind)
+            if len(array) == 0 and kind == "velocity":
                 values += [np.nan] * len(joints)
                 continue
             if len(array) != len(message.name):
                 raise UserError(
-                    f"{where}: {len(array)} values of {field} for {len(message.name)} joints; one per joint is required"
+                    f"{where}: {len(array)} values of {kind} for {len(message.name)} joints; one per joint is required"
                 )
             values += [float(array[message.name.index(joint)]) for joint in joints]
         samples.append((message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec, tuple(values)))

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.recording import RecordingSet, write_set
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.recordings.writer import write_set
 
 PATTERN = re.compile(r"data_file_([123])_Exp(\d+)\.txt")
 JOINTS = ("joint1", "joint2", "joint3")

@@ -1,0 +1,202 @@
+"""`model.json`: a calibrated model written and read."""
+
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.effects import CATALOGUE
+from rrr_oc.errors import UserError
+from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
+from rrr_oc.schema import Interval, NonNegative, Text, Vector, read_json
+from rrr_oc.storage import number, write_json
+
+FORMAT = "rrr_oc-model/1"
+INERTIAL_ORDER = "m [kg], m c [kg m] (x, y, z), I about the joint's frame [kg m²] (xx, xy, yy, xz, yz, zz)"
+T = TypeVar("T")
+# Keys that are not known here are ignored, so that files of later versions can be read.
+
+
+class RobotEntry(msgspec.Struct):
+    """The robot: the text of its URDF, and by link the ten inertial parameters in use."""
+
+    name: Text
+    source: Text
+    urdf: str
+    inertial: dict[str, Annotated[list[float], Meta(min_length=10, max_length=10, description="ten numbers are required")]]
+    inertial_order: str = INERTIAL_ORDER
+
+
+class ToolEntry(msgspec.Struct):
+    """Where a payload is held: a point [m] in a joint's frame."""
+
+    joint: Text
+    position: Vector
+
+
+class WidthEntry(msgspec.Struct):
+    """A smoothing width in its unit."""
+
+    value: NonNegative
+    unit: str
+
+
+class ParameterEntry(msgspec.Struct):
+    """An estimate, in its unit."""
+
+    value: float
+    unit: str
+    std: float | None
+    interval: Interval | None
+    at_bound: bool
+
+
+class TermEntry(msgspec.Struct):
+    """An effect with its options and estimates."""
+
+    effect: str
+    joints: list[str]
+    options: dict[str, Any]
+    width: WidthEntry | None
+    recordings: Literal["all"] | list[str]
+    groups: list[str]
+    parameters: dict[str, ParameterEntry]
+
+
+class ModelFile(msgspec.Struct):
+    """The content of `model.json`; what is given by joint has the unit of the model's field of that name."""
+
+    format: Literal["rrr_oc-model/1"]
+    versions: dict[str, str]
+    robot: RobotEntry
+    joints: Annotated[list[str], Meta(min_length=1)]
+    gravity: Vector
+    tool: ToolEntry
+    torque: Literal["motor", "load", "current"]
+    torque_constant: dict[str, float | None]
+    inertial: Literal["nominal", "identify"]
+    effects: list[TermEntry]
+    noise: dict[str, float | None]
+    nrmse: dict[str, float | None]
+    report: dict[str, Any]
+
+
+def save_model(model: CalibratedModel, path: str | Path) -> None:
+    """Write `model.json`, whole or not at all. Raises `UserError` where the path cannot be written."""
+    robot = model.robot
+    inertial = dict(zip(robot.links, robot.inertial.T.tolist(), strict=True))
+    content = ModelFile(
+        format=FORMAT,
+        versions=dict(model.versions),
+        robot=RobotEntry(robot.name, model.source, model.urdf, inertial),
+        joints=list(robot.joints),
+        gravity=robot.gravity.tolist(),
+        tool=ToolEntry(robot.joints[model.tool.joint], model.tool.position.tolist()),
+        torque=model.torque,
+        torque_constant=dict(zip(robot.joints, model.torque_constant, strict=True)),
+        inertial=model.inertial,
+        effects=[_entry(term, robot) for term in model.terms],
+        noise={joint: number(v) for joint, v in zip(robot.joints, model.noise, strict=True)},
+        nrmse={joint: number(v) for joint, v in zip(robot.joints, model.nrmse, strict=True)},
+        report=dict(model.report),
+    )
+    write_json(path, msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item()))  # of numpy
+
+
+def _entry(term: Term, robot: Robot) -> TermEntry:
+    effect = term.effect
+    return TermEntry(
+        effect=effect.name,
+        joints=[robot.joints[j] for j in effect.joints],
+        options={f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joints"},
+        width=None if term.width is None or effect.width is None else WidthEntry(term.width, effect.width.unit),
+        recordings="all" if term.recordings == "all" else list(term.recordings),
+        groups=list(term.groups),
+        parameters={
+            p.name: ParameterEntry(e.value, p.unit, number(e.std), e.interval, e.at_bound)
+            for p, e in zip(effect.parameters, term.estimates, strict=True)
+        },
+    )
+
+
+def load_model(path: str | Path) -> CalibratedModel:
+    """Read `model.json`.
+
+    Raises:
+        UserError: The file is missing, no JSON, of another format, or something in it is missing or wrong; the message names
+            the file and the key.
+    """
+    data = read_json(path, ModelFile)
+    try:
+        return _model(data)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def _model(data: ModelFile) -> CalibratedModel:
+    described, joints = data.robot, tuple(data.joints)
+    robot = _robot(described, joints, data.gravity)
+    inertial = np.array(_by_name("robot.inertial", described.inertial, robot.links), float).T
+    constants = tuple(_by_name("torque_constant", data.torque_constant, joints))
+    if data.torque == "current" and not all(constants):
+        raise UserError("torque_constant: torque 'current' needs one for every joint [Nm/A]")
+    return CalibratedModel(
+        robot=replace(robot, inertial=inertial),
+        source=described.source,
+        urdf=described.urdf,
+        tool=ToolPoint(robot.index(data.tool.joint), np.array(data.tool.position)),
+        torque=data.torque,
+        torque_constant=constants,
+        inertial=data.inertial,
+        terms=tuple(_term(f"effects[{i}]", entry, robot) for i, entry in enumerate(data.effects)),
+        noise=np.array(_by_name("noise", data.noise, joints), float),
+        nrmse=np.array(_by_name("nrmse", data.nrmse, joints), float),
+        report=data.report,
+        versions=data.versions,
+    )
+
+
+def _by_name(where: str, found: Mapping[str, T], names: Iterable[str]) -> list[T]:
+    """Values in the order of their names; raises `UserError` for one that is missing."""
+    for name in names:
+        if name not in found:
+            raise UserError(f"{where}: key {name!r} is missing; required are {', '.join(names)}")
+    return [found[name] for name in names]
+
+
+def _robot(described: RobotEntry, joints: tuple[str, ...], gravity: Vector) -> Robot:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "model.urdf"
+        file.write_text(described.urdf, encoding="utf-8")
+        robot = load_robot(file, joints, inertial=False, gravity=gravity)
+    return replace(robot, name=described.name)
+
+
+def _term(where: str, entry: TermEntry, robot: Robot) -> Term:
+    if entry.effect not in CATALOGUE:
+        raise UserError(f"{where}: unknown effect {entry.effect!r}; this version knows {', '.join(sorted(CATALOGUE))}")
+    options = {key: _as_tuples(value) for key, value in entry.options.items()}
+    try:
+        effect = CATALOGUE[entry.effect](tuple(robot.index(joint) for joint in entry.joints), **options)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise UserError(f"{where}.options: {error}") from None
+    if effect.width is not None and entry.width is None:
+        raise UserError(f"{where}: key 'width' is missing; {entry.effect} has one [{effect.width.unit}]")
+    parameters = _by_name(f"{where}.parameters", entry.parameters, [p.name for p in effect.parameters])
+    return Term(
+        effect,
+        tuple(Estimate(p.value, p.std, p.interval, p.at_bound) for p in parameters),
+        None if effect.width is None or entry.width is None else entry.width.value,
+        entry.recordings if entry.recordings == "all" else tuple(entry.recordings),
+        tuple(entry.groups),
+    )
+
+
+def _as_tuples(value: Any) -> Any:
+    return tuple(_as_tuples(item) for item in value) if isinstance(value, list) else value

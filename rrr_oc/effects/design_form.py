@@ -1,0 +1,110 @@
+"""How a spring is part of a co-design: what a task bounds, what is fixed, and what can be bought."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+Bounds = Mapping[str, tuple[float, float]]  # (least, greatest) by symbol, in SI units
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number that a task bounds.
+
+    Attributes:
+        symbol: As a designer names it.
+        key: In a task's file, with the unit there.
+        unit: That unit in SI units.
+        lowest: What its lower bound must not be below, in the file's unit.
+        free: Whether it is adjusted, not bought.
+    """
+
+    symbol: str
+    key: str
+    unit: float = 1.0
+    lowest: float = -np.inf
+    free: bool = False
+
+
+@dataclass(frozen=True)
+class DesignForm:
+    """A spring whose parameters are what a task bounds, in their order, and what a designer names after its joint.
+
+    Attributes:
+        label: Of the configuration that has these springs alone.
+        quantities: What a task bounds.
+        options: Keys of a task's entry that are options of the effect.
+        shop: Key of these springs in a catalogue of purchasable hardware; "" where none lists them. Of one quantity that is bought
+            the catalogue has a list for each joint, of several a list for each quantity.
+    """
+
+    label: str
+    quantities: tuple[Quantity, ...]
+    options: tuple[str, ...] = ()
+    shop: str = ""
+
+    limits = ()  # in words, what each inequality of `exists` runs into
+    derived = False  # whether the effect's parameters are functions of the quantities, whose bounds a design then keeps
+
+    @property
+    def bought(self) -> tuple[Quantity, ...]:
+        """The quantities that are bought."""
+        return tuple(q for q in self.quantities if not q.free)
+
+    def name(self, quantity: Quantity, joints: tuple[int, ...]) -> str:
+        """A quantity of the spring on these joints, as in `k_p2`."""
+        return f"{quantity.symbol}{joints[0] + 1}"
+
+    def free_names(self, joints: tuple[int, ...]) -> tuple[str, ...]:
+        """Names of the quantities that are adjusted."""
+        return tuple(self.name(q, joints) for q in self.quantities if q.free)
+
+    def wrong(self, bounds: Bounds) -> str | None:
+        """What is wrong with a task's bounds, in words; None if nothing is."""
+        for q in self.quantities:
+            low, high = (b / q.unit for b in bounds[q.symbol])
+            if low < q.lowest:
+                return f"{q.key} must be {q.lowest:g} or more, got {low:g} … {high:g}"
+        return None
+
+    def box(self, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of the effect's parameters, in their order."""
+        low, high = zip(*(bounds[q.symbol] for q in self.quantities), strict=True)
+        return np.array(low), np.array(high)
+
+    def parameters(self, numbers: Sequence[Any] | np.ndarray) -> np.ndarray:
+        """The effect's parameters (p, ...) from the quantities (number, ...) in their order."""
+        return np.asarray(numbers, float)
+
+    def exists(self, theta: Sequence[Any], bounds: Mapping[str, tuple[Any, Any]]) -> ca.SX:
+        """Inequalities ≤ 0 on the parameters that hold exactly where quantities within bounds exist, for what is `derived`."""
+        return ca.SX(0, 1)
+
+    def named(
+        self, joints: tuple[int, ...], theta: Mapping[str, float], bounds: Bounds, fixed: Mapping[str, float]
+    ) -> dict[str, float]:
+        """The quantities by the names that a designer uses, from the effect's parameters.
+
+        Args:
+            bounds, fixed: Of what is `derived`, the quantities' bounds, or those that are fixed.
+        """
+        return {self.name(q, joints): value for q, value in zip(self.quantities, theta.values(), strict=True)}
+
+    def held(
+        self,
+        joints: tuple[int, ...],
+        box: tuple[np.ndarray, np.ndarray],
+        bounds: Bounds,
+        hardware: Mapping[str, float],
+        keep_free,
+    ) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
+        """Bounds of the parameters, and the quantities fixed, with all fixed to `hardware` but the names in `keep_free`."""
+        lower, upper = box[0].copy(), box[1].copy()
+        for i, q in enumerate(self.quantities):
+            name = self.name(q, joints)
+            if name not in keep_free:
+                lower[i] = upper[i] = hardware[name]
+        return lower, upper, {}

@@ -1,0 +1,190 @@
+"""Recording sets read from a folder with `recordings.json` and CSV files."""
+
+import difflib
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from rrr_oc.errors import UserError
+from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
+from rrr_oc.recordings import plausibility
+from rrr_oc.recordings.csv_table import Table, read_table
+from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, mounted_springs, read_header
+from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
+
+
+def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
+    """Read a recording set.
+
+    Args:
+        path: The folder, or its `recordings.json`.
+        robot: Bundled model or URDF that takes the place of the one in the file.
+
+    Raises:
+        UserError: Something is missing or wrong; the message names the file, the line or key, what was found and what is
+            allowed.
+    """
+    path = Path(path)
+    folder, file = (path.parent, path) if path.suffix == ".json" else (path, path / HEADER)
+    if not file.is_file():
+        raise UserError(f"{path}: no recording set; a folder with {HEADER} is required")
+    header = read_header(file)
+    source = robot if robot is not None else header.robot
+    if robot is None and header.robot not in BUNDLED:
+        source = folder / header.robot
+    arm, tool = _robot(file, source, header)
+    loaded = tuple(
+        _recording(folder / entry.file, entry, springs, header, arm)
+        for entry, springs in zip(header.recordings, mounted_springs(file, header), strict=True)
+    )
+    return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
+
+
+def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolPoint]:
+    try:
+        robot = load_robot(source, header.joints, header.inertial == "nominal", header.gravity)
+        return robot, robot.tool if header.tool is None else robot.point(header.tool.link, header.tool.position)
+    except UserError as error:
+        raise UserError(f"{file}: {error}") from None
+    except OSError as error:  # such as a name that is too long
+        raise UserError(f"{file}: robot {str(source)!r} cannot be read: {error.strerror}") from None
+
+
+def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
+    table = read_table(path)
+    recorded = tuple(f"{'current' if header.torque == 'current' else 'tau'}_{joint}" for joint in robot.joints)
+    used, ignored = _used_columns(table, robot.joints, recorded)
+    values = table.columns(used)
+    rows = _usable_rows(table, used, values)
+    with np.errstate(all="ignore"):  # absurd numbers are looked for
+        columns = dict(zip(used, values[:, rows], strict=True))
+        plausibility.check_time(str(path), columns["t"])
+        columns.setdefault("payload", np.full(len(rows), entry.payload))
+        plausibility.check_magnitudes(str(path), columns)
+        segments = split(columns["t"])
+        turned = _unwrap(columns, robot.joints, segments)
+        q, dq, ddq, computed = _motion(columns, robot.joints, segments)
+        tau = np.array([columns[name] for name in recorded])
+        result = Recording(
+            entry.file, entry.group or entry.file, columns["t"], q, dq, ddq, tau, columns["payload"], springs, segments, computed,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned,
+        )  # fmt: skip
+        result = _without_short_segments(path, result)
+        _check_units(path, result, robot, header, recorded)
+    return result
+
+
+def _used_columns(table: Table, joints: Sequence[str], recorded: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The columns to read and those that mean nothing; raises `UserError` for one missing or misspelt."""
+    required = ("t", *(f"q_{joint}" for joint in joints), *recorded)
+    optional = (*(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in joints), "payload")
+    allowed = f"required are {', '.join(required)}; allowed are {', '.join(optional)}"
+    for name in required:
+        if name not in table.names:
+            found = ", ".join(table.names)
+            raise UserError(
+                f"{table.path}, line {table.header_line}: column {name!r} is missing; found {found[:300]}; {allowed}"
+            )
+    ignored = tuple(name for name in table.names if name not in required and name not in optional)
+    absent = [name for name in optional if name not in table.names]
+    for name in ignored:
+        close = difflib.get_close_matches(name, absent, 1, 0.85)
+        if close and not name.startswith(("q_", "dq_", "ddq_", "tau_", "current_")):  # those belong to joints not recorded
+            raise UserError(f"{table.path}, line {table.header_line}: unknown column {name!r}; is it {close[0]!r}? {allowed}")
+    return (*required, *(name for name in optional if name in table.names)), ignored
+
+
+def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.ndarray:
+    """Indices of the rows without a NaN; raises `UserError` where what is left is no motion."""
+    if values.shape[1] == 0:
+        raise UserError(f"{table.path}: a header and no rows; at least {LEAST_ROWS} rows are required")
+    infinite = np.argwhere(np.isinf(values).T)
+    if len(infinite):
+        row, column = map(int, infinite[0])
+        raise _wrong_cell(table, row, used[column], "an infinite value", "numbers or nan are allowed")
+    rows = np.flatnonzero(~np.isnan(values).any(axis=0))
+    if len(rows) < LEAST_ROWS:
+        total = values.shape[1]
+        raise UserError(f"{table.path}: {len(rows)} of {total} rows are without a NaN; at least {LEAST_ROWS} are required")
+    t = values[used.index("t"), rows]
+    back = np.flatnonzero(t[1:] <= t[:-1])
+    if len(back):
+        before, now = t[back[0] : back[0] + 2].tolist()
+        found = f"{now!r} s {'again' if now == before else f'after {before!r} s'}"
+        raise _wrong_cell(table, int(rows[back[0] + 1]), "t", found, "time must increase from row to row")
+    if "payload" in used:
+        payload = values[used.index("payload"), rows]
+        if payload.min() < 0:
+            i = int(np.argmax(payload < 0))
+            raise _wrong_cell(table, int(rows[i]), "payload", f"{payload[i]:g}", "0 kg or more is allowed")
+    return rows
+
+
+def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -> UserError:
+    return UserError(f"{table.path}, line {table.line(row)}, column {column!r}: found {found}; {allowed}")
+
+
+def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Sequence[slice]) -> tuple[str, ...]:
+    """Make positions go on that jump by a turn from one sample to the next; the names of these columns."""
+    names = [f"q_{joint}" for joint in joints]
+    turned = [name for name in names if any(np.any(np.abs(np.diff(columns[name][s])) > np.pi) for s in segments)]
+    for name in turned:
+        columns[name] = np.unwrap(columns[name])
+    return tuple(turned)
+
+
+def _motion(
+    columns: Mapping[str, np.ndarray], joints: Sequence[str], segments: tuple[slice, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """q, dq, ddq (n, K) and the names of those computed; ddq comes from a measured dq where there is one."""
+    t, names = columns["t"], {kind: [f"{kind}_{joint}" for joint in joints] for kind in ("q", "dq", "ddq")}
+    q = np.array([columns[name] for name in names["q"]])
+    dq, ddq = (np.array([columns.get(name, np.zeros_like(t)) for name in names[kind]]) for kind in ("dq", "ddq"))
+    no_speed, no_acceleration = (np.array([name not in columns for name in names[kind]]) for kind in ("dq", "ddq"))
+    from_q, from_dq = no_acceleration & no_speed, no_acceleration & ~no_speed
+    dq[no_speed] = differentiate(t, q[no_speed], segments)
+    ddq[from_dq] = differentiate(t, dq[from_dq], segments)
+    ddq[from_q] = differentiate(t, q[from_q], segments, derivative=2)
+    return q, dq, ddq, tuple(name for name in (*names["dq"], *names["ddq"]) if name not in columns)
+
+
+def _without_short_segments(path: Path, recording: Recording) -> Recording:
+    """Drop the segments in which a derivative is wanted and cannot be computed; raises `UserError` where none is left."""
+    if not recording.computed:
+        return recording
+    kept = [s for s in recording.segments if s.stop - s.start >= LEAST_ROWS]
+    if not kept:
+        raise UserError(
+            f"{path}: gaps in 't' leave no segment of {LEAST_ROWS} rows, of which derivatives could be computed; "
+            "give dq and ddq or longer pieces"
+        )
+    rows = np.concatenate([np.arange(s.start, s.stop) for s in kept])
+    ends = np.cumsum([s.stop - s.start for s in kept]).tolist()
+    arrays = {name: getattr(recording, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    for name in ("dq", "ddq"):
+        if not np.all(np.isfinite(arrays[name])):
+            raise UserError(
+                f"{path}: {name} computed from the file is not finite; positions are too large or times too close together"
+            )
+    segments = tuple(slice(a, b) for a, b in itertools.pairwise([0, *ends]))
+    return replace(recording, **arrays, segments=segments, short=len(recording.t) - len(rows))
+
+
+def _check_units(path: Path, recording: Recording, robot: Robot, header: Header, recorded: tuple[str, ...]) -> None:
+    where, r = str(path), recording
+    plausibility.check_positions(where, robot, r.q)
+    for i, joint in enumerate(robot.joints):
+        names = [f"{kind}_{joint}" for kind in ("q", "dq", "ddq")]
+        pairs = ((names[0], r.q[i]), (names[1], r.dq[i])), ((names[1], r.dq[i]), (names[2], r.ddq[i]))
+        for value, rate in pairs:
+            if rate[0] not in r.computed and value[0] not in r.computed:
+                plausibility.check_derivative(where, r.t, r.segments, value, rate)
+    if all(f"dq_{joint}" in r.computed for joint in robot.joints):
+        plausibility.check_slowness(where, r.t, r.q, r.dq)
+    unit = "A" if header.torque == "current" else "Nm"
+    constants = np.array(header.torque_constant, float) if unit == "A" else np.ones(robot.n)
+    plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)

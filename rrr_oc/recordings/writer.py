@@ -1,0 +1,94 @@
+"""Recording sets written as a folder with `recordings.json` and CSV files."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.header import FORMAT, HEADER, spring_json
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.robot.robot import BUNDLED
+from rrr_oc.storage import new_folder, write_csv, write_json
+
+
+def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
+    """Write a set as a new folder, whole or not at all; numbers are written exactly, computed derivatives are left out.
+
+    Raises `UserError` where the folder exists with something in it, or what is to be written could not be read again.
+    """
+    robot, tool = recordings.robot, recordings.tool
+    pose = robot.frames[robot.links[tool.joint]][1]
+    header: dict[str, Any] = {
+        "joints": list(robot.joints),
+        "torque": recordings.torque,
+        "inertial": recordings.inertial,
+        "gravity": robot.gravity.tolist(),
+        "tool": {"link": robot.links[tool.joint], "position": (pose[:3, :3].T @ (tool.position - pose[:3, 3])).tolist()},
+        "actuators": {
+            joint: {"torque_constant": constant}
+            for joint, constant in zip(robot.joints, recordings.torque_constant, strict=True)
+            if constant is not None
+        },
+    }
+    tables = {}
+    entries = []
+    for r in recordings.recordings:
+        tables[r.file] = _table(r, robot.joints, recordings.torque)
+        entry = {"file": r.file, "group": r.group, "springs": spring_json(r.springs, robot.joints)}
+        entries.append(entry if "payload" in tables[r.file] else {**entry, "payload": float(r.payload[0])})
+    write_set(folder, recordings.source, {**header, "recordings": entries}, tables)
+
+
+def write_set(
+    folder: str | Path, source: str | Path, header: Mapping[str, Any], tables: Mapping[str, Mapping[str, np.ndarray]]
+) -> RecordingSet:
+    """Write a new set and read it again.
+
+    A URDF is copied into the folder. Nothing is left behind where the set could not be read.
+
+    Args:
+        folder: Folder to make.
+        source: Bundled model or path of a URDF.
+        header: Content of `recordings.json` except its keys `format` and `robot`.
+        tables: By file, its columns (K,) by name.
+
+    Raises:
+        UserError: `folder` has something in it, the URDF is missing, or the set is not what `load_recordings` accepts.
+    """
+    folder = Path(folder)
+    bundled = str(source) in BUNDLED
+    robot = str(source) if bundled else f"{Path(source).stem}.urdf"  # never a bundled name
+    with new_folder(folder) as temporary:
+        if not bundled:
+            try:
+                shutil.copyfile(source, temporary / robot)
+            except OSError as error:
+                raise UserError(
+                    f"{source}: cannot be read: {error.strerror}; a URDF or one of {', '.join(BUNDLED)} is needed"
+                ) from None
+        content = {"format": FORMAT, "robot": robot, **header}
+        write_json(temporary / HEADER, content)
+        for file, columns in tables.items():
+            write_csv(temporary / file, columns)
+        try:
+            written = load_recordings(temporary)
+        except UserError as error:
+            raise UserError(str(error).replace(str(temporary), str(folder))) from None
+    return replace(written, path=folder, source=source if bundled else folder / robot)
+
+
+def _table(recording: Recording, joints: Sequence[str], torque: str) -> dict[str, np.ndarray]:
+    """Columns of a recording's CSV file."""
+    recorded = "current" if torque == "current" else "tau"
+    columns = {"t": recording.t}
+    for kind, values in (("q", recording.q), ("dq", recording.dq), ("ddq", recording.ddq), (recorded, recording.tau)):
+        columns |= {f"{kind}_{joint}": values[i] for i, joint in enumerate(joints)}
+    columns = {name: values for name, values in columns.items() if name not in recording.computed}
+    if np.ptp(recording.payload) > 0:
+        columns["payload"] = recording.payload
+    return columns

@@ -1,0 +1,203 @@
+"""JSON files read against typed structures: whatever is wrong with a file is one sentence.
+
+It names the file, the key, what was found and what is allowed. A structure is a subclass of `Schema` beside what it describes;
+its annotations are the allowed values. What annotations cannot say is checked in `__post_init__`, which raises
+ValueError("key: what is wrong with it").
+"""
+
+import importlib.resources
+import json
+import reprlib
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+import msgspec
+from msgspec import Meta
+
+from rrr_oc.errors import UserError
+from rrr_oc.storage import read_utf8
+
+T = TypeVar("T")
+Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
+NonNegative = Annotated[float, Meta(ge=0)]
+Positive = Annotated[float, Meta(gt=0)]
+Interval = tuple[float, float]
+Vector = tuple[float, float, float]
+
+
+class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An object of a JSON file; a key without a default is required, any other key is refused."""
+
+
+def read_json(path: str | Path, schema: type[T]) -> T:
+    """Read a file. Raises `UserError` where it is missing, no JSON, or not as `schema` describes it."""
+    return validated(path, parsed(path, read_utf8(path).decode()), schema)
+
+
+def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schema: type[T]) -> tuple[str, T]:
+    """Read a bundled file, by the name of a preset, or a file of the user's; also how to name it in messages.
+
+    Args:
+        what: What the file describes, as in "task".
+        presets: File in `rrr_oc/data` of each preset.
+    """
+    if str(source) in presets:
+        where, text = (
+            f"{what} {str(source)!r}",
+            importlib.resources.files("rrr_oc.data").joinpath(presets[str(source)]).read_text(),
+        )
+    elif Path(source).is_file():
+        where, text = str(source), read_utf8(source).decode()
+    else:
+        raise UserError(f"no {what} at {str(source)!r}; give the path of a JSON file or a preset: {', '.join(presets)}")
+    return where, validated(where, parsed(where, text), schema)
+
+
+def parsed(where: str | Path, text: str) -> Any:
+    """Plain data from JSON. Raises `UserError` for broken JSON, a key that stands twice and a number that is not finite."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        keys = [key for key, _ in pairs]
+        for i, key in enumerate(keys):
+            if key in keys[:i]:
+                raise UserError(f"{where}: key {key!r} stands twice in one object; each may stand once")
+        return dict(pairs)
+
+    try:
+        data = json.loads(text, object_pairs_hook=once)
+        infinite = next(_not_finite("", data), None)
+    except json.JSONDecodeError as error:
+        raise UserError(f"{where}, line {error.lineno}, column {error.colno}: not valid JSON: {error.msg}") from None
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets thousands deep
+        raise UserError(f"{where}: not usable JSON: {error}") from None
+    if infinite is not None:
+        raise UserError(f"{_place(where, infinite[0])}: found {reprlib.repr(infinite[1])}; a finite number is required")
+    return data
+
+
+def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> T:
+    """Plain data as `schema` describes it; raises `UserError` that says what was found and what is allowed.
+
+    Args:
+        where: The file.
+        path: Place of the data in it.
+    """
+    try:
+        return msgspec.convert(data, schema)
+    except msgspec.ValidationError:
+        path, said = _fault(path, data, schema)
+        raise UserError(f"{_place(where, path)}: {said}") from None
+
+
+def check_names(found: Iterable[str], allowed: Iterable[str], where: str | Path, what: str = "key") -> None:
+    """Raise `UserError` if `found` has a name that is not in `allowed`."""
+    known = tuple(allowed)
+    unknown = [name for name in found if name not in known]
+    if unknown:
+        raise UserError(f"{where}: unknown {what} {unknown[0]!r}; allowed are {', '.join(known)}")
+
+
+def check_interval(key: str, bounds: Interval | None) -> None:
+    """For `__post_init__`: raise ValueError where the lower bound is above the upper."""
+    if bounds is not None and not bounds[0] <= bounds[1]:
+        raise ValueError(f"{key}: bounds are crossed: {bounds[0]:g} … {bounds[1]:g}; the lower must not be above the upper")
+
+
+def _place(where: str | Path, path: str) -> str:
+    return f"{where}: {path.lstrip('.')}" if path else str(where)
+
+
+def _not_finite(path: str, data: Any) -> Iterator[tuple[str, Any]]:
+    """Numbers that no finite float holds, each with its place."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from _not_finite(f"{path}.{key}" if isinstance(data, dict) else f"{path}[{key}]", value)
+    elif isinstance(data, float | int) and not abs(data) <= 10**308:  # integers may be beyond floats, too
+        yield path, data
+
+
+def _fault(path: str, data: Any, schema: Any) -> tuple[str, str]:
+    """Place of the first wrong value, as deep as it lies, and what is wrong with it."""
+    schema, meta = _simplified(data, schema)
+    for step, value, inner in _parts(data, schema):
+        try:
+            msgspec.convert(value, inner)
+        except msgspec.ValidationError:
+            return _fault(path + step, value, inner)
+    if _is_structure(schema) and isinstance(data, dict):
+        fields = {f.encode_name: f for f in msgspec.structs.fields(schema)}
+        for key in data:
+            if key not in fields:
+                return path, f"unknown key {key!r}; allowed are {', '.join(fields)}"
+        required = [key for key, field in fields.items() if field.required]
+        for key in required:
+            if key not in data:
+                return path, f"key {key!r} is missing; required are {', '.join(required)}"
+        try:
+            msgspec.convert(data, schema)
+        except msgspec.ValidationError as error:  # from `__post_init__`; what begins with a key belongs to that key
+            key, colon, rest = str(error).partition(": ")
+            return (f"{path}.{key}", rest) if colon and key.split("[")[0] in fields else (path, str(error))
+    return path, f"found {reprlib.repr(data)}; {_allowed(schema, meta)}"
+
+
+def _is_structure(schema: Any) -> bool:
+    return isinstance(schema, type) and issubclass(schema, msgspec.Struct)
+
+
+def _container(schema: Any) -> type | None:
+    """How JSON writes values of a type: as an object, as a list or as neither."""
+    if _is_structure(schema) or get_origin(schema) is dict:
+        return dict
+    return list if get_origin(schema) in (list, tuple) else None
+
+
+def _simplified(data: Any, schema: Any) -> tuple[Any, Meta]:
+    """A type without its constraints, which stand apart; of a union the member that a value comes closest to."""
+    meta = Meta()
+    while get_origin(schema) in (Annotated, Union, types.UnionType):
+        if get_origin(schema) is Annotated:
+            schema, meta, *_ = get_args(schema)
+            continue
+        members = [member for member in get_args(schema) if member is not types.NoneType]
+        alike = [m for m in members if isinstance(data, _container(_simplified(data, m)[0]) or str | float | int | None)]
+        schema = [*alike, *members][0]
+    return schema, meta
+
+
+def _parts(data: Any, schema: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Values inside a value, each with the step to it and its type."""
+    arguments = get_args(schema)
+    if isinstance(data, dict) and _is_structure(schema):
+        for field in msgspec.structs.fields(schema):
+            if field.encode_name in data:
+                yield f".{field.encode_name}", data[field.encode_name], field.type
+    elif isinstance(data, dict) and get_origin(schema) is dict:
+        for key, value in data.items():
+            yield f".{key}", value, arguments[1]
+    elif isinstance(data, list) and get_origin(schema) in (list, tuple):
+        fixed = get_origin(schema) is tuple and arguments[1:] != (...,)
+        if not fixed or len(data) == len(arguments):
+            for i, value in enumerate(data):
+                yield f"[{i}]", value, arguments[i if fixed else 0]
+
+
+def _allowed(schema: Any, meta: Meta) -> str:
+    """What a type admits, in words."""
+    if meta.description:
+        return meta.description
+    arguments = get_args(schema)
+    if get_origin(schema) is Literal:
+        return f"allowed {'is' if len(arguments) == 1 else 'are'} {', '.join(map(repr, arguments))}"
+    if _is_structure(schema):
+        return f"an object with {', '.join(f.encode_name for f in msgspec.structs.fields(schema))} is required"
+    if get_origin(schema) is tuple and arguments[1:] != (...,):
+        return f"a list of {len(arguments)} {'numbers' if set(arguments) == {float} else 'entries'} is required"
+    if get_origin(schema) in (list, tuple):
+        return f"a list{' with at least one entry' if meta.min_length else ''} is required"
+    if schema is float:
+        bound = f" of {meta.ge:g} or more" if meta.ge is not None else f" above {meta.gt:g}" if meta.gt is not None else ""
+        return f"a finite number{bound} is required"
+    return {str: "a text", bool: "true or false"}.get(schema, "an object") + " is required"

@@ -1,0 +1,159 @@
+"""README and docs against the repository: their Python imports, and the files, commands and options that they name exist."""
+
+import ast
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from rrr_oc import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "validation/concealed/README.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+]
+CURRENT = [page for page in PAGES if page.name != "CHANGELOG.md"]  # a changelog also names what is gone
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+each_current_page = pytest.mark.parametrize("page", CURRENT, ids=lambda p: str(p.relative_to(ROOT)))
+
+
+def blocks(text: str) -> list[tuple[str, str]]:
+    """Language and content of every fenced block."""
+    return re.findall(r"^```(\w*)\n(.*?)^```$", text, re.M | re.S)
+
+
+def code(text: str) -> list[str]:
+    """Everything set as code: spans in backticks, and lines of blocks without a language or of a shell."""
+    lines = [line for language, content in blocks(text) if language in ("", "sh", "bash") for line in content.splitlines()]
+    without = re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S)
+    return lines + [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", without)]
+
+
+def missing_names(text: str) -> list[str]:
+    """Modules and names that Python code imports and that do not exist."""
+    missing = []
+    for node in ast.walk(ast.parse(text)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom):
+            missing += [f"{node.module}.{name}" for name in names if not exists(f"{node.module}.{name}")]
+        else:
+            missing += [name for name in names if not exists(name)]
+    return missing
+
+
+def exists(dotted: str) -> bool:
+    """Whether a dotted name is a module, or an attribute of one."""
+    parts = dotted.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:k]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[k:]:
+            if not hasattr(found, part):
+                return False
+            found = getattr(found, part)
+        return True
+    return False
+
+
+def missing_paths(text: str) -> list[str]:
+    """Paths below the repository's folders, in code, that do not exist."""
+    folders = "|".join(re.escape(p.name) for p in ROOT.iterdir() if p.is_dir() and p.name not in (".git", ".venv", "results"))
+    named = {path for span in code(text) for path in re.findall(rf"(?<![\w./-])(?:{folders})/[\w./-]*\w/?", span)}
+    return [path for path in sorted(named) if not (ROOT / path).exists()]
+
+
+def missing_links(page: Path, text: str) -> list[str]:
+    """Targets of relative links that do not exist."""
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", text)
+    return [target for target in targets if not (page.parent / target).exists()]
+
+
+def unknown_options(command: str) -> list[str]:
+    """Targets of make, subcommands of `rrr-oc` and options that do not exist, of one command line."""
+    words = [re.sub(r"[\[\]\"',;:]", "", word) for word in command.split()]
+    options = [word.split("=")[0] for word in words if word.startswith("--")]
+    if words[:1] == ["make"]:
+        targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M))
+        return [w for w in words[1:2] if w not in targets]
+    if words[:1] == ["rrr-oc"]:
+        found = typer.main.get_command(cli.app)
+        for word in words[1:]:
+            if word not in getattr(found, "commands", {}):
+                break
+            found = found.commands[word]
+        known = {name for parameter in found.params for name in (*parameter.opts, *parameter.secondary_opts)}
+        unknown = [] if not hasattr(found, "commands") or len(words) == 1 else [" ".join(words[:3])]
+        return unknown + [option for option in options if option not in known]
+    scripts = [word for word in words if re.fullmatch(r"(studies|validation)/[\w/]+\.py", word)]
+    known = (ROOT / scripts[0]).read_text() if scripts else ""
+    return [option for option in options if scripts and option != "--help" and not declared(option, known)]
+
+
+def declared(option: str, script: str) -> bool:
+    """Whether a script declares an option, to argparse by its name or to typer as a parameter of its command."""
+    return f'"{option}"' in script or re.search(rf"^    {option[2:].replace('-', '_')}: Annotated", script, re.M) is not None
+
+
+@each_current_page
+def test_python_imports_what_exists(page):
+    for language, content in blocks(page.read_text()):
+        if language == "python":
+            assert not missing_names(content)
+
+
+@each_current_page
+def test_dotted_names_exist(page):
+    named = {name for span in code(page.read_text()) for name in re.findall(r"(?<![\w./-])rrr_oc(?:\.\w+)+", span)}
+    assert not [name for name in sorted(named) if not exists(name)]
+
+
+@each_current_page
+def test_paths_exist(page):
+    assert not missing_paths(page.read_text())
+
+
+def test_the_tour_names_modules_that_exist():
+    """Modules in docs/architecture.md are named from `rrr_oc/` on."""
+    named = set(re.findall(r"`([\w/]+\.py)`", (ROOT / "docs" / "architecture.md").read_text()))
+    assert len(named) > 20
+    assert not [path for path in sorted(named) if not (ROOT / "rrr_oc" / path).exists() and not (ROOT / path).exists()]
+
+
+@each_page
+def test_links_lead_somewhere(page):
+    assert not missing_links(page, page.read_text())
+
+
+@each_current_page
+def test_commands_and_options_exist(page):
+    assert not {command: bad for command in code(page.read_text()) if (bad := unknown_options(command))}
+
+
+def test_the_readme_names_every_page():
+    text = (ROOT / "README.md").read_text()
+    assert not [page.name for page in (ROOT / "docs").glob("*.md") if f"docs/{page.name}" not in text]
+
+
+def test_the_checks_find_what_is_missing(tmp_path):
+    """The tests' own tools, on names that do not exist."""
+    assert missing_names("from rrr_oc.errors import UserError, Nothing\nimport rrr_oc.nowhere\n") == [
+        "rrr_oc.errors.Nothing",
+        "rrr_oc.nowhere",
+    ]
+    assert missing_paths("`studies/none.py` and `tests/test_docs.py`\n```\npython validation/none.py\n```\n") == [
+        "studies/none.py",
+        "validation/none.py",
+    ]
+    assert missing_links(tmp_path / "a.md", "[a](b.md), [c](https://c.org)") == ["b.md"]
+    assert unknown_options("make study") == []
+    assert unknown_options("make coffee") == ["coffee"]
+    assert unknown_options("rrr-oc diagnose x --out y --jobs 1") == []
+    assert unknown_options("rrr-oc diagnose --magic") == ["--magic"]
+    assert unknown_options("rrr-oc fly") == ["rrr-oc fly"]
+    assert unknown_options("python studies/pea_bpea.py --starts 6") == []
+    assert unknown_options("python studies/pea_bpea.py --magic 6") == ["--magic"]
