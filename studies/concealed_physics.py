@@ -34,7 +34,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.friction_width import with_widths
 from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
-from rrr_oc.calibration.regression import prepare, thinned, without_spikes
+from rrr_oc.calibration.samples import prepare, thinned, without_spikes
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.evidence import Bench, Evidence
 from rrr_oc.diagnosis.fitting import refit

@@ -24,8 +24,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, SplineTransformer, StandardScaler
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.nrmse import error
-from rrr_oc.calibration.regression import Prepared, prepare
+from rrr_oc.calibration.prediction_error import error
+from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import entry_point
 from rrr_oc.recordings.reader import load_recordings

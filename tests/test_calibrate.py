@@ -13,16 +13,21 @@ from chains import random_chain
 from recorded import Plant, as_set, behind_gear, multisine, real, record
 from scipy.optimize import lsq_linear
 
+from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
-from rrr_oc.calibration.covariance import box_step, covariance, normal_equations, undetermined
+from rrr_oc.calibration.covariance import covariance
 from rrr_oc.calibration.friction_width import widened, with_widths
-from rrr_oc.calibration.inverse_dynamics import calibrate, fit_terms, labels, plain_model, with_parameter_values
+from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
+from rrr_oc.calibration.least_squares import box_step, normal_equations
 from rrr_oc.calibration.model_file import load_model, save_model
-from rrr_oc.calibration.regression import Rows, is_linear, prepare, rows, with_residuals
-from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
+from rrr_oc.calibration.regression import Rows, is_linear, rows, with_residuals
+from rrr_oc.calibration.response.calibrate_response import calibrate_evolution, calibrate_response
+from rrr_oc.calibration.samples import prepare
+from rrr_oc.calibration.term_fit import labels, with_parameter_values
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.errors import UserError
+from rrr_oc.numerics.rank import undetermined
 from rrr_oc.recordings.importers import import_prototype
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet

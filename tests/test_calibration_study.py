@@ -9,7 +9,7 @@ import pytest
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.inverse_dynamics import plain_model
-from rrr_oc.calibration.nrmse import error
+from rrr_oc.calibration.prediction_error import error
 from rrr_oc.robot.drives import load_actuators
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])

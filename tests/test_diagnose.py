@@ -13,20 +13,24 @@ import pytest
 from recorded import Plant, as_set, multisine, real, record
 from typer.testing import CliRunner
 
+from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.friction_width import widened, with_widths
-from rrr_oc.calibration.inverse_dynamics import calibrate, fit_terms, identify, plain_model
+from rrr_oc.calibration.inertial_identification import identify
+from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
+from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
-from rrr_oc.calibration.regression import Rows, prepare, rows
+from rrr_oc.calibration.regression import Rows, rows
+from rrr_oc.calibration.samples import prepare
 from rrr_oc.cli import app
 from rrr_oc.diagnosis import selection as forward
 from rrr_oc.diagnosis.contest import Finding, contested
 from rrr_oc.diagnosis.diagnosis_file import to_json
-from rrr_oc.diagnosis.evidence import Bench, Evidence, pseudo_inverse
+from rrr_oc.diagnosis.evidence import Bench, Evidence
 from rrr_oc.diagnosis.procedure import _refuted, _sure, diagnose
 from rrr_oc.diagnosis.reversals import blurred_joints
-from rrr_oc.diagnosis.signatures import columns, context, trials, view
+from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.suggestion import suggest
 from rrr_oc.effects import Trial
 from rrr_oc.effects.black_box.empirical import STRAIGHT, Empirical
@@ -41,6 +45,7 @@ from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.model.symbolic_model import Model
+from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.report.diagnosis_report import write_diagnosis
@@ -820,14 +825,14 @@ def test_a_payload_that_runs_through_many_values_costs_no_more(planar):
     whole = as_set(plant, [ramp])
     whole = replace(whole, tool=whole.robot.point(whole.robot.links[-1], [0.2, 0.1, 0]))
     model, at = plain_model(whole), [0, 150, 299]
-    moving = context(prepare(whole)[0], model)
+    moving = Prediction.of(model, prepare(whole)[0].recording)
     for k in at:
         held = replace(whole, recordings=(replace(r, payload=np.full(len(r.t), ramp.payload[k])),))
-        alone = context(prepare(held)[0], model)
+        alone = Prediction.of(model, prepare(held)[0].recording)
         for a, b in zip(moving.partials, alone.partials, strict=True):
             assert a[..., k] == pytest.approx(b[..., k], abs=1e-9)
         trial = next(t for t in trials(view(prepare(whole), model), "motor") if t.effect.name == "payload_com")
-        assert columns(moving, trial)[..., k] == pytest.approx(columns(alone, trial)[..., k], abs=1e-9)
+        assert moving.by_trial(trial)[..., k] == pytest.approx(alone.by_trial(trial)[..., k], abs=1e-9)
     assert 10 < len(pieces(ramp)) < 60
 
 

@@ -15,9 +15,10 @@ from scipy.integrate import solve_ivp
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.model_file import load_model, save_model
-from rrr_oc.calibration.regression import prepare
-from rrr_oc.diagnosis.signatures import columns, context, table, trials, view
+from rrr_oc.calibration.samples import prepare
+from rrr_oc.diagnosis.signatures import SignatureCache, table, trials, view
 from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial
 from rrr_oc.effects.black_box.echo import Echo
 from rrr_oc.effects.black_box.empirical import Empirical
@@ -703,12 +704,12 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
     model, prepared, by_name = arm
-    at = context(prepared[0], model)
+    at = Prediction.of(model, prepared[0].recording)
     recording, rng = prepared[0].recording, np.random.default_rng(20)
     plain = model.output_torque(recording)
     seen = 0
     for trial in some(by_name[name]):
-        raw = columns(at, trial)
+        raw = at.by_trial(trial)
         size = np.sqrt(np.mean(raw**2, axis=(1, 2))).max()
         if size < 1e-9 or trial.size > {"backlash": 0.005, "joint_elasticity": 1e-4}.get(name, np.inf):
             continue  # a wide gap and a soft gear are not small
@@ -729,9 +730,9 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
     """What a table found at one model serves at others, as far as these share what it follows from."""
     model, prepared, by_name = arm
     every = [trial for name in by_name for trial in some(by_name[name])]
-    prepared = [replace(p) for p in prepared]
-    first = table([context(p, model) for p in prepared], every)
-    assert 0.5 * len(every) < len(prepared[0].signatures) < len(every)
+    cache = SignatureCache()
+    first = table(prepared, model, every, cache)
+    assert 0.5 * len(every) < len(cache.sizes[prepared[0]]) < len(every)
     model = replace(model, terms=tuple(t.with_values(1.3 * t.values) for t in model.terms))
     sizes = {
         "load_dependent_friction": 0.1, "torque_gain": -0.2, "torque_offset": 0.5, "time_delay": 0.01, "joint_elasticity": 800.0,
@@ -743,14 +744,14 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
     }
     for names in [*((n,) for n in added), tuple(added), ("torque_gain", "payload_mass"), ("cable_harness", "payload_com"), ()]:
         there = replace(model, terms=(*model.terms, *(added[n] for n in names)))
-        kept = table([context(p, there) for p in prepared], every)
-        anew = table([context(replace(p), there) for p in prepared], every)
+        kept = table(prepared, there, every, cache)
+        anew = table(prepared, there, every)
         for j in range(3):
             np.testing.assert_array_equal(kept.used[j], anew.used[j])
             np.testing.assert_allclose(kept.values[j], anew.values[j], rtol=1e-12, atol=1e-12)
         if names == tuple(added):
             assert any(np.abs(a - b).max() > 0.01 for a, b in zip(first.values, anew.values, strict=True) if a.shape == b.shape)
-    assert all(len(by_model) <= 2 for p in prepared for by_model in p.signatures.values())
+    assert all(count <= 2 for counts in cache.sizes.values() for count in counts)
 
 
 @pytest.mark.parametrize("name", list(CATALOGUE))

@@ -8,10 +8,10 @@ import pytest
 from recorded import Plant, as_set, record
 from scipy.signal import savgol_filter
 
+from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.inverse_dynamics import calibrate, plain_model
-from rrr_oc.calibration.nrmse import error
-from rrr_oc.calibration.prediction_error import SIGNALS, evaluate_inverse, evaluate_simulated, summary, write_predictions
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.prediction_error import SIGNALS, error, evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.rigid_body import rigid_body

@@ -10,8 +10,7 @@ from recorded import Plant, as_set, behind_gear, multisine, record
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
-from rrr_oc.calibration.nrmse import error
-from rrr_oc.calibration.prediction_error import recorded_controller
+from rrr_oc.calibration.prediction_error import error, recorded_controller
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import Recording

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from recorded import Plant, as_set, record
 
-from rrr_oc.calibration.regression import prepare
+from rrr_oc.calibration.samples import prepare
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.model.shared_model import shared_model
 from rrr_oc.robot.robot import load_robot

@@ -26,7 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # pyright: reportAttributeAccessIssue=false
 # (pin's wheel has no stubs)
 
-from rrr_oc.calibration.inverse_dynamics import calibrate, labels
+from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.term_fit import labels
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import differentiate, split
 from rrr_oc.parallel import ordered

@@ -1,18 +1,21 @@
-"""Bounded least squares, and standard errors that hold up where residuals are autocorrelated."""
+"""Covariance and intervals of estimates, robust where residuals are autocorrelated.
+
+The estimator is ours: HAC covariances of statsmodels (Newey–West) weigh lags by a kernel, know no gaps between recordings and no
+Student distribution for short ones, and would give other intervals.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 from scipy.stats import t as student
 
-from rrr_oc.calibration.regression import CORRELATION, Rows
+from rrr_oc.calibration.regression import Rows
+from rrr_oc.calibration.samples import CORRELATION
 
-LEVEL = 0.95
-NULL = 1e-10  # eigenvalue of the scaled normal matrix, over the largest, below which nothing is known of a direction
-MOST_LOST = 10.0  # largest factor by which a variance is corrected for what the fit takes
-FASTEST = 1.0  # [Hz], of the cosines that measure the scores' spectrum at zero frequency
+LEVEL = 0.95  # of confidence intervals
+MOST_LOST = 10.0  # largest factor by which a variance is corrected for the fit; doubled, wider intervals of few-row parameters
+FASTEST = 1.0  # [Hz], of the cosines that measure the scores' spectrum at zero frequency; doubled, more of them, and more bias
 
 
 @dataclass(frozen=True)
@@ -39,62 +42,18 @@ class Covariance:
         return self.matrix / np.outer(scale, scale)
 
 
-def normal_equations(rows: Rows, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """H = Σ_j w_j J_jᵀ J_j (p, p) and g = Σ_j w_j J_jᵀ r_j (p,), for weights of the joints (n,)."""
-    weighted = rows.jacobian * weights[:, None, None]
-    matrix = sum(w.T @ j for w, j in zip(weighted, rows.jacobian, strict=True))
-    right = sum(w.T @ r for w, r in zip(weighted, rows.residual, strict=True))
-    return np.asarray(matrix), np.asarray(right)
-
-
-def box_step(matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """argmin dᵀ H d / 2 − gᵀ d within bounds; of all such, about the one nearest to 0 where H is singular."""
-    scale = scales(matrix)
-    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    known = np.maximum(values, NULL * max(values.max(initial=0.0), 1e-300))
-    target = vectors.T @ (right / scale)
-    step, low, high = vectors @ (target / known), lower * scale, upper * scale
-    if np.any(step < low) or np.any(step > high):
-        free = low < high
-        root = np.sqrt(known)[:, None] * vectors.T[:, free]
-        step = np.zeros_like(step)
-        step[free] = lsq_linear(root, target / np.sqrt(known), (low[free], high[free]), method="bvls").x
-    return step / scale
-
-
-def scales(matrix: np.ndarray) -> np.ndarray:
-    """Norms of the columns that a normal matrix is made of; 1 for a column of zeros."""
-    norms = np.sqrt(np.diag(matrix))
-    return np.where(norms > 0, norms, 1.0)
-
-
-def condition(matrix: np.ndarray) -> float:
-    """Condition number of the Jacobian with columns scaled to length 1, from its normal matrix; infinite if singular."""
-    scale = scales(matrix)
-    values = np.linalg.eigvalsh(matrix / np.outer(scale, scale))
-    return float(np.sqrt(values[-1] / values[0])) if len(values) and values[0] > 1e-15 * values[-1] else float("inf")
-
-
-def undetermined(matrix: np.ndarray) -> np.ndarray:
-    """Which parameters the data do not decide (p,): those that take part in a null direction of the normal matrix."""
-    scale = scales(matrix)
-    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    null = vectors[:, values <= NULL * max(values.max(initial=0.0), 1e-300)]
-    return np.any(np.abs(null) > 1e-3, axis=1) | (np.diag(matrix) <= 0)
-
-
 def covariance(rows: Rows, weights: np.ndarray, bread: np.ndarray, fitted: np.ndarray) -> Covariance:
-    """Covariance of bread @ (Σ of scores), robust to autocorrelation and to unequal variance (a sandwich).
+    """Covariance of bread @ (sum of scores), robust to autocorrelation and heteroscedasticity (a sandwich estimator).
 
-    The long-run variance of the scores s_k = Σ_j w_j J_jkᵀ r_jk is measured stretch by stretch from their first B cosine
-    transforms with equal weights (Lazarus, Lewis, Stock and Watson 2018, EWC): what they measure at frequency 0 follows
-    Student's t with B degrees of freedom; over several stretches Satterthwaite's. B = 0.4 T^(2/3), where T counts the times over
-    which filtered noise is correlated. Residuals are smaller than the noise where the regressors live, since they were fitted
-    there: each variance is divided by what that leaves of it where noise is white (Bell & McCaffrey's idea).
+    The long-run variance of the scores s_k = Σ_j w_j J_jkᵀ r_jk is estimated for each stretch from their first B cosine
+    transforms with equal weights (EWC of Lazarus, Lewis, Stock and Watson 2018), so that an estimate over its standard error
+    follows Student's t with B degrees of freedom; over several stretches, with Satterthwaite's. B = 0.4 T^(2/3), where T is the
+    duration over the correlation time of filtered noise. A fit makes residuals smaller than the noise in the directions of its
+    regressors; each variance is divided by the share that would be left of white noise (Bell & McCaffrey's idea).
 
     Args:
-        bread: (q, p): the inverse of the normal matrix, or what maps it onto other quantities.
-        fitted: (p, p): what the fit maps scores to parameters by: the inverse of the normal matrix of the parameters fitted.
+        bread: (q, p): the inverse of the normal matrix, or that times a linear map of the parameters.
+        fitted: (p, p): the map of the fit from scores to parameters: the inverse of the normal matrix of the fitted parameters.
     """
     size = bread.shape[0]
     total, target, left = np.zeros((size, size)), np.zeros(size), np.zeros(size)
@@ -122,7 +81,7 @@ def covariance(rows: Rows, weights: np.ndarray, bread: np.ndarray, fitted: np.nd
 
 
 def _cosines(count: int, duration: float) -> np.ndarray:
-    """Orthonormal cosines but for the constant, scaled so that a constant spectrum gives the variance of the sum, (B, count)."""
+    """Orthogonal cosines without the constant, scaled so that a flat spectrum gives the variance of the sum, (B, count)."""
     number = int(0.4 * (duration / CORRELATION) ** (2 / 3))
     number = max(1, min(number, int(2 * FASTEST * duration), count - 1))
     k = np.arange(1, number + 1)[:, None]

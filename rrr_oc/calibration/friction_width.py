@@ -1,4 +1,4 @@
-"""How abruptly the friction of each joint changes sign: a property of the joint, estimated like any other, though no effect's parameter."""
+"""How abruptly the friction of each joint changes sign: its smoothing width, estimated as a property of the joint."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -9,32 +9,37 @@ from scipy.linalg import orth
 from scipy.optimize import minimize_scalar
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
-from rrr_oc.calibration.covariance import box_step, normal_equations, scales
-from rrr_oc.calibration.regression import CORRELATION, STRIDE, Prepared, Rows, filtered, rows, with_residuals
+from rrr_oc.calibration.least_squares import box_step, normal_equations
+from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
+from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared
 from rrr_oc.effects import Signals
+from rrr_oc.numerics.rank import lengths, pseudo_inverse
 from rrr_oc.recordings.recording import Recording
 
-WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], between which the best is looked for
-FINE = 0.005  # of a width: a few per cent off already look like a law of low speeds
-COURSES = (0.1, 0.2, 0.4)  # of a joint's highest speed, beyond which friction may have fallen off
-DOUBT = 12.0  # of a squared residual over its variance: below 0.1 % by chance
-WIDER = 0.01  # of a width, of which derivatives by it are made
-SHARPER = 1.2  # factor by which a step may change it
+WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], grid whose best point is refined; its ends bound the width
+FINE = 0.005  # of a width, to which the best is found; doubled, the error looks like friction that varies at low speed
+FALL_OFF = (
+    0.1,
+    0.2,
+    0.4,
+)  # of a joint's highest speed: scales of friction that falls off over speed; doubled, less freedom there
+LEAST_GAIN = 12.0  # of twice the log-likelihood: below 0.1 % by chance; doubled, more joints keep the nominal width
+DIFFERENCE = 0.01  # of a width, for derivatives by it; doubled, no change within the standard errors
+MOST_CHANGE = 1.2  # factor by which one step may change a width; doubled, steps leave the range where derivatives hold
 
 
 def with_widths(
-    prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False, doubt: float = DOUBT
+    prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False, least_gain: float = LEAST_GAIN
 ) -> CalibratedModel:
     """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, that leaves the least residual.
 
-    Another than the model's own only where it is better beyond doubt: where the squared residual, counted in independent
-    samples, falls by more than `doubt`. Inertial parameters that are to be identified are free in the comparison. All friction of a
-    joint changes sign alike, so the other laws of that joint get the same width.
+    The model's own width stays unless another raises twice the log-likelihood, counted in independent samples, by more than
+    `least_gain`. Unknown inertial parameters are free in the comparison. The other friction of a joint gets the same width.
 
     Args:
-        free: Whether the course of friction over speed is left open in the comparison, so that a law which the model lacks is not
-            taken for an abrupt sign.
-        doubt: 0 for the best width, beyond doubt or not.
+        free: Whether friction may also fall off over speed in the comparison, so that such an effect, if the model lacks it, is not
+            taken for an abrupt change of sign.
+        least_gain: 0 for the best width, significant or not.
     """
     columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
     chosen = [i for i, t in enumerate(model.terms) if t.effect.sign_forms and t.width is not None]
@@ -43,26 +48,28 @@ def with_widths(
     found = rows(prepared, model, inertial=model.inertial == "identify")
     fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
     fastest = np.maximum(fastest, 1e-3)  # a joint may stand still
-    speeds = np.array(COURSES if free else ())[:, None] * fastest
+    speeds = np.array(FALL_OFF if free else ())[:, None] * fastest
     widths = {
-        model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds, doubt)
+        model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds, least_gain)
         for i in chosen
     }
     return replace(model, terms=tuple(widened(term, widths) for term in model.terms))
 
 
 def widened(term: Term, widths: Mapping[tuple[int, ...], float]) -> Term:
-    """The term with its joint's width [rad/s], where its law changes sign with the speed, and not at once."""
+    """The term with its joint's width [rad/s], if its effect changes sign with the speed over a width above 0."""
     known = term.effect.width is not None and term.effect.width.unit == "rad/s" and bool(term.width)
     return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 
 
-def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int, speeds: np.ndarray, doubt: float) -> float:
-    """The width of a joint's dry friction, free to fall off beyond speeds (m, n), that leaves least beside all other columns."""
+def _best_width(
+    prepared: Sequence[Prepared], found: Rows, term: Term, column: int, speeds: np.ndarray, least_gain: float
+) -> float:
+    """The best width of a joint's dry friction, which may fall off beyond speeds (m, n), beside all other columns."""
     (j,), own = term.effect.joints, cast(float, term.width)
     others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
-    span = orth(others / scales(others.T @ others))
-    target = found.residual[j] + found.jacobian[j][:, column] * term.values[0]  # as if the joint had no dry friction yet
+    span = orth(others / lengths(others.T @ others))
+    target = found.residual[j] + found.jacobian[j][:, column] * term.values[0]  # the residual without dry friction
     target = target - span @ (span.T @ target)
 
     def left(width: float) -> float:
@@ -71,11 +78,11 @@ def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: i
         return float(np.sum((target - laws @ np.linalg.lstsq(laws, target, rcond=1e-9)[0]) ** 2))
 
     best, count = best_width(left), found.moving[j].sum() * STRIDE / CORRELATION
-    return best if count * (left(own) / max(left(best), 1e-300) - 1) > doubt else own
+    return best if count * (left(own) / max(left(best), 1e-300) - 1) > least_gain else own
 
 
 def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:
-    """The width between the ends of `WIDTHS` that costs least, to a share `fine` of it."""
+    """The width between the ends of `WIDTHS` with the least cost, to a share `fine` of it."""
     costs = [cost(width) for width in WIDTHS]
     k = int(np.argmin(costs))
     ends = WIDTHS[max(k - 1, 0)], WIDTHS[min(k + 1, len(WIDTHS) - 1)]
@@ -92,36 +99,36 @@ def _unit_laws(term: Term, recording: Recording, width: float, speeds: np.ndarra
     return np.array([constant, *(constant * np.exp(-((dq[j] / speed) ** 2)) for speed in speeds)])
 
 
-def sharpened(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
-    """The model with those widths of friction that were fitted moved to where they leave least, all other parameters moving along."""
+def with_step_of_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
+    """The model after one Gauss–Newton step of its fitted widths, in which all other parameters vary too."""
     widths, whole = _by_widths(found, prepared, model)
     if not widths:
         return model
     matrix, right = normal_equations(whole, found.deviation() ** -2)
     most = np.full(len(right), np.inf)
-    most[-len(widths) :] = np.log(SHARPER)
+    most[-len(widths) :] = np.log(MOST_CHANGE)
     steps = box_step(matrix, right, -most, most)[-len(widths) :]
     moved = {at: float(np.clip(w * np.exp(s), WIDTHS[0], WIDTHS[-1])) for (at, w), s in zip(widths.items(), steps, strict=True)}
     return replace(model, terms=tuple(widened(t, moved) for t in model.terms))
 
 
-def clear_of_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel, weights: np.ndarray) -> Rows:
-    """The rows with derivatives less what other widths of friction would take up, where these were fitted: they are estimates, too."""
+def with_widths_free(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel, weights: np.ndarray) -> Rows:
+    """The rows with derivatives less their projection on those by the fitted widths, which are estimates, too."""
     widths, whole = _by_widths(found, prepared, model)
     if not widths:
         return found
     matrix, size = normal_equations(whole, weights)[0], found.jacobian.shape[2]
-    share = np.linalg.pinv(matrix[size:, size:], hermitian=True) @ matrix[size:, :size]
+    share = pseudo_inverse(matrix[size:, size:]) @ matrix[size:, :size]
     return replace(found, jacobian=found.jacobian - whole.jacobian[:, :, size:] @ share)
 
 
 def _by_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[dict[tuple[int, ...], float], Rows]:
-    """Widths of friction that were fitted, by joint, and the rows with derivatives by their logarithms after all others."""
+    """Fitted widths of friction, by joint, and the rows with derivatives by their logarithms after all others."""
     friction = [t for t in model.terms if t.effect.sign_forms]
     widths = {t.effect.joints: cast(float, t.width) for t in friction if t.width not in (None, nominal_term(t.effect).width)}
     columns = [found.jacobian]
     for joints, width in widths.items():
-        there = replace(model, terms=tuple(widened(t, {joints: width * (1 + WIDER)}) for t in model.terms))
+        there = replace(model, terms=tuple(widened(t, {joints: width * (1 + DIFFERENCE)}) for t in model.terms))
         change = found.residual - with_residuals(found, prepared, there).residual
-        columns.append(change[:, :, None] / WIDER)
+        columns.append(change[:, :, None] / DIFFERENCE)
     return widths, replace(found, jacobian=np.concatenate(columns, axis=2))

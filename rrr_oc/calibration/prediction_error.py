@@ -1,14 +1,13 @@
-"""How well a calibrated model predicts recordings, from the measured motion and in simulation."""
+"""How well a calibrated model predicts recordings, from the measured motion and in simulation: NRMSE by signal and joint."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.nrmse import error
-from rrr_oc.numerics.savitzky_golay import WINDOW
+from rrr_oc.numerics.savitzky_golay import WINDOW, smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import BUNDLED
 from rrr_oc.simulation.engine_model import K_P, Controller
@@ -16,7 +15,37 @@ from rrr_oc.simulation.replay import replay, tracking_controller
 from rrr_oc.storage import number, write_csv
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load")
+DROPPED = 0.1  # [s] left out at the start and at the end of a recording
 Errors = dict[str, dict[str, Any]]  # by file, joint and, in simulation, signal: {"nrmse": …, "rmse": …}
+
+
+def error(
+    t: np.ndarray,
+    recorded: np.ndarray,
+    predicted: np.ndarray,
+    segments: Sequence[slice],
+    window: float = WINDOW,
+    dropped: float = DROPPED,
+) -> dict[str, np.ndarray]:
+    """NRMSE [1] and RMSE [unit of the signal] of each row, both smoothed over `window` [s] (order 3), the ends dropped.
+
+    Args:
+        t: Times [s], shape (K,).
+        recorded, predicted: Signals (n, K).
+        segments: Slices of the samples that no filter may cross.
+        dropped: Time left out at both ends [s].
+
+    Returns:
+        `{"nrmse": (n,), "rmse": (n,)}`: RMSE over the standard deviation of the recorded signal, NaN where that is 0 or
+        nothing is left.
+    """
+    kept = (t >= t[0] + dropped) & (t <= t[-1] - dropped)
+    if not kept.any():
+        return {"nrmse": np.full(len(recorded), np.nan), "rmse": np.full(len(recorded), np.nan)}
+    recorded, predicted = (smooth(t, x, segments, window)[:, kept] for x in (recorded, predicted))
+    rmse, spread = np.sqrt(np.mean((predicted - recorded) ** 2, axis=1)), np.std(recorded, axis=1)
+    still = spread <= 1e-12 * np.max(np.abs(recorded), axis=1)  # rounding
+    return {"nrmse": np.where(still, np.nan, rmse / np.where(still, 1.0, spread)), "rmse": rmse}
 
 
 def evaluate_inverse(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:

@@ -7,20 +7,21 @@ would give for the number of coefficients and of trials. Where residuals are aut
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import CORRELATION, STRIDE, Prepared, Rows, kept_rows, rows
-from rrr_oc.diagnosis.signatures import Table, context, table
+from rrr_oc.calibration.regression import Rows, rows
+from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, kept_rows
+from rrr_oc.diagnosis.signatures import SignatureCache, Table, table
 from rrr_oc.effects import Effect, Trial
+from rrr_oc.numerics.rank import UNIQUE, UNIQUE_TOGETHER, Directions, pseudo_inverse
 
 LONGEST = 2.0  # [s], of the lags over which residuals are correlated
 WHITE = 0.11  # [s], over which the common filter correlates white noise
-NULL = 1e-7  # of a scaled eigenvalue: below it a coefficient is not to be told from the rest
 PIECES = 4  # of a recording that alone has an effect, when that is confirmed
 BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
 ALARMS = 0.01  # chance that anything passes for an effect where nothing is missing
@@ -38,12 +39,18 @@ class Bench:
         belief: What is then believed of them beside the recordings: links (10, n) that are bodies, and how surely (10 n, 10 n), as
             `inertial.precision` has it. A few recordings leave much open, on which others depend.
         of: The recordings of which these are some; nothing where these are all.
+        signatures: Signatures computed before.
     """
 
     prepared: tuple[Prepared, ...]
     identify: bool
     belief: tuple[np.ndarray, np.ndarray] | None = None
     of: tuple[Prepared, ...] = ()
+    signatures: SignatureCache = field(default_factory=SignatureCache, compare=False, repr=False)
+
+    def on(self, prepared: tuple[Prepared, ...]) -> "Bench":
+        """The bench of other recordings, without signatures."""
+        return replace(self, prepared=prepared, signatures=SignatureCache())
 
     def part(self, keep: Sequence[int]) -> "Bench":
         """The bench of some of the recordings."""
@@ -165,7 +172,7 @@ class Evidence:
     def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
         """Work out signatures and products."""
         found = rows(bench.prepared, model, bench.identify)
-        signatures = table([context(p, model) for p in bench.prepared], every)
+        signatures = table(bench.prepared, model, every, bench.signatures)
         nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
         return cls(bench, model, found, signatures, *nothing).under(found)
 
@@ -365,7 +372,7 @@ class Evidence:
         inside = _fall(total, total, self.size)
         for one in part:
             rest = total - one
-            lost = np.append(np.diag(rest)[:-1] < NULL * np.diag(total)[:-1], False)  # what this recording alone knows of
+            lost = np.append(np.diag(rest)[:-1] < UNIQUE * np.diag(total)[:-1], False)  # what this recording alone knows of
             rest[lost] = rest[:, lost] = 0.0
             out += _fall(rest, one, self.size)
         return out / max(inside, 1e-300)
@@ -431,13 +438,6 @@ def correlation(found: Rows) -> np.ndarray:
     return np.array(result)
 
 
-def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a normal matrix, with columns scaled and null directions left out."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    scale[scale == 0] = 1.0  # a column of zeros
-    return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
-
-
 def robust_p(evidence: Evidence, candidate: Candidate) -> float:
     """P-value of a trial that holds up where residuals are autocorrelated and of unequal variance: scores by block of time."""
     after = evidence.left_by(candidate)
@@ -449,7 +449,7 @@ def robust_p(evidence: Evidence, candidate: Candidate) -> float:
     blocks = evidence.bench.by_block(scores)
     spread = blocks.T @ blocks
     gain = matrix @ candidate.coefficients
-    statistic = float(gain @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ gain)
+    statistic = float(gain @ Directions.of(spread).solve(gain))
     return float(chi2.sf(statistic, candidate.dimensions))
 
 
@@ -487,14 +487,12 @@ def _solve(matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[floa
     coefficients = np.zeros(len(right))
     if not live.any() or raw.max() <= 0:
         return 0.0, coefficients, 0
-    scale = np.sqrt(raw[live])
-    if live.sum() == 1:
-        share = matrix[live][0, live][0] / raw[live][0]
-        if share < NULL:
+    if live.sum() == 1:  # most trials: without an eigenvalue problem
+        own = matrix[live][0, live]
+        if own[0] < UNIQUE * raw[live][0]:
             return 0.0, coefficients, 0
-        coefficients[live] = right[live] / matrix[live][0, live]
+        coefficients[live] = right[live] / own
         return float(right @ coefficients), coefficients, 1
-    values, vectors = np.linalg.eigh(matrix[np.ix_(live, live)] / np.outer(scale, scale))
-    known = values > NULL * 10
-    coefficients[live] = vectors[:, known] @ ((vectors[:, known].T @ (right[live] / scale)) / values[known]) / scale
-    return float(right @ coefficients), coefficients, int(known.sum())
+    left = Directions.of(matrix[np.ix_(live, live)], UNIQUE_TOGETHER, np.sqrt(raw[live]))
+    coefficients[live] = left.solve(right[live])
+    return float(right @ coefficients), coefficients, int(left.determined.sum())

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import through_filter
 from rrr_oc.diagnosis.contest import Finding
 from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted
@@ -93,7 +92,7 @@ def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarr
             "spring_torque": pull,
         }
         for name, value in values.items():
-            parts.setdefault(name, []).append(through_filter(value, p))
+            parts.setdefault(name, []).append(p.filtered(value))
     return {name: (np.concatenate(found, axis=1), units[name]) for name, found in parts.items()}
 
 

@@ -11,9 +11,11 @@ from scipy.stats import chi2
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.inverse_dynamics import Fit, fit_terms, identify, plain_model
-from rrr_oc.calibration.nrmse import error
-from rrr_oc.calibration.regression import Prepared, prepare, rows, thinned, without_reversals, without_spikes
+from rrr_oc.calibration.inertial_identification import identify
+from rrr_oc.calibration.inverse_dynamics import Fit, fit_terms, plain_model
+from rrr_oc.calibration.prediction_error import error
+from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_reversals, without_spikes
 from rrr_oc.diagnosis.contest import Finding, contested
 from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted, refit
@@ -199,7 +201,7 @@ def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searc
         names = ", ".join(np.array(recordings.joints)[blurred])
         report(f"looking for effects without the moments at which these joints reverse: {names}")
         whole = without_reversals(whole, blurred)
-        bench = replace(bench, prepared=without_reversals(bench.prepared, blurred))
+        bench = bench.on(without_reversals(bench.prepared, blurred))
         found = select_effects(bench, begin, report)
     while turned := other_turns(bench, found):
         names = ", ".join(recordings.joints[j] for j in turned)
@@ -278,16 +280,10 @@ def _folds(bench: Bench) -> tuple[str, list[tuple[Bench, list[int]]]]:
     if count == 1:
         bench, count, way = _blocks(bench), BLOCKS, "blocks"
     else:
-        bench, way = replace(bench, prepared=_lean(bench.prepared)), "recordings"
+        bench, way = bench if bench.signatures.nbytes < HEAVY else bench.on(bench.prepared), "recordings"
     number = min(count, FOLDS_OF_MANY if bench.n >= MANY_JOINTS else FOLDS)
     alike = sorted(range(count), key=lambda i: (*_mounted(bench.prepared[i].recording), bench.labels.index(bench.groups[i])))
     return way, [(bench, sorted(alike[k::number])) for k in range(number)]  # recordings of one set-up go to different folds
-
-
-def _lean(prepared: tuple[Prepared, ...]) -> tuple[Prepared, ...]:
-    """The recordings for other processes, without cached signatures where these are too large to be sent."""
-    size = sum(x.nbytes for p in prepared for found in p.signatures.values() for pair in found.values() for x in pair)
-    return prepared if size < HEAVY else tuple(replace(p) for p in prepared)
 
 
 def _mounted(r: Recording) -> tuple[float, int]:
@@ -308,7 +304,7 @@ def _blocks(bench: Bench) -> Bench:
         )
         piece = replace(r, **arrays, segments=segments, start=float(began))
         pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
-    return replace(bench, prepared=tuple(pieces))
+    return bench.on(tuple(pieces))
 
 
 def _held_out(

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.stats import median_abs_deviation
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
-from rrr_oc.calibration.regression import SPEED_WINDOW, variance, without_reversals
+from rrr_oc.calibration.regression import variance
+from rrr_oc.calibration.samples import SPEED_WINDOW, without_reversals
 from rrr_oc.diagnosis.evidence import Bench
 from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, with_turn
 from rrr_oc.diagnosis.selection import Found, noisy

@@ -13,13 +13,15 @@ from typing import Literal
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.calibration.covariance import normal_equations
 from rrr_oc.calibration.friction_width import best_width, widened, with_widths
-from rrr_oc.calibration.regression import Rows, noise
-from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, chance, pseudo_inverse, robust_p, significant
+from rrr_oc.calibration.least_squares import normal_equations
+from rrr_oc.calibration.regression import Rows
+from rrr_oc.calibration.samples import noise
+from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, chance, robust_p, significant
 from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, steadily_better, with_turn
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.effects import CATALOGUE, Effect
+from rrr_oc.numerics.rank import pseudo_inverse
 
 MOST_EFFECTS = 12  # at which the selection stops; more would only cost time
 EXACT_FITS = 5  # candidates fitted on the exact equations in each round; twice as many cost twice the time

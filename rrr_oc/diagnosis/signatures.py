@@ -5,22 +5,18 @@ what is missing is found by linear algebra on few numbers.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import Prepared
-from rrr_oc.effects import CATALOGUE, Body, Effect, Signals, Trial, View
-from rrr_oc.model.recorded_physics import Physics, later, moved, states_along
-from rrr_oc.numerics.along import along
-from rrr_oc.recordings.recording import Recording
-from rrr_oc.robot.rigid_body import rigid_body, with_payload
+from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.samples import Prepared
+from rrr_oc.effects import CATALOGUE, Trial, View
+from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLE = 400  # positions that trials look at
+Signature = tuple[np.ndarray, np.ndarray]  # where columns are not 0 (m, n), and these, filtered (number of them, M)
 
 
 def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
@@ -57,203 +53,35 @@ def trials(seen: View, torque: str) -> list[Trial]:
 
 
 @dataclass(frozen=True)
-class Context:
-    """A recording at a model: what signatures are made of.
+class SignatureCache:
+    """Filtered signatures that were computed before, shared by all models that are compared on the same recordings.
 
-    Attributes:
-        prepared: The recording.
-        physics: What is at work in it.
-        load, motor: Load torque and motor torque (n, K) [Nm].
-        through: d motor torque / d load torque of each joint (n, K).
-        body: The rigid body with the model's effects, without payload in `Body.payload`.
-        partials: Derivatives of the load torque by q, dq, ddq (n, n, K), the links' parameters (n, 10 n, K) and gravity (n, 3, K).
-        friction: Torque of the plain friction (n, K) [Nm].
-        torque: What is recorded, as in `CalibratedModel.torque`.
+    A `Bench` owns it, and benches of some of its recordings share it; it lives as long as they do. The key is the recording, the
+    trial, and whatever of a model and a trial the signature depends on: of the latter, the first and the latest are kept.
     """
 
-    prepared: Prepared
-    physics: Physics
-    load: np.ndarray
-    motor: np.ndarray
-    through: np.ndarray
-    body: Body
-    partials: tuple[np.ndarray, ...]
-    friction: np.ndarray
-    torque: str
+    _found: dict[Prepared, dict[Hashable, dict[Hashable, Signature]]] = field(default_factory=dict, compare=False, repr=False)
+
+    def once(self, prepared: Prepared, trial: Hashable, depends_on: Hashable, find: Callable[[], Signature]) -> Signature:
+        """The signature of a trial, which `find` computes where there is none."""
+        known = self._found.setdefault(prepared, {}).setdefault(trial, {})
+        if depends_on not in known:
+            signature = find()
+            if len(known) > 1:
+                known.popitem()
+            known[depends_on] = signature
+        return known[depends_on]
 
     @property
-    def recording(self) -> Recording:
-        """With speeds and accelerations from short windows."""
-        return self.prepared.recording
+    def sizes(self) -> dict[Prepared, list[int]]:
+        """Number of signatures kept of each trial, by recording."""
+        return {prepared: [len(known) for known in by_trial.values()] for prepared, by_trial in self._found.items()}
 
-    @cached_property
-    def of_motion(self) -> Signals:
-        """What effects may depend on, as arrays, without what the model has to say."""
-        r = self.recording
-        return Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload)
-
-    @cached_property
-    def signals(self) -> Signals:
-        """What effects may depend on, as arrays."""
-        listed = reversed(self.physics.named()[: len(self.recording.springs)])
-        springs = {effect.joints: (effect, theta, width) for effect, theta, width in listed}
-        return replace(self.of_motion, load=self.load, friction=self.friction, springs=springs)
-
-    @cached_property
-    def gain(self) -> np.ndarray | None:
-        """Recorded over true change of each joint's torque (n,), as the model's sensors have it; None where they delay it."""
-        if any(effect.dynamics == "delay" for effect in self.physics.model.effects):
-            return None
-        return self.physics.passed_on(self.recording, np.ones_like(self.load))[:, 0]
-
-    @cached_property
-    def _at_work(self) -> dict[str, tuple[Any, ...]]:
-        """What is at work with its numbers: what load torques and the rigid body follow from, and what depends on load torques."""
-        named = [(effect, tuple(theta.values()), width) for effect, theta, width in self.physics.named()]
-
-        def of(*sides: str) -> tuple[Any, ...]:
-            return (self.physics.inertial.tobytes(), *(one for one in named if one[0].side in sides))
-
-        load = of("link", "body", "motion")
-        return {
-            "load": load,
-            "body": load if any(effect.moves_link for effect, *_ in named) else of("body", "motion"),
-            "through": tuple(one for one in named if "load" in one[0].inputs and self.torque != "load"),
-        }
-
-    def behind(self, effect: Effect) -> Hashable | None:
-        """What of the model the signature of an effect follows from, before sensors; None where from nearly all of it."""
-        if effect.side == "sensor" or "friction" in effect.inputs:
-            return None
-        felt = range(len(self.load)) if effect.side != "link" else effect.joints
-        through = [one for one in self._at_work["through"] if effect.side != "drive" and one[0].joints[0] in felt]
-        if "load" in effect.inputs or effect.side == "motion" or through:
-            return *through, self._at_work["load"]
-        return self._at_work["body"] if effect.side == "body" else ()
-
-
-def context(prepared: Prepared, model: CalibratedModel) -> Context:
-    """A recording at a model."""
-    r, physics = prepared.recording, model.physics(prepared.recording)
-    n, chain = model.robot.n, physics.model
-    motor, load = physics.torques(r)
-    named = physics.named()
-    body = Body(ca.DM(model.robot.inertial), ca.DM(model.robot.gravity), 0.0, list(model.tool.position))
-    for effect, theta, _ in named:
-        body = effect.change(body, theta)
-    held = float(ca.DM(body.payload))
-    gravity = np.array(ca.DM(ca.vertcat(*body.gravity)) if isinstance(body.gravity, list) else ca.DM(body.gravity)).reshape(3)
-    body = replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.DM(gravity))
-    links = _by_payload(
-        r, lambda m: np.array(ca.evalf(with_payload(ca.SX(body.inertial), model.tool.joint, held + m, body.position)))
-    )
-    links = links[0] if len(links) == 1 else np.concatenate(list(links), axis=1)
-    motion = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(physics.shift(r), 3), strict=True)]
-    found = along(chain.load_partials, *motion, links, gravity, physics.theta, physics.widths)[1:]
-    widths_of = (n, n, n, 10 * n, 3)
-    partials = tuple(
-        np.moveaxis(part.reshape(n, len(r.t), width), 1, 2).copy() for part, width in zip(found, widths_of, strict=True)
-    )
-    friction = np.zeros_like(load)
-    through = np.ones_like(load)
-    plain = Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload)
-    for effect, theta, width in named:
-        if effect.provides == "friction":
-            friction[effect.joints[0]] += np.array(effect.torque(plain, theta, width)[0]).reshape(-1)
-    plain = replace(plain, friction=friction)
-    for effect, theta, width in named:
-        if "load" in effect.inputs and model.torque != "load":
-            more, now = (
-                np.array(effect.torque(replace(plain, load=x), theta, width)[0]).reshape(-1) for x in (load + 1e-6, load)
-            )
-            through[effect.joints[0]] -= (more - now) / 1e-6
-    return Context(prepared, physics, load, motor, through, body, partials, friction, model.torque)
-
-
-def columns(at: Context, trial: Trial) -> np.ndarray:
-    """Change of the predicted recorded torque for each coefficient, unfiltered, (m, n, K) [Nm]."""
-    true = _before_sensors(at, trial)
-    if trial.effect.side == "sensor":
-        return true
-    return np.array([at.physics.passed_on(at.recording, change) for change in true])
-
-
-def _before_sensors(at: Context, trial: Trial) -> np.ndarray:
-    """Change of the predicted torque as no sensor distorts it, or of what one records, where the effect is one of sensors."""
-    effect, r = trial.effect, at.recording
-    result = np.zeros((len(trial.points), *r.q.shape))
-    if "springs" in effect.inputs and effect.joints not in (at.signals.springs or {}):
-        return result
-    if effect.side in ("link", "drive"):
-        signals = at.signals if effect.inputs else at.of_motion
-        if (basis := effect.basis(signals, trial.width)) is not None:
-            coefficients = np.array([[point[a] for a in effect.amplitudes] for point in trial.points])
-            result[:, effect.joints[0]] = -coefficients @ np.array(basis)
-        else:
-            for k, theta in enumerate(trial.points):
-                _add(
-                    result[k], effect, effect.torque(_with_states(signals, r, trial, theta, at.load), theta, trial.width), -1.0
-                )
-    else:
-        for k, theta in enumerate(trial.points):
-            if effect.side == "sensor":
-                true = at.load if at.torque == "load" else at.motor
-                if effect.dynamics == "delay":
-                    result[k] = later(r, true, effect.delay(theta)) - true
-                else:
-                    _add(result[k], effect, effect.torque(replace(at.signals, load=true), theta, trial.width))
-            else:
-                result[k] = _of_body(at, effect, theta) if effect.side == "body" else _of_motion(at, trial, theta)
-    if effect.side not in ("sensor", "drive"):
-        result *= at.through
-    return result / trial.size
-
-
-def _add(change: np.ndarray, effect, torques, sign: float = 1.0) -> None:
-    for j, torque in zip(effect.joints, torques, strict=True):
-        change[j] += sign * np.array(torque).reshape(-1)
-
-
-def _with_states(signals: Signals, recording: Recording, trial: Trial, theta, load: np.ndarray) -> Signals:
-    if not trial.effect.states:
-        return signals
-    return replace(signals, states=list(states_along(recording, trial.effect, theta, trial.width, load)))
-
-
-def _of_body(at: Context, effect, theta) -> np.ndarray:
-    r, tool = at.recording, at.physics.model.tool.joint
-
-    def more(mass: float) -> np.ndarray:
-        base = replace(at.body, payload=at.body.payload + mass)
-        there = effect.change(base, theta)
-        links = [np.array(with_payload(ca.DM(b.inertial), tool, b.payload, b.position)) for b in (base, there)]
-        gravity = ca.vertcat(*there.gravity) if isinstance(there.gravity, list) else there.gravity
-        pull = np.array(ca.evalf(ca.SX(gravity) - ca.SX(base.gravity))).reshape(3)
-        return np.concatenate([(links[1] - links[0]).T.reshape(-1), pull])
-
-    change, total = _by_payload(r, more), np.zeros_like(at.load)
-    for by, part in ((at.partials[3], change[:, :-3]), (at.partials[4], change[:, -3:])):
-        used = np.flatnonzero(np.any(part, axis=0))
-        if len(used):
-            total += np.einsum("ick,kc->ik", by[:, used], np.broadcast_to(part[:, used], (len(r.t), len(used))))
-    return total
-
-
-def _by_payload(recording: Recording, affine: Callable[[float], np.ndarray]) -> np.ndarray:
-    """What is affine in the listed payload [kg] at every sample, (K, …), or where that never changes (1, …)."""
-    low, high = float(recording.payload.min()), float(recording.payload.max())
-    first = affine(low)
-    if low == high:
-        return first[None]
-    share = (recording.payload - low) / (high - low)
-    return first + share.reshape(-1, *np.ones(first.ndim, int)) * (affine(high) - first)
-
-
-def _of_motion(at: Context, trial: Trial, theta) -> np.ndarray:
-    by_q, _, by_ddq = at.partials[:3]
-    shift = moved(at.recording, trial.effect, theta, trial.width, at.load, lambda j: (by_q[j, j], by_ddq[j, j]))
-    parts = np.split(shift, 3)
-    return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(at.partials[:3], parts, strict=True)], axis=0)
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all signatures."""
+        by_trial = [known for one in self._found.values() for known in one.values()]
+        return sum(x.nbytes for known in by_trial for signature in known.values() for x in signature)
 
 
 @dataclass(frozen=True)
@@ -273,13 +101,15 @@ class Table:
     used: tuple[np.ndarray, ...]
 
 
-def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
-    """The signatures of trials at a model, filtered, at the rows that `regression.rows` keeps."""
-    every = tuple(every)
+def table(
+    prepared: Sequence[Prepared], model: CalibratedModel, every: Iterable[Trial], cache: SignatureCache | None = None
+) -> Table:
+    """The signatures of trials at a model, filtered, at the rows of `regression.rows`; those in a cache are not computed again."""
+    every, cache = tuple(every), cache or SignatureCache()
     start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
-    found = [[_passed(at, trial) for trial in every] for at in contexts]
+    found = [_signatures(p, model, every, cache) for p in prepared]
     live = np.array([np.concatenate([where for where, _ in part]) for part in found])  # (R, columns, n)
-    edges = np.cumsum([0, *(at.prepared.counted.shape[1] for at in contexts)])
+    edges = np.cumsum([0, *(p.counted.shape[1] for p in prepared)])
     values, used = [], []
     for j in range(live.shape[2]):
         own = np.flatnonzero(live[:, :, j].any(axis=0))
@@ -297,27 +127,25 @@ def table(contexts: Sequence[Context], every: Iterable[Trial]) -> Table:
     return Table(every, start, tuple(values), tuple(used))
 
 
-def _passed(at: Context, trial: Trial) -> tuple[np.ndarray, np.ndarray]:
-    """Where a trial's columns are not 0 (m, n), and these, filtered (number of them, M).
+def _signatures(prepared: Prepared, model: CalibratedModel, every: Sequence[Trial], cache: SignatureCache) -> list[Signature]:
+    """The signatures of trials at a recording."""
+    at = Prediction.of(model, prepared.recording)
+    return [_signature(prepared, at, trial, cache) for trial in every]
 
-    What the same parts of a model gave before, at first or last, is taken as it was; of series there are too many to keep.
-    """
+
+def _signature(prepared: Prepared, at: Prediction, trial: Trial, cache: SignatureCache) -> Signature:
+    """A trial's signature at a recording; from the cache, except that series are too many to keep."""
     effect, gain = trial.effect, at.gain
-    behind = None if effect.validity or gain is None else at.behind(effect)
-    kept = behind is not None
-    follows = trial.width, behind
-    key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
-    before = at.prepared.signatures.setdefault(key, {}) if kept else {}
-    if follows in before:
-        where, passed = before[follows]
+
+    def find() -> Signature:
+        return prepared.nonzero_passed(at.by_trial(trial) if gain is None else at.before_sensors(trial), 1)
+
+    parts = None if effect.validity or gain is None else at.depends_on(effect)
+    if parts is None:
+        where, passed = find()
     else:
-        raw = columns(at, trial) if gain is None else _before_sensors(at, trial)
-        where = np.any(raw != 0, axis=2)
-        passed = at.prepared.passed(raw[where], np.nonzero(where)[1])
-        if kept:
-            if len(before) > 1:
-                before.popitem()
-            before[follows] = where, passed
+        key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
+        where, passed = cache.once(prepared, key, (trial.width, parts), find)
     if gain is None or effect.side == "sensor" or np.all(gain == 1.0):
         return where, passed
     return where, passed * gain[np.nonzero(where)[1], None]

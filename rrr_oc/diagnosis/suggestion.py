@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import Prepared, rows
+from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.samples import Prepared
 from rrr_oc.diagnosis.contest import Finding
-from rrr_oc.diagnosis.evidence import pseudo_inverse
-from rrr_oc.diagnosis.signatures import context, table, trials
+from rrr_oc.diagnosis.signatures import table, trials
 from rrr_oc.effects import Trial, View
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Search, excite
@@ -20,6 +20,7 @@ from rrr_oc.excitation.information import information, model_sensitivity
 from rrr_oc.excitation.limits import Limits, Rig, robot_limits
 from rrr_oc.excitation.sweeps import times
 from rrr_oc.model.motion import Motion
+from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
@@ -171,7 +172,7 @@ def _trial(finding: Finding) -> Trial:
 def _difference(motion: Prepared, plain: CalibratedModel, own: Trial, rival: Sequence[Trial]) -> float:
     """χ² of the effect's torque that neither the rival, in any of its shapes, nor the plain parameters explain."""
     found = rows([motion], plain)
-    signatures = table([context(motion, plain)], [own, *rival])
+    signatures = table([motion], plain, [own, *rival])
     total = 0.0
     deviation = np.where(np.isfinite(plain.noise), plain.noise, 1.0)
     columns = int(signatures.start[-1])

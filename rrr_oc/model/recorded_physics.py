@@ -22,6 +22,22 @@ Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
 
 
+class _Memory:
+    """Results for one motion: owned by a `Physics`, by name, until another motion is asked for."""
+
+    def __init__(self) -> None:
+        self._motion: Motion | None = None
+        self._found: dict[str, Any] = {}
+
+    def once(self, name: str, find: Callable[[Motion], Any], motion: Motion) -> Any:
+        """What `find` returns for a motion, computed at the first call."""
+        if motion is not self._motion:
+            self._motion, self._found = motion, {}
+        if name not in self._found:
+            self._found[name] = find(motion)
+        return self._found[name]
+
+
 @dataclass(frozen=True)
 class Physics:
     """A model with the numbers that go into it; `motion` below is the recorded one, as the encoders see it.
@@ -37,8 +53,7 @@ class Physics:
     theta: np.ndarray
     widths: np.ndarray
     inertial: np.ndarray
-    # Results for the motion asked for last, by their name; kept until another motion is asked for.
-    _latest: dict[str, tuple[Motion, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    _memory: _Memory = field(default_factory=_Memory, init=False, compare=False, repr=False)
 
     @staticmethod
     def inputs(motion: Motion) -> tuple[np.ndarray, ...]:
@@ -52,7 +67,7 @@ class Physics:
 
     def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the motion needs, each (n, K) [Nm]."""
-        return self._remembered("torques", self._find_torques, motion)
+        return self._memory.once("torques", self._find_torques, motion)
 
     def _find_torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         states = self.states(motion)
@@ -79,13 +94,7 @@ class Physics:
 
     def _moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
         """Displacements of the links by effect, and the reaction of the links behind elastic gears if there are any."""
-        return self._remembered("moved", self._find_moved, motion)
-
-    def _remembered(self, name: str, find: Callable[[Motion], Any], motion: Motion) -> Any:
-        """`find(motion)`, computed once for the same motion."""
-        if name not in self._latest or self._latest[name][0] is not motion:
-            self._latest[name] = motion, find(motion)
-        return self._latest[name][1]
+        return self._memory.once("moved", self._find_moved, motion)
 
     def _find_moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
         found: Shifts = {}
@@ -197,7 +206,7 @@ class Physics:
 
     def states(self, motion: Motion) -> np.ndarray:
         """Internal states of the effects along the motion, (number of states, K)."""
-        return self._remembered("states", self._find_states, motion)
+        return self._memory.once("states", self._find_states, motion)
 
     def _find_states(self, motion: Motion) -> np.ndarray:
         named = [one for one in self.named() if one[0].states]

@@ -7,6 +7,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
+from rrr_oc.numerics.rank import independent_columns
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import Robot
 
@@ -59,13 +60,8 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     )  # the regressor does not depend on it; its expression divides by the mass
     matrix = np.array(regressor(*states, body)).reshape(n * count, 10 * n)
     upper = np.asarray(np.linalg.qr(matrix / np.sqrt(n * count), mode="r"))
-    independent: list[int] = []
-    for column in range(10 * n):  # the diagonal of R alone is unreliable after a dependent column
-        basis, target = upper[:, independent], upper[:, column]
-        rest = target - basis @ np.linalg.lstsq(basis, target, rcond=None)[0] if independent else target
-        if np.linalg.norm(rest) > 1e-8 * max(1.0, np.linalg.norm(target)):
-            independent.append(column)
-    chosen, dependent = np.array(independent, int), np.setdiff1d(np.arange(10 * n), independent)
+    chosen = independent_columns(upper)  # the diagonal of R alone is unreliable after a dependent column
+    dependent = np.setdiff1d(np.arange(10 * n), chosen)
     mixing = np.linalg.lstsq(upper[:, chosen], upper[:, dependent], rcond=None)[0]
     mixing[np.abs(mixing) < 1e-9] = 0.0
     names = tuple(_name(robot, int(c), row, dependent) for c, row in zip(chosen, mixing, strict=True))
@@ -125,6 +121,12 @@ def from_log_cholesky() -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
         return np.array(found).ravel(), np.array(jacobian)
 
     return evaluate
+
+
+def links_from_log_cholesky(xi: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Inertial parameters (10, n) of links with coordinates (10 n,), and each link's derivatives (10, 10)."""
+    parts = [from_log_cholesky()(link) for link in xi.reshape(-1, 10)]
+    return np.stack([p for p, _ in parts], axis=1), [j for _, j in parts]
 
 
 def to_log_cholesky(parameters: np.ndarray) -> np.ndarray:

@@ -1,0 +1,194 @@
+"""Identification of the links' inertial parameters together with the terms' parameters; the links stay physically consistent.
+
+Least squares in log-Cholesky coordinates of the pseudo-inertias (Rucker & Wensing 2022), with a wide prior about the URDF's links
+(`Prior`), which determines what the recordings do not.
+"""
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.covariance import Covariance, covariance, intervals
+from rrr_oc.calibration.friction_width import with_widths_free
+from rrr_oc.calibration.inverse_dynamics import Fit, checked_rows, described, finished, fit_report
+from rrr_oc.calibration.least_squares import LevenbergMarquardt, Problem, Quadratic, minimise, normal_equations
+from rrr_oc.calibration.regression import Rows, rows
+from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, without_spikes
+from rrr_oc.calibration.term_fit import bounds, with_estimates, with_parameter_values
+from rrr_oc.numerics.rank import condition, pseudo_inverse
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.robot.inertial_parameters import Prior, base_parameters, links_from_log_cholesky, prior, pseudo_inertia
+from rrr_oc.storage import number
+
+OPTIONS = LevenbergMarquardt(steps=200, gain=2e-6)  # of the squared residual over its variance
+ROUNDS = (
+    4  # of fit and rows: weights and spikes depend on the residual, and load-dependent effects on the load; doubled, no change
+)
+SHARE_LEFT = 1e-7  # of a column's square that the others do not explain: less, and its parameter is fixed; doubled, no change
+FIXED = 1e12  # precision of a fixed parameter in the covariance; that of the prior is about 1
+
+
+@dataclass(frozen=True)
+class _ConsistentFit(Problem[np.ndarray]):
+    """Least squares in the terms' parameters and log-Cholesky coordinates xi, (size + 10 n,).
+
+    The rows are linear in the terms' and the inertial parameters, so their normal equations hold everywhere.
+
+    Attributes:
+        matrix, right: Normal equations of the rows.
+        origin: Terms' and inertial parameters at which they were made.
+        lower, upper: Bounds of the parameters.
+        guess: Prior of xi.
+    """
+
+    matrix: np.ndarray
+    right: np.ndarray
+    origin: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    guess: Prior
+
+    @property
+    def size(self) -> int:
+        """Number of the terms' parameters."""
+        return len(self.origin) - len(self.guess.centre)
+
+    def cost(self, at: np.ndarray) -> float:
+        """Squared residuals of rows and prior, but for a constant."""
+        moved = np.concatenate([at[: self.size], links_from_log_cholesky(at[self.size :])[0].T.ravel()]) - self.origin
+        believed = np.sum(((at[self.size :] - self.guess.centre) / self.guess.std) ** 2)
+        return float(moved @ self.matrix @ moved - 2 * self.right @ moved + believed)
+
+    def quadratic(self, at: np.ndarray) -> Quadratic:
+        size = self.size
+        inertial, jacobians = links_from_log_cholesky(at[size:])
+        turn, moved = _turn(jacobians, size), np.concatenate([at[:size], inertial.T.ravel()]) - self.origin
+        matrix, right = turn.T @ self.matrix @ turn, turn.T @ (self.right - self.matrix @ moved)
+        matrix[range(size, len(at)), range(size, len(at))] += self.guess.std**-2
+        right[size:] -= (at[size:] - self.guess.centre) / self.guess.std**2
+        return Quadratic(self.cost(at), matrix, right, self.lower - at, self.upper - at)
+
+    def tried(self, at: np.ndarray, steps: Sequence[np.ndarray]) -> Iterable[tuple[np.ndarray, float]]:
+        return [(at + step, self.cost(at + step)) for step in steps]
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """A model at the optimum with its rows, weights of the joints, coordinates xi, prior, and which parameters are fixed at 0."""
+
+    model: CalibratedModel
+    rows: Rows
+    weights: np.ndarray
+    xi: np.ndarray
+    guess: Prior
+    fixed: np.ndarray
+
+
+def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:
+    """The parameters of a model's terms together with all inertial parameters of the links.
+
+    A parameter whose effect no motion tells from that of its link's inertia, such as an armature, is fixed at 0; the link's inertia
+    then holds it.
+
+    Raises:
+        UserError: The recordings are too short for the filter.
+    """
+    began, robot, guess = time.perf_counter(), start.robot, prior(start.robot)
+    xi, model = guess.centre.copy(), start
+    found = checked_rows(recordings, prepared, start, inertial=True)
+    fixed = np.zeros(len(start.values), bool)
+    for done in range(ROUNDS):
+        fixed = _explained(normal_equations(found, np.ones(robot.n))[0], len(fixed))
+        at = minimise(*_problem(found, model, xi, guess, fixed), OPTIONS)
+        values, xi = at[: len(fixed)], at[len(fixed) :]
+        links = replace(robot, inertial=links_from_log_cholesky(xi)[0])
+        model = replace(start, terms=with_parameter_values(start.terms, values), robot=links)
+        prepared = without_spikes(prepared, model) if done == 1 else prepared
+        found = rows(prepared, model, inertial=True)
+    optimum = _Optimum(model, found, _weights(found), xi, guess, fixed)
+    return _estimated(recordings, prepared, optimum, began)
+
+
+def _problem(found: Rows, model: CalibratedModel, xi: np.ndarray, guess: Prior, fixed: np.ndarray):
+    """The problem of the rows of a model, and the point to start from."""
+    matrix, right = normal_equations(found, _weights(found))
+    origin = np.concatenate([model.values, links_from_log_cholesky(xi)[0].T.ravel()])
+    lower, upper = (np.where(fixed, 0.0, bound) for bound in bounds(model.terms))
+    free = np.full(len(xi), np.inf)
+    lower, upper = np.concatenate([lower, -free]), np.concatenate([upper, free])
+    start = np.clip(np.concatenate([model.values, xi]), lower, upper)
+    return _ConsistentFit(matrix, right, origin, lower, upper, guess), start
+
+
+def _weights(found: Rows) -> np.ndarray:
+    """Of the joints, 1/variance of the residual, times the share of rows that are independent, (n,)."""
+    return found.deviation() ** -2 * STRIDE / CORRELATION
+
+
+def _explained(matrix: np.ndarray, size: int) -> np.ndarray:
+    """Which of the first `size` columns of a normal matrix's rows the others explain, among them those after `size`, (size,)."""
+    result = np.zeros(size, bool)
+    for i in range(size):
+        others = np.flatnonzero((np.arange(len(matrix)) != i) & (np.diag(matrix) > 0))
+        rest = matrix[i, i] - matrix[i, others] @ pseudo_inverse(matrix[np.ix_(others, others)]) @ matrix[others, i]
+        result[i] = matrix[i, i] <= 0 or rest < SHARE_LEFT * matrix[i, i]
+    return result
+
+
+def _turn(jacobians: Sequence[np.ndarray], size: int) -> np.ndarray:
+    """d (terms' and inertial parameters) / d (terms' parameters, log-Cholesky coordinates)."""
+    turn = np.eye(size + 10 * len(jacobians))
+    for i, jacobian in enumerate(jacobians):
+        at = slice(size + 10 * i, size + 10 * i + 10)
+        turn[at, at] = jacobian
+    return turn
+
+
+def _estimated(recordings: RecordingSet, prepared: Sequence[Prepared], at: _Optimum, began: float) -> Fit:
+    """The model with its estimates and report, at the optimum."""
+    model, size = at.model, len(at.fixed)
+    turn = _turn(links_from_log_cholesky(at.xi)[1], size)
+    known = with_widths_free(at.rows, prepared, model, at.weights)
+    matrix, _ = normal_equations(known, at.weights)
+    precision = np.concatenate([np.where(at.fixed, FIXED, 0.0), at.guess.std**-2])
+    bread = np.linalg.pinv(turn.T @ matrix @ turn + np.diag(precision), hermitian=True)
+    whole = covariance(known, at.weights, bread @ turn.T, turn @ bread @ turn.T)
+    whole = replace(whole, matrix=whole.matrix + bread @ np.diag(precision) @ bread)
+    spread = Covariance(whole.matrix[:size, :size], whole.freedom[:size])
+    model = replace(model, terms=with_estimates(model.terms, described(model, model.values, spread, ~at.fixed)))
+    report = {"way": "inverse dynamics, inertial parameters identified"}
+    report |= fit_report(model, prepared, at.rows, matrix[:size, :size], spread)
+    report |= _inertial_report(
+        model, matrix[size:, size:], turn[size:, size:], replace(whole, matrix=whole.matrix[size:, size:])
+    )
+    return Fit(finished(recordings, prepared, model, report, began), at.rows, at.weights, spread)
+
+
+def _inertial_report(model: CalibratedModel, matrix: np.ndarray, turn: np.ndarray, spread: Covariance) -> dict[str, Any]:
+    """Base parameters with intervals, their conditioning, and the least eigenvalue of the pseudo-inertias.
+
+    Args:
+        matrix: Normal matrix of the inertial parameters (10 n, 10 n).
+        turn: Their derivatives by the log-Cholesky coordinates.
+        spread: Covariance of these coordinates.
+    """
+    base = base_parameters(model.robot)
+    project = base.projection @ turn
+    values = base.projection @ model.robot.inertial.T.ravel()
+    freedom = np.full(len(base.names), float(np.min(spread.freedom)))
+    spread = Covariance(project @ spread.matrix @ project.T, freedom)
+    infinite = np.full(len(values), np.inf)
+    between = intervals(values, spread.half_width, -infinite, infinite)
+    parameters = zip(base.names, base.units, values, spread.std, between, strict=True)
+    return {
+        "base_parameters": [
+            {"name": name, "unit": unit, "value": float(v), "std": float(s), "interval": list(i)}
+            for name, unit, v, s, i in parameters
+        ],
+        "base_condition": number(condition(matrix[np.ix_(base.independent, base.independent)])),
+        "smallest_pseudo_inertia": float(min(np.linalg.eigvalsh(pseudo_inertia(x))[0] for x in model.robot.inertial.T)),
+    }

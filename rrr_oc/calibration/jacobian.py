@@ -1,0 +1,287 @@
+"""Derivatives of the torque that a model predicts for a recording: by its parameters, and by effects that it lacks.
+
+One class computes both, since both follow the same chain: an effect changes the motion of the links, a body, or a torque at the
+links or in the drives; drives pass a change of load torque on to the motor torque; sensors pass that on to what is recorded.
+
+Two things remain apart. By parameters, derivatives are those at the present values, exact or by differences of the whole model.
+By an effect that the model lacks, they are those at size 0 in the direction of a finite shape, from the chain's own derivatives
+and with no model built: there are hundreds of such effects, and a model of each would take a thousand times as long.
+"""
+
+import itertools
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.effects import Body, Effect, Signals, Trial
+from rrr_oc.model.recorded_physics import Physics, later, moved, states_along
+from rrr_oc.numerics.along import along
+from rrr_oc.recordings.recording import Recording
+from rrr_oc.robot.rigid_body import with_payload
+
+LOAD_STEP = 1e-6  # [Nm], for derivatives of friction by the load torque; doubled, no change
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a model predicts for a recording, to first order.
+
+    Attributes:
+        model: The model.
+        recording: With speeds and accelerations from short windows.
+        physics: `model.physics(recording)`.
+    """
+
+    model: CalibratedModel
+    recording: Recording
+    physics: Physics
+
+    @classmethod
+    def of(cls, model: CalibratedModel, recording: Recording) -> "Prediction":
+        """The prediction of a model for a recording."""
+        return cls(model, recording, model.physics(recording))
+
+    def by_parameters(self, inertial: bool = False, last: bool = False) -> np.ndarray:
+        """d `CalibratedModel.output_torque` / d (parameters of the terms, inertial parameters), (n, K, p).
+
+        Args:
+            inertial: Whether the derivatives by the inertial parameters (10, n) are wanted too, link by link.
+            last: Whether only those by the parameters of the last term are wanted.
+        """
+        terms, physics, r = self.model.terms[-1:] if last else self.model.terms, self.physics, self.recording
+        result = self._by_terms(terms)
+        if inertial:
+            result = np.concatenate([result, self._sensitivity("inertial")], axis=2)
+        if any(t.effect.side == "sensor" for t in self.model.terms):
+            for k in range(result.shape[2]):
+                result[:, :, k] = physics.passed_on(r, result[:, :, k])
+        which = [i for i, t in enumerate(terms) if _needs_differences(t) and t.holds_for(r)]
+        if which:
+            numbers, columns = self._places(terms)
+            true = self.model.true_torque(r, physics)
+            found = physics.by_differences(r, [numbers[i] for i in which], true, self.model.torque == "load")
+            for i, part in zip(which, found, strict=True):
+                result[:, :, columns[i]] = part
+        return result
+
+    def by_trial(self, trial: Trial) -> np.ndarray:
+        """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm]."""
+        true = self.before_sensors(trial)
+        if trial.effect.side == "sensor":
+            return true
+        return np.array([self.physics.passed_on(self.recording, change) for change in true])
+
+    def before_sensors(self, trial: Trial) -> np.ndarray:
+        """As `by_trial`, but as a perfect sensor records it, unless the trial's effect is one of sensors."""
+        effect, shape = trial.effect, self.recording.q.shape
+        if "springs" in effect.inputs and effect.joints not in (self.signals.springs or {}):
+            return np.zeros((len(trial.points), *shape))
+        result = self._of_series(trial) if effect.side in ("link", "drive") else None
+        if result is None:
+            changes = {"body": self._of_body, "motion": self._of_motion, "sensor": self._of_sensor}
+            change = changes.get(effect.side, self._of_torque)
+            result = np.array([change(effect, theta, trial.width) for theta in trial.points]).reshape(-1, *shape)
+        if effect.side not in ("sensor", "drive"):
+            result *= self.through
+        return result / trial.size
+
+    def depends_on(self, effect: Effect) -> Hashable | None:
+        """The parts of the model on which `before_sensors` depends for an effect; None where on nearly all of it."""
+        if effect.side == "sensor" or "friction" in effect.inputs:
+            return None
+        felt = range(self.model.robot.n) if effect.side != "link" else effect.joints
+        through = [one for one in self._at_work["through"] if effect.side != "drive" and one[0].joints[0] in felt]
+        if "load" in effect.inputs or effect.side == "motion" or through:
+            return *through, self._at_work["load"]
+        return self._at_work["body"] if effect.side == "body" else ()
+
+    @cached_property
+    def gain(self) -> np.ndarray | None:
+        """Recorded over true change of each joint's torque (n,), by the model's sensors; None where they delay it."""
+        if any(effect.dynamics == "delay" for effect in self.physics.model.effects):
+            return None
+        return self.physics.passed_on(self.recording, np.ones_like(self.recording.q))[:, 0]
+
+    @cached_property
+    def of_motion(self) -> Signals:
+        """The signals on which effects may depend, as arrays, without those that the model predicts."""
+        r = self.recording
+        return Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload)
+
+    @cached_property
+    def signals(self) -> Signals:
+        """The signals on which effects may depend, as arrays."""
+        listed = reversed(self.physics.named()[: len(self.recording.springs)])
+        springs = {effect.joints: (effect, theta, width) for effect, theta, width in listed}
+        return replace(self.of_motion, load=self.load, friction=self.friction, springs=springs)
+
+    @property
+    def load(self) -> np.ndarray:
+        """Load torque (n, K) [Nm]."""
+        return self.physics.torques(self.recording)[1]
+
+    @cached_property
+    def friction(self) -> np.ndarray:
+        """Torque of the plain friction (n, K) [Nm]."""
+        result = np.zeros_like(self.load)
+        for effect, theta, width in self.physics.named():
+            if effect.provides == "friction":
+                result[effect.joints[0]] += np.array(effect.torque(self.of_motion, theta, width)[0]).reshape(-1)
+        return result
+
+    @cached_property
+    def through(self) -> np.ndarray:
+        """d (what is recorded) / d (load torque) of each joint, (n, K): 1 but for friction that grows with the load."""
+        result, signals = np.ones_like(self.load), replace(self.of_motion, friction=self.friction)
+        for effect, theta, width in self.physics.named():
+            if "load" in effect.inputs and self.model.torque != "load":
+                more, now = (
+                    np.array(effect.torque(replace(signals, load=x), theta, width)[0]).reshape(-1)
+                    for x in (self.load + LOAD_STEP, self.load)
+                )
+                result[effect.joints[0]] -= (more - now) / LOAD_STEP
+        return result
+
+    @cached_property
+    def body(self) -> Body:
+        """The rigid body with the model's effects, without the listed payload."""
+        body = Body(ca.DM(self.model.robot.inertial), ca.DM(self.model.robot.gravity), 0.0, list(self.model.tool.position))
+        for effect, theta, _ in self.physics.named():
+            body = effect.change(body, theta)
+        gravity = ca.vertcat(*body.gravity) if isinstance(body.gravity, list) else body.gravity
+        return replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.evalf(ca.SX(gravity)))
+
+    @cached_property
+    def partials(self) -> tuple[np.ndarray, ...]:
+        """Derivatives of the load torque by q, dq, ddq (n, n, K), the links' parameters (n, 10 n, K) and gravity (n, 3, K)."""
+        r, n, body, tool = self.recording, self.model.robot.n, self.body, self.model.tool.joint
+        held = float(ca.DM(body.payload))
+
+        def carried(mass: float) -> np.ndarray:
+            return np.array(ca.evalf(with_payload(ca.SX(body.inertial), tool, held + mass, body.position)))
+
+        links = _by_payload(r, carried)
+        links = links[0] if len(links) == 1 else np.concatenate(list(links), axis=1)
+        motion = [x + s for x, s in zip((r.q, r.dq, r.ddq), np.split(self.physics.shift(r), 3), strict=True)]
+        values = links, np.array(body.gravity).reshape(3), self.physics.theta, self.physics.widths
+        found = along(self.physics.model.load_partials, *motion, *values)[1:]
+        columns = (n, n, n, 10 * n, 3)
+        return tuple(np.moveaxis(x.reshape(n, len(r.t), c), 1, 2).copy() for x, c in zip(found, columns, strict=True))
+
+    @cached_property
+    def _at_work(self) -> dict[str, tuple[Any, ...]]:
+        """Effects with their numbers on which load torques, rigid body, and the way from load to motor torque depend."""
+        named = [(effect, tuple(theta.values()), width) for effect, theta, width in self.physics.named()]
+
+        def of(*sides: str) -> tuple[Any, ...]:
+            return (self.physics.inertial.tobytes(), *(one for one in named if one[0].side in sides))
+
+        load = of("link", "body", "motion")
+        return {
+            "load": load,
+            "body": load if any(effect.moves_link for effect, *_ in named) else of("body", "motion"),
+            "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
+        }
+
+    def _places(self, terms: Sequence[Term]) -> tuple[list[int], list[slice]]:
+        """Number of each term's effect in `Physics`, if it holds, and its columns in the Jacobian.
+
+        The effects of a recording are the springs that it lists, then the terms that hold; `terms` are the last of these.
+        """
+        holding = np.cumsum([t.holds_for(self.recording) for t in terms])
+        first = len(self.physics.model.effects) - int(holding[-1])
+        ends = np.cumsum([0, *(len(t.estimates) for t in terms)])
+        return (holding - 1 + first).tolist(), [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+    def _by_terms(self, terms: Sequence[Term]) -> np.ndarray:
+        """Exact derivatives of the true torque by the terms' parameters; 0 for terms that do not hold or have no expression."""
+        sizes = [len(t.estimates) for t in terms]
+        result = np.zeros((self.model.robot.n, len(self.recording.t), sum(sizes)))
+        if all(_needs_differences(t) for t in terms):
+            return result
+        by_theta = self._sensitivity("theta")
+        holding = np.repeat([t.holds_for(self.recording) for t in terms], sizes)
+        result[:, :, holding] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(holding) :]
+        return result
+
+    def _sensitivity(self, by: str) -> np.ndarray:
+        physics, r = self.physics, self.recording
+        function = physics.model.sensitivity("load" if self.model.torque == "load" else "motor", by)
+        n, columns = physics.model.robot.n, function.size2_out(0)
+        if columns == 0:
+            return np.zeros((n, len(r.t), 0))
+        (found,) = along(function, *physics.inputs(r), physics.theta, physics.widths, physics.inertial)
+        return found.reshape(n, len(r.t), columns)
+
+    def _of_series(self, trial: Trial) -> np.ndarray | None:
+        """Of an effect that is a sum of given functions times coefficients; None of any other."""
+        effect = trial.effect
+        basis = effect.basis(self.signals if effect.inputs else self.of_motion, trial.width)
+        if basis is None:
+            return None
+        result = np.zeros((len(trial.points), *self.recording.q.shape))
+        coefficients = np.array([[point[a] for a in effect.amplitudes] for point in trial.points])
+        result[:, effect.joints[0]] = -coefficients @ np.array(basis)
+        return result
+
+    def _of_torque(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
+        signals = self.signals if effect.inputs else self.of_motion
+        if effect.states:
+            signals = replace(signals, states=list(states_along(self.recording, effect, theta, width, self.load)))
+        return -self._on_joints(effect, effect.torque(signals, theta, width))
+
+    def _of_sensor(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
+        true = self.physics.torques(self.recording)[self.model.torque == "load"]
+        if effect.dynamics == "delay":
+            return later(self.recording, true, effect.delay(theta)) - true
+        return self._on_joints(effect, effect.torque(replace(self.signals, load=true), theta, width))
+
+    def _on_joints(self, effect: Effect, torques: Sequence[Any]) -> np.ndarray:
+        result = np.zeros(self.recording.q.shape)
+        for j, torque in zip(effect.joints, torques, strict=True):
+            result[j] += np.array(torque).reshape(-1)
+        return result
+
+    def _of_body(self, effect: Effect, theta: Mapping[str, float], _width: Any) -> np.ndarray:
+        r, tool = self.recording, self.model.tool.joint
+
+        def more(mass: float) -> np.ndarray:
+            base = replace(self.body, payload=self.body.payload + mass)
+            there = effect.change(base, theta)
+            links = [np.array(with_payload(ca.DM(b.inertial), tool, b.payload, b.position)) for b in (base, there)]
+            gravity = ca.vertcat(*there.gravity) if isinstance(there.gravity, list) else there.gravity
+            pull = np.array(ca.evalf(ca.SX(gravity) - ca.SX(base.gravity))).reshape(3)
+            return np.concatenate([(links[1] - links[0]).T.reshape(-1), pull])
+
+        change, total = _by_payload(r, more), np.zeros(r.q.shape)
+        for by, part in ((self.partials[3], change[:, :-3]), (self.partials[4], change[:, -3:])):
+            used = np.flatnonzero(np.any(part, axis=0))
+            if len(used):
+                total += np.einsum("ick,kc->ik", by[:, used], np.broadcast_to(part[:, used], (len(r.t), len(used))))
+        return total
+
+    def _of_motion(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
+        by_q, _, by_ddq = self.partials[:3]
+        shift = moved(self.recording, effect, theta, width, self.load, lambda j: (by_q[j, j], by_ddq[j, j]))
+        parts = np.split(shift, 3)
+        return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(self.partials[:3], parts, strict=True)], axis=0)
+
+
+def _needs_differences(term: Term) -> bool:
+    """Whether the term adds no torque of the instant, so that no expression gives its derivatives."""
+    return term.effect.side in ("motion", "sensor") or bool(term.effect.states)
+
+
+def _by_payload(recording: Recording, affine: Callable[[float], np.ndarray]) -> np.ndarray:
+    """A function that is affine in the listed payload [kg], at every sample (K, …), or (1, …) if the payload is constant."""
+    low, high = float(recording.payload.min()), float(recording.payload.max())
+    first = affine(low)
+    if low == high:
+        return first[None]
+    share = (recording.payload - low) / (high - low)
+    return first + share.reshape(-1, *np.ones(first.ndim, int)) * (affine(high) - first)

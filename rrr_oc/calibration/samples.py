@@ -1,0 +1,261 @@
+"""Recordings made ready for regression: motion from short windows, the samples that count, and the common filter.
+
+Torque and regressors pass the same filter (Savitzky–Golay, twice), so that the filter biases no estimate. Speeds and
+accelerations come from windows as short as the sampling allows: attenuated motion would bias the estimates, whereas the filter
+removes the noise of short windows. `validation/calibration_coverage.py` measures the bias that is left.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+from scipy.sparse import csr_matrix
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.model.recorded_physics import Physics
+from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
+from rrr_oc.recordings.recording import Recording, RecordingSet
+
+FILTER = (
+    0.2  # window of the common filter [s], applied twice; doubled, less noise, and less of fast motion to estimate inertia from
+)
+CORRELATION = 0.2  # time over which filtered noise is correlated [s]; doubled, half as many rows count as independent
+SPEED_WINDOW, ACCELERATION_WINDOW = (
+    0.07,
+    0.09,
+)  # of the motion in the regressors [s]; doubled, estimates are biased where it is fast
+STRIDE = 0.04  # [s] between the rows that are kept; doubled, half as many rows, which lose what the filter lets through
+ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
+SHORTEST = 0.6  # [s], least length of a segment: three times the common filter; doubled, short segments are lost
+REST_SPEED, REST_TIME = 0.01, 0.25  # below this speed [rad/s] for this long [s] a joint rests; doubled, slow motion is lost
+THIN = (
+    0.012  # [s] between samples where many models are compared; doubled, it takes half the time, and the filter has 8 samples
+)
+LONGEST, PIECE = 1200.0, 20.0  # [s]: the most data on which many models are compared, and the pieces that they are made of
+SPIKE = 6.0  # standard deviations off the running median that make a spike; doubled, small spikes stay in the torque
+RARE = (0.99, 2.576)  # quantile of the residual, and that of normal noise: its ratio bounds the deviation from below
+SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples; doubled, fast signals look like spikes
+
+
+# Common filters by recording and window [s], for all that is prepared of a recording; they last as long as the recording.
+_COMMON_FILTERS: WeakKeyDictionary[Recording, dict[float, csr_matrix]] = WeakKeyDictionary()
+
+
+def common_filter(recording: Recording, window: float) -> csr_matrix:
+    """The smoothing filter over a window [s], applied twice, at the samples of a recording that are kept, (kept, K)."""
+    filters = _COMMON_FILTERS.setdefault(recording, {})
+    if window not in filters:
+        once = as_matrix(recording.t, recording.segments, window)
+        filters[window] = (once[kept_rows(recording)[0]] @ once).tocsr()
+    return filters[window]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A recording made ready for regression. Two are equal only if they are the same object, which may key a cache.
+
+    Attributes:
+        recording: The recording with speeds and accelerations from short windows.
+        measured: Recorded torque at the joints' output (n, K) [Nm].
+        moving: Where each joint moves and no window of its motion reaches into a rest, (n, K). At rest, dry friction takes any
+            value below its level, so samples at rest do not count.
+        window: Window of the common filter [s].
+        spikes: Number of samples of `measured` that were replaced, (n,).
+    """
+
+    recording: Recording
+    measured: np.ndarray
+    moving: np.ndarray
+    window: float
+    spikes: np.ndarray
+
+    @property
+    def matrix(self) -> csr_matrix:
+        """The common filter at the samples that are kept, (kept, K)."""
+        return common_filter(self.recording, self.window)
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Rows that count: of those kept, the ones to which samples in motion contribute at least half, (n, kept)."""
+        return (self.matrix @ self.moving.T.astype(float)).T > 0.5
+
+    def passed(self, torques: np.ndarray, joints: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Torques (m, K) of joints (m,), filtered, at the rows that are kept, (m, kept); 0 at rest."""
+        return self.filtered(torques * self.moving[joints]) * self.counted[joints]
+
+    def nonzero_passed(self, torques: np.ndarray, joint_axis: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where torques (a, b, K) are not 0 at all samples, (a, b), and those, in that order, as `passed` returns them.
+
+        Args:
+            joint_axis: Which of the first two axes counts the joints.
+        """
+        where = np.any(torques != 0, axis=2)
+        return where, self.passed(torques[where], np.nonzero(where)[joint_axis])
+
+    def filtered(self, x: np.ndarray) -> np.ndarray:
+        """Signals (m, K) after the common filter, at the rows that are kept, (m, kept)."""
+        return (self.matrix @ x.T).T
+
+
+def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared, ...]:
+    """All recordings of a set made ready for `regression.rows`."""
+    return tuple(_prepare(recordings, r, window) for r in recordings.recordings)
+
+
+def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared, ...]:
+    """The recordings with at most one sample in `step` [s], which keeps all that the common filter lets through.
+
+    Torque is averaged over the samples left out; motion, which is smooth already, is not. If the recordings last longer than
+    `LONGEST` in all, pieces are kept, evenly over the recordings.
+    """
+    total = sum(float(np.ptp(p.recording.t)) for p in prepared)
+    share = min(1.0, LONGEST / max(total, 1e-9))
+    return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01)), share) for p in prepared)
+
+
+def without_reversals(prepared: Sequence[Prepared], joints: np.ndarray | bool = True) -> tuple[Prepared, ...]:
+    """The recordings without the samples near a joint's reversal, within the window of its speed.
+
+    Smoothed speeds do not tell which way abrupt friction points there, and friction that turns a little too early or too late
+    looks like an effect at low speed.
+
+    Args:
+        joints: Which joints lose these samples, (n,).
+    """
+    chosen = np.reshape(joints, (-1, 1))
+    return tuple(replace(p, moving=p.moving & ~(_turning(p.recording) & chosen)) for p in prepared)
+
+
+def residuals(prepared: Prepared, model: CalibratedModel, physics: Physics | None = None) -> np.ndarray:
+    """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]; `physics` of the recording, if it is at hand."""
+    return prepared.measured - model.output_torque(prepared.recording, physics)
+
+
+def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tuple[Prepared, ...]:
+    """The recordings with spikes replaced: samples whose residual is `SPIKE` deviations off the residual's running median.
+
+    The residual of a model is judged, not the torque itself, so that the torque's steps at reversals stay.
+    """
+    return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
+
+
+def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
+    """Standard deviation of the recorded noise (n,) [Nm]: of the part of the residual that a window of 0.15 s removes.
+
+    From the median of its size, so that spikes do not count.
+    """
+    sizes = []
+    for p in prepared:
+        t, r = p.recording.t, residuals(p, model)
+        centre = 2.25 / max(window_samples(t, 0.15), 5)  # weight of the middle sample: the share of white noise that passes
+        sizes.append(np.abs(r - smooth(t, r, p.recording.segments)) / np.sqrt(1 - min(centre, 0.5)))
+    return 1.4826 * np.median(np.concatenate(sizes, axis=1), axis=1)
+
+
+def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:
+    """Samples that are kept, the stretches of rows that they become, and the durations of these [s].
+
+    Segments shorter than `SHORTEST` are left out, unless there are no others.
+    """
+    kept, stretches, durations, count = [], [], [], 0
+    long = [s for s in recording.segments if np.ptp(recording.t[s]) > SHORTEST]
+    for s in long or recording.segments:
+        t = recording.t[s]
+        stride = max(1, round(STRIDE / np.median(np.diff(t)))) if len(t) > 1 else 1
+        ends = min(ENDS, float(np.ptp(t)) / 5)
+        inside = np.flatnonzero((t >= t[0] + ends) & (t <= t[-1] - ends))[::stride]
+        if len(inside) > 1:
+            kept.append(inside + s.start)
+            stretches.append(slice(count, count + len(inside)))
+            durations.append(float(t[inside[-1]] - t[inside[0]]) * len(inside) / (len(inside) - 1))
+            count += len(inside)
+    return np.concatenate([*kept, np.zeros(0, int)]).astype(int), tuple(stretches), tuple(durations)
+
+
+def _prepare(recordings: RecordingSet, recording: Recording, window: float) -> Prepared:
+    sharp = _with_sharp_motion(recording, recordings.joints)
+    return Prepared(sharp, recordings.output_torque(recording), _moving(sharp), window, np.zeros(recordings.robot.n, int))
+
+
+def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording:
+    """The recording with speeds and accelerations from short windows, wherever the file does not give the signal itself."""
+    r, dq, ddq = recording, recording.dq.copy(), recording.ddq.copy()
+    given = np.array([f"dq_{joint}" not in r.computed for joint in joints])
+    derived = np.array([f"ddq_{joint}" in r.computed for joint in joints])
+    speed, acceleration = _speed_samples(r.t), window_samples(r.t, ACCELERATION_WINDOW, 9)
+    for s in r.segments:
+        if s.stop - s.start < acceleration:
+            continue  # the derivatives of the reader stay
+        t, from_q, from_dq = r.t[s], derived & ~given, derived & given
+        ddq[from_q, s] = local_polynomial(t, r.q[from_q, s], 2, 4, acceleration)
+        ddq[from_dq, s] = local_polynomial(t, r.dq[from_dq, s], 1, 3, acceleration)
+        dq[~given, s] = local_polynomial(t, r.q[~given, s], 1, 3, speed)
+        dq[given, s] = local_polynomial(t, r.dq[given, s], 0, 3, speed)
+    return replace(r, dq=dq, ddq=ddq)
+
+
+def _speed_samples(t: np.ndarray) -> int:
+    return window_samples(t, SPEED_WINDOW, 7)
+
+
+def _moving(recording: Recording) -> np.ndarray:
+    """False where the speed stays below `REST_SPEED` for `REST_TIME`, and where windows of the motion reach into that, (n, K)."""
+    moving = np.empty(recording.dq.shape, bool)
+    for s in recording.segments:
+        stay, reach = (window_samples(recording.t[s], x) for x in (REST_TIME, REST_TIME + ACCELERATION_WINDOW))
+        resting = maximum_filter1d(np.abs(recording.dq[:, s]), stay, axis=1) < REST_SPEED
+        moving[:, s] = np.logical_not(maximum_filter1d(resting, reach, axis=1))
+    return moving
+
+
+def _turning(recording: Recording) -> np.ndarray:
+    """Where the window of the speed holds speeds of both signs, or below `REST_SPEED`, (n, K)."""
+    turning = np.empty(recording.dq.shape, bool)
+    for s in recording.segments:
+        dq, width = recording.dq[:, s], _speed_samples(recording.t[s])
+        turning[:, s] = minimum_filter1d(dq, width, axis=1) < REST_SPEED
+        turning[:, s] &= maximum_filter1d(dq, width, axis=1) > -REST_SPEED
+    return turning
+
+
+def _thinned(prepared: Prepared, stride: int, share: float) -> Prepared:
+    if stride == 1 and share == 1.0:
+        return prepared
+    r, measured = prepared.recording, prepared.measured.copy()
+    segments, kept, start = [], [], 0
+    for s in r.segments if share == 1.0 else _pieces(r.t, r.segments, share):
+        count = stride + 1 - stride % 2
+        if s.stop - s.start > count > 1:
+            measured[:, s] = local_polynomial(r.t[s], measured[:, s], 0, 1, count)
+        kept.append(np.arange(s.start, s.stop, stride))
+        segments.append(slice(start, start + len(kept[-1])))
+        start += len(kept[-1])
+    rows = np.concatenate(kept)
+    arrays = {name: getattr(r, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    coarse = replace(r, **arrays, segments=tuple(segments))
+    return replace(prepared, recording=coarse, measured=measured[:, rows], moving=prepared.moving[:, rows])
+
+
+def _pieces(t: np.ndarray, segments: Sequence[slice], share: float) -> list[slice]:
+    """Pieces of `PIECE` seconds, evenly over the segments, that make up a share of them."""
+    step, pieces = np.median(np.diff(t)), []
+    for s in segments:
+        size = s.stop - s.start
+        length = min(size, max(int(PIECE / step), 1))
+        number = max(1, round(share * size / length))
+        pieces += [slice(a, a + length) for a in np.linspace(s.start, s.stop - length, number).astype(int)]
+    return pieces
+
+
+def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
+    r, middle = prepared.recording, np.empty_like(residual)
+    for s in r.segments:
+        middle[:, s] = median_filter(residual[:, s], (1, SPIKE_SAMPLES), mode="nearest")
+    off = residual - middle
+    middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
+    spread = np.maximum(1.4826 * middling, rare / RARE[1])
+    spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
+    return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))

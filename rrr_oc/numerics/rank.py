@@ -1,0 +1,101 @@
+"""Which directions of a least-squares problem the data determine: one test, on columns scaled to length 1."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+# Tolerances, and what they decide. A direction below its tolerance is taken for undetermined. Of normal matrices, eigenvalues
+# count, which are squares of singular values.
+DETERMINED = (
+    1e-10  # over the largest: steps, estimates, pseudo-inverses. Rounding is 1e-16 times the parameters; doubled, no change
+)
+ROUNDING = 1e-15  # over the largest: a condition number is infinite. Tighter, since 1e6 is worth reporting; doubled, no change
+UNIQUE = 1e-7  # share of a signature that a model's parameters cannot reproduce. Looser: what is left is compared with noise
+UNIQUE_TOGETHER = 1e-6  # the same for several signatures, which may also reproduce each other
+COLUMN = 1e-8  # length of a column's rest over its own: structural dependence, tested at random states without noise
+COLUMN_PROJECTED = 1e-7  # the same, of columns less their projection on others, which costs a digit
+TAKES_PART = 1e-3  # share of an undetermined direction: a parameter with more of it is undetermined; doubled, no change
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Eigenvectors of a normal matrix whose columns were scaled.
+
+    Attributes:
+        scale: Lengths that the columns were divided by, (p,).
+        values: Eigenvalues of the scaled matrix, ascending, (p,).
+        vectors: Eigenvectors, in columns, (p, p).
+        determined: Which directions the data determine, (p,).
+    """
+
+    scale: np.ndarray
+    values: np.ndarray
+    vectors: np.ndarray
+    determined: np.ndarray
+
+    @classmethod
+    def of(cls, matrix: np.ndarray, tolerance: float = DETERMINED, scale: np.ndarray | None = None) -> "Directions":
+        """The directions of a normal matrix (p, p), and which are determined: eigenvalues above `tolerance` times the largest.
+
+        Args:
+            scale: Lengths of the columns, where `matrix` holds what is left of them after a projection; eigenvalues then count
+                as they are. By default the lengths are those that the matrix says.
+        """
+        own = scale is None
+        scale = lengths(matrix) if scale is None else scale
+        values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+        return cls(scale, values, vectors, values > tolerance * (max(values.max(initial=0.0), 1e-300) if own else 1.0))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The least solution of matrix @ x = right in scaled parameters, with undetermined directions left out, (p,)."""
+        vectors = self.vectors[:, self.determined]
+        return vectors @ ((vectors.T @ (right / self.scale)) / self.values[self.determined]) / self.scale
+
+    @cached_property
+    def undetermined(self) -> np.ndarray:
+        """Parameters that take part in an undetermined direction, (p,)."""
+        return np.any(np.abs(self.vectors[:, ~self.determined]) > TAKES_PART, axis=1)
+
+
+def lengths(matrix: np.ndarray) -> np.ndarray:
+    """Lengths of the columns that a normal matrix is made of, (p,); 1 for a column of zeros."""
+    norms = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    return np.where(norms > 0, norms, 1.0)
+
+
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a normal matrix (p, p), with columns scaled and undetermined directions left out."""
+    scale = np.outer(lengths(matrix), lengths(matrix))
+    return np.linalg.pinv(matrix / scale, rcond=DETERMINED, hermitian=True) / scale
+
+
+def undetermined(matrix: np.ndarray) -> np.ndarray:
+    """Which parameters the data of a normal matrix do not determine, (p,)."""
+    return Directions.of(matrix).undetermined | (np.diag(matrix) <= 0)
+
+
+def condition(matrix: np.ndarray) -> float:
+    """Condition number of the scaled Jacobian of a normal matrix; infinite if it is singular."""
+    found = Directions.of(matrix, ROUNDING)
+    return float(np.sqrt(found.values[-1] / found.values[0])) if len(found.values) and found.determined.all() else float("inf")
+
+
+def independent_columns(
+    columns: np.ndarray, tolerance: float = COLUMN, length: float = 1.0, order: Sequence[int] | None = None
+) -> np.ndarray:
+    """Indices of columns (K, p) that do not depend linearly on those taken before them, in their order.
+
+    Args:
+        tolerance: Length of a column's rest over its own, or over `length` if that is more.
+        order: In which columns are taken; from the first to the last by default.
+    """
+    upper = np.asarray(np.linalg.qr(columns, mode="r"))
+    chosen: list[int] = []
+    for column in range(columns.shape[1]) if order is None else order:
+        target = upper[:, column]
+        rest = target - upper[:, chosen] @ np.linalg.lstsq(upper[:, chosen], target, rcond=None)[0] if chosen else target
+        if np.linalg.norm(rest) > tolerance * max(length, float(np.linalg.norm(target))):
+            chosen.append(int(column))
+    return np.array(chosen, int)
