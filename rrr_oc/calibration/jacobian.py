@@ -12,7 +12,7 @@ import itertools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -209,7 +209,7 @@ class Prediction:
         result[:, :, holding] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(holding) :]
         return result
 
-    def _sensitivity(self, by: str) -> np.ndarray:
+    def _sensitivity(self, by: Literal["theta", "inertial"]) -> np.ndarray:
         physics, r = self.physics, self.recording
         function = physics.model.sensitivity("load" if self.model.torque == "load" else "motor", by)
         n, columns = physics.model.robot.n, function.size2_out(0)
