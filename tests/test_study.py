@@ -192,7 +192,7 @@ BAD = {
     "massless": (lambda f: ["--preset", with_robot(f, MASSLESS)], "'l2', moved by joint 'j2', has mass 0 kg"),
     "unknown cost": (lambda f: ["--cost", "beauty"], "unknown cost 'beauty'"),
     "energy without resistances": (lambda f: ["--cost", "energy"], "joint2, joint3"),
-    "no actuators": (lambda f: ["--cost", "motor", "--actuators", "gone.json"], "no usable actuators"),
+    "no actuators": (lambda f: ["--cost", "motor", "--actuators", "gone.json"], "no actuators at"),
     "no catalogue": (lambda f: ["--catalogue", "gone.json"], "no catalogue at 'gone.json'"),
     "unknown catalogue search": (lambda f: ["--catalogue-search", "guess"], "exhaustive, screened"),
     "no processes": (lambda f: ["--jobs", "0"], "jobs"),

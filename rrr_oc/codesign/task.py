@@ -174,7 +174,7 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
         task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
     ):
         ramp = speed / acceleration if np.isfinite(acceleration) else 0.0  # time to full speed
-        needed = way / speed + ramp if way > speed * ramp else 2 * np.sqrt(way / acceleration)
+        needed = way / speed + ramp if way > (speed * ramp if ramp else 0.0) else 2 * np.sqrt(way / acceleration)
         if needed > task.duration[1]:
             raise UserError(
                 f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}° at "
