@@ -18,11 +18,11 @@ from recorded import Plant, as_set, multisine, record
 from typer.testing import CliRunner
 
 import rrr_oc
-from rrr_oc.calibration.calibrated_model import nominal_term
 from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.calibrated_model import nominal_term
 from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
-from rrr_oc.calibration.samples import prepare
 from rrr_oc.calibration.response.simulated_response import Response
+from rrr_oc.calibration.samples import prepare
 from rrr_oc.cli import app
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
