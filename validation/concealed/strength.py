@@ -46,5 +46,6 @@ def next_strength(tried: list[tuple[float, float, np.ndarray]], target: float) -
     if len(tried) > 1:
         s0, r0 = tried[-2][:2]
         if s0 != s and r0 > 0 and r > 0:
-            exponent = float(np.clip(np.log(r / r0) / np.log(s / s0), 0.4, 3.0))
+            with np.errstate(divide="ignore"):  # the logarithm of 0 after a probe that diverged, whose ratio is infinite
+                exponent = float(np.clip(np.log(r / r0) / np.log(s / s0), 0.4, 3.0))
     return s * float(np.clip((target / max(r, 1e-9)) ** (1 / exponent), 1 / 30, 30))
