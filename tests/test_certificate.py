@@ -311,8 +311,8 @@ def test_curvature_against_dense_eigenvalues(certified):
     _, solution, certificate = certified["SA"]
     kkt = Kkt(solution)
     free, rows = np.flatnonzero(~kkt.at_bound), np.flatnonzero(kkt.active_rows)
-    hessian = np.array(ca.DM(ca.triu2symm(kkt.hessian)))[np.ix_(free, free)]
-    basis = null_space(np.array(kkt.jacobian)[np.ix_(rows, free)])
+    hessian = kkt.hessian.toarray()[np.ix_(free, free)]
+    basis = null_space(kkt.jacobian.toarray()[np.ix_(rows, free)])
     smallest = eigh(basis.T @ hessian @ basis, basis.T @ (kkt.weights[free, None] * basis), eigvals_only=True)[0]
     assert certificate.curvature == pytest.approx(
         smallest, rel=2e-2, abs=1e-6

@@ -52,6 +52,16 @@ class Scheme:
         """Whether the last stage is the node at the interval's end."""
         return self.c[-1] == 1
 
+    @property
+    def inner(self) -> list[int]:
+        """Stages that are no nodes."""
+        return list(range(self.d))[int(self.shares_first) : self.d - self.shares_last]
+
+    @property
+    def defects(self) -> int:
+        """Number of defects of each state in an interval: of the stages that are not its start, and of its end unless it is a stage."""
+        return self.d - self.shares_first + (not self.shares_last)
+
     def at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Interpolation inside an interval at s in [0, 1], (K,): weights of stage values and of stage rates.
 
@@ -90,7 +100,7 @@ def scheme(name: str = "gauss", stages: int = 3) -> Scheme:
 
 
 def uniform_mesh(problem: Problem, intervals: int) -> tuple[np.ndarray, ...]:
-    """`intervals` equal fractions for each phase."""
+    """`intervals` equal fractions for each phase; raises `UserError` unless there is at least one."""
     if intervals < 1:
         raise UserError(f"a mesh needs at least 1 interval a phase, got {intervals}")
     return tuple(np.full(intervals, 1 / intervals) for _ in problem.phases)
