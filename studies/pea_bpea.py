@@ -220,7 +220,7 @@ def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions
         "springs": design.hardware(solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
-        "certificate": certify(result, result.best).to_json(),
+        "certificate": asdict(certify(result, result.best)),
         "meshes": result.best.meshes,
         "mujoco": describe_simulation(design, solution, motion),
         "published_springs_E1": _published(name, design, options),
