@@ -105,7 +105,7 @@ def screened(choices: Choices, spring: int, solver: ChoiceSolver, finalists: int
 def _surface(choices: Choices, solver: ChoiceSolver, spring: int) -> np.ndarray:
     """Logarithm of the optimal cost with parallel springs free, for every choice of the biarticular spring, by cubic interpolation
     in (log kappa, rho)."""
-    kinds, at = choices.of_spring[spring], choices.first_parameter(spring)
+    kinds, at = choices.of_spring[spring], sum(len(s.lower) for s in choices.design.springs[:spring])
     kappa, rho = (np.array([c.lower[i] for c in kinds]) for i in (0, 1))
     axes = np.geomspace(kappa.min(), kappa.max(), GRID), np.linspace(rho.min(), rho.max(), GRID)
     low, high = min(c.lower[2] for c in kinds), max(c.upper[2] for c in kinds)
