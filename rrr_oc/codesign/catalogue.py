@@ -65,7 +65,7 @@ def _lists(where: str, form: DesignForm, given: Mapping[str, Sequence[float]]) -
 
 @dataclass(frozen=True)
 class Choice:
-    """A distinct thing to buy: hardware of some springs [SI], and the bounds of the parameters that hold the design to it."""
+    """Hardware of some springs [SI], and the bounds of the parameters that hold a design to it."""
 
     hardware: dict[str, float]
     lower: np.ndarray
@@ -98,10 +98,9 @@ class Choices:
 
     def merged(self, choices: Sequence[Choice | None]) -> Choice:
         """One choice from those of the springs; None leaves a spring free."""
-        both = list(zip(self.design.springs, choices, strict=True))
-        lower = np.concatenate([s.lower if c is None else c.lower for s, c in both])
-        upper = np.concatenate([s.upper if c is None else c.upper for s, c in both])
-        return Choice({k: v for c in choices if c is not None for k, v in c.hardware.items()}, lower, upper)
+        both = [c or Choice({}, s.lower, s.upper) for s, c in zip(self.design.springs, choices, strict=True)]
+        hardware = {name: size for c in both for name, size in c.hardware.items()}
+        return Choice(hardware, np.concatenate([c.lower for c in both]), np.concatenate([c.upper for c in both]))
 
     def alone(self, choice: Choice, spring: int) -> Choice:
         """A choice for one spring, the others free."""

@@ -101,14 +101,11 @@ def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solutio
             break
         direction = conditions.second_order()[2]
         step = 0.1 * direction / np.abs(direction).max()
-        found = []
-        for sign in (1, -1):
-            away = solver.solve(solution.w + sign * step, solution.problem.data, check=False)
-            if away.status == SOLVED and away.cost < solution.cost * (1 - 1e-6):
-                found.append(away)
-        if not found:
+        tries = [solver.solve(solution.w + s * step, solution.problem.data, check=False) for s in (1, -1)]
+        lower = [t for t in tries if t.status == SOLVED and t.cost < solution.cost * (1 - 1e-6)]
+        if not lower:
             break
-        solution = min(found, key=lambda s: s.cost)
+        solution = min(lower, key=lambda s: s.cost)
     return solution
 
 
