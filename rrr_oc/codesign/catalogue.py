@@ -1,4 +1,4 @@
-"""What can be bought: a catalogue of springs and pulleys, and the distinct choices that it offers for the springs of a design."""
+"""A catalogue of purchasable springs and pulleys, and the distinct choices that it offers for the springs of a design."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -24,11 +24,11 @@ ROUNDED = 1e-4  # [1] by which hardware may be outside the task's bounds, as lis
 
 @dataclass(frozen=True)
 class Catalogue:
-    """What can be bought.
+    """Purchasable springs and pulleys.
 
     Attributes:
-        name: Where it is from.
-        lists: By label of the springs' design form, values in SI units: by joint name where one quantity is bought, else by the
+        name: Used in messages.
+        lists: Values [SI] by label of the springs' design form, and there by joint name where one quantity is bought, else by the
             quantity's symbol (pulleys with their cable included).
     """
 

@@ -25,7 +25,7 @@ from rrr_oc.parallel import once_per_process, ordered, unordered
 
 @dataclass(frozen=True)
 class Start:
-    """One starting point and where it led.
+    """A starting point and the optimum that IPOPT found from it.
 
     Attributes:
         layer: Its source (`LAYERS`).
@@ -51,7 +51,7 @@ class SearchResult:
     Attributes:
         design: The problem.
         optima: Distinct local optima, cheapest first.
-        starts: All starting points, in the order in which they were polished.
+        starts: All starting points, in the order of their polishes' ends.
         interrupted: Whether Ctrl-C ended the search early.
     """
 
@@ -66,7 +66,7 @@ class SearchResult:
         return self.optima[0]
 
     def whole(self) -> "SearchResult":
-        """The result itself; raises `KeyboardInterrupt` if the search was stopped early, so that no part of it is stored as whole."""
+        """The result itself; raises `KeyboardInterrupt` if the search was interrupted, so that no partial result is stored."""
         if self.interrupted:
             raise KeyboardInterrupt
         return self
@@ -76,13 +76,13 @@ class SearchResult:
         rows = {}
         for layer in LAYERS:
             starts = [s for s in self.starts if s.layer == layer]
-            costs = np.array([s.polished for s in starts if np.isfinite(s.polished)])
+            costs = [s.polished for s in starts if np.isfinite(s.polished)]
             if starts:
                 rows[layer] = {
                     "starts": len(starts),
-                    "failed": len(starts) - costs.size,
-                    "best": float(costs.min()) if costs.size else float("inf"),
-                    "median": float(np.median(costs)) if costs.size else float("inf"),
+                    "failed": len(starts) - len(costs),
+                    "best": min(costs, default=float("inf")),
+                    "median": float(np.median(costs or [np.inf])),
                     "best_proposal": min(s.proposed for s in starts),
                     "seconds": float(sum(s.seconds for s in starts)),
                 }
@@ -118,10 +118,8 @@ class Polisher:
 def solve_multistart(
     design: CoDesign, options: SearchOptions | None = None, progress: Callable[[Start], None] | None = None
 ) -> SearchResult:
-    """The best co-design found from many starting points.
-
-    Every start is polished on a coarse mesh, the distinct optima are solved on a fine one, and the best of them refined.
-    Ctrl-C ends the search early; what has been found so far is returned.
+    """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
+    fine one, and the best of them refined. Ctrl-C ends the search early with what has been found.
 
     Args:
         progress: Called with every start that has been polished.
@@ -130,7 +128,7 @@ def solve_multistart(
         SolverFailure: No start led to an optimum.
     """
     options = options or SearchOptions()
-    polisher = Polisher(design, options)  # which compiles the functions here once, not in each process
+    polisher = Polisher(design, options)  # compiles the functions before the processes need them
     starts: list[Start] = []
     interrupted = False
     try:

@@ -104,9 +104,11 @@ def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form
 
 def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = None) -> dict[str, Any]:
     """E1 [N²m²s] in total and by joint, RMS and peak torque [Nm] by joint; `rows` are the moving joints' rows in the metrics."""
-    rows, joints = rows or range(len(design.task.moving)), design.task.joints
+    joints = design.task.joints
     figures = {"E1_joint": metrics.E1, "rms": metrics.rms, "peak": metrics.peak}
-    by_joint = {key: {j: float(x[row]) for j, row in zip(joints, rows, strict=True)} for key, x in figures.items()}
+    by_joint = {
+        key: {j: float(x[row]) for j, row in zip(joints, rows or range(len(joints)), strict=True)} for key, x in figures.items()
+    }
     return {"E1": sum(by_joint["E1_joint"].values()), **by_joint}
 
 

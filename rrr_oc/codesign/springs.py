@@ -20,7 +20,7 @@ def configurations() -> dict[str, tuple[str, ...]]:
     return {"SA": ()} | {"+".join(labels): tuple(kinds[label] for label in labels) for labels in some}
 
 
-CONFIGURATIONS = configurations()  # of the springs that are known as this module is imported
+CONFIGURATIONS = configurations()  # of the springs registered when this module is imported
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,10 @@ class SpringBounds:
     Attributes:
         effect: The spring.
         lower, upper: Bounds of its parameters, in their order.
-        hardware: Of a spring whose parameters are functions of its hardware (`DesignForm.derived`), the bounds of that by symbol
-            in SI units; else empty.
-        fixed: Of such a spring of given hardware, the hardware in SI units; else empty.
-        known: Whether it is there in any case, with `lower` = `upper`, and no part of the design: then it may be any effect on
-            the links or of the rigid body.
+        hardware: Where the parameters are functions of the hardware (`DesignForm.derived`), the bounds of that by symbol [SI].
+        fixed: Where such hardware is given, its values [SI].
+        known: Whether it is an effect of the arm and no part of the design; then `lower` = `upper`, and any effect of the links
+            or of the rigid body will do.
     """
 
     effect: Effect

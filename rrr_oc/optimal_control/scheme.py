@@ -27,8 +27,8 @@ class Scheme:
         name: One of `SCHEMES`.
         c: Stages within an interval, in [0, 1], shape (d,).
         A, b: Runge–Kutta coefficients, shapes (d, d) and (d,).
-        order: Order of the Runge–Kutta method. The optimal cost converges with it for smooth problems; so do the states, except
-            that controls shared at the nodes hold the states of Lobatto's methods back to order 4.
+        order: Order of the Runge–Kutta method. For smooth problems the optimal cost converges with it; so do the states, except
+            that controls shared at the nodes limit the states of Lobatto's methods to order 4.
     """
 
     name: str

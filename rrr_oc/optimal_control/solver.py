@@ -12,6 +12,7 @@ from rrr_oc.optimal_control.problem import Guess, PhaseGuess, Problem
 from rrr_oc.optimal_control.scheme import Scheme, scheme, uniform_mesh
 from rrr_oc.optimal_control.transcription import Transcription
 
+LONGEST = 600.0  # [s] of a solve, in wall time; doubled, a solve that does not converge holds the search up for longer
 WARM = 1e-7  # initial barrier parameter from a solution; doubled, IPOPT starts further from it and takes an iteration more
 
 
@@ -32,37 +33,28 @@ class Options:
         tolerance: Tolerance of the scaled optimality conditions.
         iterations: Largest number of iterations.
         barrier: Initial barrier parameter, small for a warm start; None for IPOPT's adaptive strategy.
-        linear_solver: One of the casadi wheel (mumps, spral).
-        seconds: Largest wall time [s].
     """
 
     tolerance: float = 1e-8
     iterations: int = 500
     barrier: float | None = None
-    linear_solver: str = "mumps"
-    seconds: float = 600.0
 
     def ipopt(self) -> dict[str, object]:
         """The options by IPOPT's names."""
         named: dict[str, object] = {
             "tol": self.tolerance,
             "max_iter": self.iterations,
-            "max_wall_time": self.seconds,
-            "linear_solver": self.linear_solver,
+            "max_wall_time": LONGEST,
+            "linear_solver": "mumps",
             "print_level": 0,
             "sb": "yes",
             "mu_strategy": "adaptive",
             "bound_relax_factor": 1e-12,  # the default of 1e-8 would be the floor of the accuracy
         }
         if self.barrier is not None:
-            named |= {
-                "mu_strategy": "monotone",
-                "mu_init": self.barrier,
-                "warm_start_init_point": "yes",
-                "warm_start_bound_push": self.barrier,
-                "warm_start_mult_bound_push": self.barrier,
-                "warm_start_slack_bound_push": self.barrier,
-            }
+            pushes = (f"warm_start_{what}_push" for what in ("bound", "mult_bound", "slack_bound"))
+            named |= {"mu_strategy": "monotone", "mu_init": self.barrier, "warm_start_init_point": "yes"}
+            named |= dict.fromkeys(pushes, self.barrier)
         return named
 
 

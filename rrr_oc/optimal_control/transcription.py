@@ -129,10 +129,10 @@ class Transcription:
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
             if row < block.rows.stop:
                 interval, local = divmod(row - block.rows.start, self._interval(phase).rows)
-                time = f"at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
-                if local < self._defects(phase):
-                    return f"the motion of {phase.states[local % len(phase.states)]} {time}"
-                return f"{phase.paths[(local - self._defects(phase)) % len(phase.paths)]} {time}"
+                path = local - self._defects(phase)
+                motion = f"the motion of {phase.states[local % len(phase.states)]}"
+                name = motion if path < 0 else phase.paths[path % len(phase.paths)]
+                return f"{name} at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
         return self.problem.designs[row - self.blocks[-1].rows.stop]
 
     @property
