@@ -24,8 +24,8 @@ def library(name: str, source: str, flags: tuple[str, ...] = (), otherwise: str 
     """The library of this name, compiled from C unless the cache has it; `name` must change with source and flags.
 
     Raises:
-        UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written. `otherwise` says
-            what to do without.
+        UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written. `otherwise` tells
+            the user what works without.
     """
     path = cache_folder() / f"{name}.so"
     if not path.is_file():

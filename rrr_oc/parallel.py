@@ -10,7 +10,7 @@ from rrr_oc.errors import UserError
 
 _T = TypeVar("_T")
 LOCAL = "local"
-SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error
+SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error; doubled, a wrong address takes longer
 _made: dict[str, Any] = {}  # the one value of this process that `once_per_process` keeps
 
 
@@ -33,8 +33,8 @@ def ordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = 
 
 
 def once_per_process(key: str, make: Callable[[], _T]) -> _T:
-    """The value of `make`, made once in each process for a key and kept until another key is asked for. A key must name the work and
-    never come again for another, as uuid4 does: worker processes outlive the work."""
+    """The value of `make`, computed once in each process for a key and kept until another key is asked for. Keys must be unique to
+    the work, as those of uuid4 are, because worker processes outlive it."""
     if key not in _made:
         _made.clear()
         _made[key] = make()
@@ -43,8 +43,8 @@ def once_per_process(key: str, make: Callable[[], _T]) -> _T:
 
 @contextmanager
 def workers(where: str = LOCAL) -> Iterator[None]:
-    """Run the calls above on processes of this machine ("local"), or on the Dask cluster whose scheduler has the address `where`, as
-    in tcp://host:8786. Its workers need this package and the files that are written at the same paths.
+    """Run `ordered` and `unordered` on processes of this machine ("local"), or on the Dask cluster of the scheduler at the address
+    `where`, as in tcp://host:8786, whose workers need this package and the same file system.
 
     Raises `UserError` where Dask is not installed or no scheduler answers.
     """
@@ -58,8 +58,7 @@ def workers(where: str = LOCAL) -> Iterator[None]:
     try:
         client = Client(where, timeout=SCHEDULER_TIMEOUT)
     except (OSError, ValueError) as error:
-        raise UserError(
-            f"no Dask scheduler answers at {where!r} ({error}); give 'local' or an address as tcp://host:8786"
-        ) from None
+        address = "give 'local' or an address as tcp://host:8786"
+        raise UserError(f"no Dask scheduler answers at {where!r} ({error}); {address}") from None
     with client, joblib.parallel_config(backend="dask"):
         yield

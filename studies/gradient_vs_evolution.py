@@ -145,10 +145,8 @@ def main(
 
 def _motions(out: Path, preset: str, summary: dict) -> None:
     """Write the motions of Figure 5, torques summed over the joints: the best evolutionary trial and the gradient optimum."""
-    task, runs = (
-        load_task(preset),
-        [r for r in all_runs(out / "runs") if r.asked["preset"] == preset and r.asked["ends"] == "rest"],
-    )
+    task = load_task(preset)
+    runs = [r for r in all_runs(out / "runs") if r.asked["preset"] == preset and r.asked["ends"] == "rest"]
     for name, entry in summary["rest"].items():
         design = experiment(task, name)
         chosen = {}
@@ -161,12 +159,10 @@ def _motions(out: Path, preset: str, summary: dict) -> None:
             chosen["gradient"] = stored_motion(run), (run.found or {})["parameters"]
         for column, (motion, parameters) in chosen.items():
             torques = spring_torques(design, np.array(parameters), motion)
-            kinds = {"pea": "parallel", "bpea": "biarticular"}
-            sums = {
-                kind: sum((t.sum(axis=0) for label, t in torques.items() if label.startswith(start)), np.zeros(motion.t.size))
-                for kind, start in kinds.items()
-            }
-            arrays = {"t": motion.t, "phase": motion.phase, "load": motion.tau_load.sum(axis=0), **sums}
+            arrays = {"t": motion.t, "phase": motion.phase, "load": motion.tau_load.sum(axis=0)}
+            for key, start in (("pea", "parallel"), ("bpea", "biarticular")):
+                summed = (torque.sum(axis=0) for label, torque in torques.items() if label.startswith(start))
+                arrays[key] = sum(summed, np.zeros(motion.t.size))
             write_npz(out / "motions" / f"{name} {column}.npz", arrays)
 
 
@@ -180,14 +176,8 @@ def _listed(option: str, given: str, known: Iterable[str]) -> list[str]:
 
 def _run(stage: str, jobs: list[Job], processes: int) -> None:
     """All runs of a stage, with a progress bar; runs that have ended are read from the store."""
-    columns = (
-        TextColumn("{task.description:12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[last]}"),
-    )
-    with Progress(*columns, console=console) as progress:
+    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[last]}")
+    with Progress(TextColumn("{task.description:12}"), *columns, console=console) as progress:
         bar = progress.add_task(stage, total=len(jobs), last="")
         for labels, found in parallel.unordered(_call, jobs, processes):
             told = found.get("E1", found.get("reached"))

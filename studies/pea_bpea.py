@@ -12,7 +12,9 @@ same model; every optimum comes with a certificate and is simulated again in MuJ
 import json
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -46,6 +48,7 @@ from rrr_oc.report.design_report import report
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.storage import check_folder, write_json, write_npz, write_text
 
+COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
 console = wide_console()
 
@@ -76,6 +79,8 @@ def main(
     names = [n.strip() for n in configurations.split(",") if n.strip()]
     if not names:
         raise UserError(f"--configurations names none; there are {', '.join(CONFIGURATIONS)}")
+    if catalogue_search not in METHODS:
+        raise UserError(f"--catalogue-search is {catalogue_search!r}; allowed are {', '.join(METHODS)}")
     check_jobs(jobs)
     check_folder(out)
     drives = load_actuators(task.joints, actuators) if cost != "load" else None
@@ -84,35 +89,29 @@ def main(
     if calibrated is not None:
         check_transfer(next(iter(designs.values())), calibrated)
     shop = None if catalogue == "none" else load_catalogue(catalogue)
-    if catalogue_search not in METHODS:
-        raise UserError(f"--catalogue-search is {catalogue_search!r}; allowed are {', '.join(METHODS)}")
     options = SearchOptions(starts=starts, seed=seed, jobs=jobs, hops=hops, refinement=Refinement(tolerance))
-    asked = {
-        "preset": preset,
-        "cost": cost,
-        "catalogue": catalogue,
-        "catalogue_search": catalogue_search,
-        "options": asdict(options),
-    }
+    asked = {"preset": preset, "cost": cost, "catalogue": catalogue, "catalogue_search": catalogue_search}
     files = [f for f in (preset, catalogue, actuators if drives else None) if f is not None and Path(f).is_file()]
-    asked["files"] = [Path(f).read_text(encoding="utf-8") for f in files]
-    asked["robot"] = [task.robot.placements, task.robot.axes, task.robot.inertial]
-    asked["version"] = __version__
+    asked |= {"options": asdict(options), "files": [Path(f).read_text(encoding="utf-8") for f in files]}
+    asked |= {"robot": [task.robot.placements, task.robot.axes, task.robot.inertial], "version": __version__}
     found: dict[str, Any] = {}
     for name, design in designs.items():
-        found |= _once(
-            out, name, asked, lambda name=name, design=design: _solve(name, design, options, shop, catalogue_search, out)
-        )
+        found |= _once(out, name, asked, partial(_solve, name, design, options, shop, catalogue_search, out))
     for name, c in found.items():
-        design = designs[name.rstrip("*")]
-        c["calibrated"] = None if calibrated is None else plain(_transferred(out, name, c, design, calibrated))
+        c["calibrated"] = None if calibrated is None else _transferred(out, name, c, designs[name.rstrip("*")], calibrated)
+    _write(out, task, {"cost": cost, "options": options, "wall_s": time.perf_counter() - began}, found)
+
+
+def _write(out: Path, task: Task, settings: dict[str, Any], found: dict[str, Any]) -> None:
+    """summary.json, report.md and the figures."""
+    options = settings["options"]
     names = sorted(found, key=lambda name: (name.endswith("*"), list(CONFIGURATIONS).index(name.rstrip("*"))))
     summary = {
         "preset": task.name,
-        "cost": {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}[cost],
-        "seed": seed,
-        "starts": starts,
-        "wall_s": time.perf_counter() - began,
+        "cost": COSTS[settings["cost"]],
+        "seed": options.seed,
+        "starts": options.starts,
+        "wall_s": settings["wall_s"],
         "versions": {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},
         "options": plain(asdict(options)),
         "configurations": {name: found[name] for name in names},
@@ -125,8 +124,8 @@ def main(
     console.print(f"Everything is in {out}: report.md, summary.json, figures, one npz a configuration.")
 
 
-def _once(out: Path, name: str, asked: dict, solve) -> dict[str, Any]:
-    """The results of a configuration, from the folder if a run with the same settings has left them there, else solved."""
+def _once(out: Path, name: str, asked: dict, solve: Callable[[], tuple[dict[str, Any], bool]]) -> dict[str, Any]:
+    """The results of a configuration: those in the folder if a run with the same settings has written them, else those of `solve`."""
     saved = out / f".{name}.json"
     key = json.loads(json.dumps(plain(asked)))
     if saved.is_file():
@@ -159,55 +158,42 @@ def _solve(name: str, design: CoDesign, options: SearchOptions, shop, method: st
 
 
 def _search(name: str, design: CoDesign, options: SearchOptions) -> SearchResult:
+    best = float("inf")
     with _progress() as progress:
         row = progress.add_task(name, total=options.starts, best="")
-        best = [float("inf")]
 
         def show(start: Start) -> None:
-            best[0] = min(best[0], start.polished)
-            progress.update(row, advance=1, best=f"best so far {best[0]:.3f}")
+            nonlocal best
+            best = min(best, start.polished)
+            progress.update(row, advance=1, best=f"best so far {best:.3f}")
 
         try:
             return solve_multistart(design, options, show)
         except SolverFailure as failure:
+            task = design.task
+            rows = zip(
+                task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True
+            )
             limits = "; ".join(
-                f"{j}: {np.degrees(lo):.0f} … {np.degrees(hi):.0f}°, {np.degrees(v):.0f} °/s, {np.degrees(a):.0f} °/s², "
-                f"{tau:g} Nm"
-                for j, lo, hi, v, a, tau in zip(
-                    design.task.joints,
-                    design.task.lower,
-                    design.task.upper,
-                    design.task.speed,
-                    design.task.acceleration,
-                    design.task.torque,
-                    strict=True,
-                )
+                f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows
             )
             raise UserError(
-                f"no motion of task {design.task.name!r} was found within its limits ({limits}; "
-                f"{design.task.duration[0]:g} … {design.task.duration[1]:g} s a phase): {failure}"
+                f"no motion of task {task.name!r} was found within its limits ({limits}; "
+                f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
             ) from None
 
 
 def _buy(name: str, design: CoDesign, result: SearchResult, shop, options: SearchOptions, method: str) -> CatalogueResult:
     with _progress() as progress:
-        row = progress.add_task(name, total=None, best="")
-
-        def show(done: int) -> None:
-            progress.update(row, completed=done, best="choices solved")
-
-        return search_catalogue(design, result.best.solution, shop, options, method, show)
+        row = progress.add_task(name, total=None, best="choices solved")
+        return search_catalogue(
+            design, result.best.solution, shop, options, method, lambda done: progress.update(row, completed=done)
+        )
 
 
 def _progress() -> Progress:
-    columns = (
-        TextColumn("{task.description:12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[best]}"),
-    )
-    return Progress(*columns, console=console)
+    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[best]}")
+    return Progress(TextColumn("{task.description:12}"), *columns, console=console)
 
 
 def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions, began: float) -> dict[str, Any]:
@@ -220,7 +206,7 @@ def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions
         "springs": design.hardware(solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
-        "certificate": certify(result, result.best).to_json(),
+        "certificate": asdict(certify(result, result.best)),
         "meshes": result.best.meshes,
         "mujoco": describe_simulation(design, solution, motion),
         "published_springs_E1": _published(name, design, options),
@@ -244,10 +230,10 @@ def _describe(name: str, result: SearchResult, out: Path, options: SearchOptions
 
 
 def _transferred(out: Path, name: str, found: dict[str, Any], design: CoDesign, calibrated: CalibratedModel) -> dict[str, Any]:
-    """A saved optimum in the calibrated twin."""
+    """Metrics of a saved optimum in the calibrated twin."""
     saved = np.load(out / f"{name}.npz")
     motion, theta = SampledMotion(**{key: saved[key] for key in SAVED}), design.model.theta(found["parameters"])
-    return describe_transfer(design, motion, theta, calibrated, load_actuators(design.task.joints))
+    return plain(describe_transfer(design, motion, theta, calibrated, load_actuators(design.task.joints)))
 
 
 def _published(name: str, design: CoDesign, options: SearchOptions) -> float | None:

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import MeshError, Refinement, mesh_error, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
-from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure, continue_in, solve
+from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure, solve
 from rrr_oc.optimal_control.transcription import Transcription
 
 TIGHT = Options(tolerance=1e-12)
@@ -286,7 +286,9 @@ def test_continuation_in_the_data():
     problem, start = rayleigh()
     solver = Solver(Transcription(problem, scheme(), uniform_mesh(problem, 20)))
     weights = [np.array([w]) for w in (0.7, 0.5, 0.3)]
-    followed = continue_in(solver, solver.solve(start), weights)
+    followed = solver.solve(start)
+    for weight in weights:
+        followed = solver.solve(followed, weight)
     assert followed.cost == pytest.approx(solve(replace(problem, data=weights[-1]), start, 20).cost, rel=1e-7)
 
 

@@ -1,4 +1,4 @@
-"""What can be bought: a catalogue of springs and pulleys, and the distinct choices that it offers for the springs of a design."""
+"""A catalogue of purchasable springs and pulleys, and the distinct choices that it offers for the springs of a design."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -18,16 +18,17 @@ from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
 from rrr_oc.schema import Positive, Schema, Text, check_names, read_preset
 
-RELATIVE = 1e-4  # [1] by which hardware may be outside the task's bounds: lists are printed with four or five digits
+ROUNDED = 1e-4  # [1] by which hardware may be outside the task's bounds, as lists are printed with four or five digits; doubled, one with
+# three digits would still be met
 
 
 @dataclass(frozen=True)
 class Catalogue:
-    """What can be bought.
+    """Purchasable springs and pulleys.
 
     Attributes:
-        name: Where it is from.
-        lists: By label of the springs' design form, values in SI units: by joint name where one quantity is bought, else by the
+        name: Used in messages.
+        lists: Values [SI] by label of the springs' design form, and there by joint name where one quantity is bought, else by the
             quantity's symbol (pulleys with their cable included).
     """
 
@@ -64,7 +65,7 @@ def _lists(where: str, form: DesignForm, given: Mapping[str, Sequence[float]]) -
 
 @dataclass(frozen=True)
 class Choice:
-    """A distinct thing to buy: hardware of some springs [SI], and the bounds of the parameters that hold the design to it."""
+    """Hardware of some springs [SI], and the bounds of the parameters that hold a design to it."""
 
     hardware: dict[str, float]
     lower: np.ndarray
@@ -95,16 +96,11 @@ class Choices:
         """Index of the spring whose parameters are functions of its hardware (a biarticular one); None where there is none."""
         return next((i for i, s in enumerate(self.design.springs) if s.hardware), None)
 
-    def first_parameter(self, spring: int) -> int:
-        """Index of a spring's first parameter among those of the design."""
-        return sum(len(s.lower) for s in self.design.springs[:spring])
-
     def merged(self, choices: Sequence[Choice | None]) -> Choice:
         """One choice from those of the springs; None leaves a spring free."""
-        both = list(zip(self.design.springs, choices, strict=True))
-        lower = np.concatenate([s.lower if c is None else c.lower for s, c in both])
-        upper = np.concatenate([s.upper if c is None else c.upper for s, c in both])
-        return Choice({k: v for c in choices if c is not None for k, v in c.hardware.items()}, lower, upper)
+        both = [c or Choice({}, s.lower, s.upper) for s, c in zip(self.design.springs, choices, strict=True)]
+        hardware = {name: size for c in both for name, size in c.hardware.items()}
+        return Choice(hardware, np.concatenate([c.lower for c in both]), np.concatenate([c.upper for c in both]))
 
     def alone(self, choice: Choice, spring: int) -> Choice:
         """A choice for one spring, the others free."""
@@ -117,15 +113,15 @@ class Choices:
     def neighbours(self, choice: Choice, parameters: np.ndarray) -> list[Choice]:
         """A choice of the derived spring with the catalogued stiffnesses next below and above the optimal ones of each
         parallel spring, which stand in `parameters`."""
-        lists = []
+        lists, at = [], 0
         for i, kinds in enumerate(self.of_spring):
-            at = self.first_parameter(i)
+            rows = slice(at, at + len(kinds[0].lower))
             if i == self.derived:
-                rows = slice(at, at + len(kinds[0].lower))
                 lists.append([Choice(choice.hardware, choice.lower[rows], choice.upper[rows])])
-                continue
-            above = int(np.searchsorted([c.lower[0] for c in kinds], parameters[at]))
-            lists.append([kinds[k] for k in sorted({max(above - 1, 0), min(above, len(kinds) - 1)})])
+            else:
+                above = int(np.searchsorted([c.lower[0] for c in kinds], parameters[at]))
+                lists.append(kinds[max(above - 1, 0) : above + 1])
+            at = rows.stop
         return [self.merged(c) for c in itertools.product(*lists)]
 
 
@@ -146,7 +142,7 @@ def _inside(design: CoDesign, spring: SpringBounds, catalogue: Catalogue) -> dic
             continue
         low, high = spring.hardware[q.symbol] if form.derived else (spring.lower[i], spring.upper[i])
         values = lists.get(joints[0] if len(form.bought) == 1 else q.symbol, ())
-        found = [v for v in values if low * (1 - RELATIVE) <= v <= high * (1 + RELATIVE)]
+        found = [v for v in values if low * (1 - ROUNDED) <= v <= high * (1 + ROUNDED)]
         if not found:
             raise UserError(f"{what} within the task's bounds: no {q.symbol} of {low:g} … {high:g}" if lists else what)
         inside[form.name(q, spring.effect.joints)] = found

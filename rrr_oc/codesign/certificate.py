@@ -1,8 +1,8 @@
 """The certificate of an optimum: optimality conditions, active bounds, discretisation and smoothing errors."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from itertools import pairwise
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain, pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -14,6 +14,11 @@ from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.solver import Solution
 
+_SAVING = 1e-6  # [1] a bound that saves no more of the cost by one unit is not listed; doubled, the list is a little shorter
+_TOUCHED = (
+    1e-4  # [1] of a variable's scale: a parameter this close to its bound is at it; doubled, bounds further away are listed
+)
+_Bound = tuple[str, float, str, float]  # name, value [unit], unit, decrease of the cost for moving it outward by one unit
 _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
 
 
@@ -23,7 +28,7 @@ class ActiveBound:
 
     Attributes:
         name: What is bounded, and on which side.
-        value: The bound, in `unit`.
+        value: The bound [`unit`].
         unit: Degrees and millimetres rather than SI units.
         saving: Relative decrease of the cost for moving the bound outward by one unit, to first order.
         sentence: The same in words.
@@ -73,10 +78,6 @@ class Certificate:
     reintegration: dict[str, float]
     share: float
 
-    def to_json(self) -> dict:
-        """As plain data."""
-        return asdict(self)
-
 
 def certify(result: SearchResult, optimum: Optimum) -> Certificate:
     """The certificate of one of a search's optima."""
@@ -109,98 +110,81 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
 
 
 def _active(design: CoDesign, solution: Solution, kkt: Kkt) -> tuple[ActiveBound, ...]:
-    bounds = [*_parameter_bounds(design, solution), *_hardware_bounds(design, kkt)]
-    bounds += [*_motion_bounds(design, solution), *_path_bounds(design, solution)]
-    return tuple(sorted((b for b in bounds if b.saving > 1e-6), key=lambda b: -b.saving))
-
-
-def _bound(design: CoDesign, solution: Solution, name: str, value: float, unit: str, gain: float) -> ActiveBound:
-    """`gain`: fall of the cost for one unit [unit] outward."""
-    factor, readable = _DESIGNER.get(unit, (1.0, unit))
-    saving = gain / factor / solution.cost
-    e1 = "E1" if design.cost == "load" else f"the cost [{COST_UNITS[design.cost]}]"
-    sentence = (
-        f"moving {name} ({value * factor:.4g} {readable}) outward by one {readable} would save {100 * saving:.2g} % of {e1}"
+    bounds = chain(
+        _parameter_bounds(design, solution),
+        _hardware_bounds(design, kkt),
+        _motion_bounds(design, solution),
+        _path_bounds(design, solution),
     )
-    return ActiveBound(name, value * factor, readable, saving, sentence)
+    active = (_described(design, solution, *bound) for bound in bounds)
+    return tuple(sorted((b for b in active if b.saving > _SAVING), key=lambda b: -b.saving))
 
 
-def _parameter_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
-    found, problem, t = [], solution.problem, solution.transcription
-    units = [p.unit for p in design.model.parameters]
-    entries = [(i, name, units[i]) for i, name in enumerate(problem.parameters)]
+def _described(design: CoDesign, solution: Solution, name: str, value: float, unit: str, gain: float) -> ActiveBound:
+    factor, readable = _DESIGNER.get(unit, (1.0, unit))
+    value, saving = float(value * factor), float(gain / factor / solution.cost)
+    cost = "E1" if design.cost == "load" else f"the cost [{COST_UNITS[design.cost]}]"
+    sentence = f"moving {name} ({value:.4g} {readable}) outward by one {readable} would save {100 * saving:.2g} % of {cost}"
+    return ActiveBound(name, value, readable, saving, sentence)
+
+
+def _parameter_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
+    """Bounds of springs' parameters and of durations."""
+    problem, t = solution.problem, solution.transcription
+    entries = [(i, n, p.unit) for i, (n, p) in enumerate(zip(problem.parameters, design.model.parameters, strict=True))]
     entries += [(b.duration, f"duration of {p.name}", "s") for p, b in zip(problem.phases, t.blocks, strict=True)]
     lower, upper = t.bounds
     for index, name, unit in entries:
         force = solution.lam_w[index] / t.scale[index] * problem.cost_scale
-        if lower[index] == upper[index]:
-            continue
         side, bound = ("upper", upper) if force > 0 else ("lower", lower)
-        if abs(solution.w[index] - bound[index]) < 1e-4 and abs(force) > 0:
-            value = float(bound[index] * t.scale[index])
-            found.append(_bound(design, solution, f"the {side} bound of {name}", value, unit, abs(float(force))))
-    return found
+        if lower[index] < upper[index] and abs(solution.w[index] - bound[index]) < _TOUCHED and force:
+            yield f"the {side} bound of {name}", bound[index] * t.scale[index], unit, abs(force)
 
 
-def _hardware_bounds(design: CoDesign, kkt: Kkt) -> list[ActiveBound]:
-    """The sensitivity of the cost to the bounds of springs' hardware, of which the parameters are functions."""
-    found, solution = [], kkt.solution
-    gradient = -kkt.data_gradient  # decrease of the cost by one unit of each datum
+def _hardware_bounds(design: CoDesign, kkt: Kkt) -> Iterator[_Bound]:
+    """Bounds of springs' hardware, of which the parameters are functions."""
     units = {q.symbol: q.si for s in design.springs if s.hardware for q in s.form.quantities}
-    for name, value, gain in zip(design.data_names, solution.problem.data, gradient, strict=True):
+    for name, value, slope in zip(design.data_names, kkt.solution.problem.data, kkt.data_gradient, strict=True):
         symbol, _, side = name.rpartition(" ")
         if symbol in units:
-            outward = gain if side == "upper" else -gain
-            found.append(_bound(design, solution, f"the {side} bound of {symbol}", float(value), units[symbol], float(outward)))
-    return found
+            yield f"the {side} bound of {symbol}", value, units[symbol], -slope if side == "upper" else slope
 
 
-def _motion_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
-    """Speed, acceleration and range limits: the multipliers of all instants together."""
-    found, t, problem, task = [], solution.transcription, solution.problem, design.task
-    m = len(task.moving)
-    force = solution.lam_w / t.scale * problem.cost_scale
+def _motion_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
+    """Limits of range, speed and acceleration: the multipliers of all instants together."""
+    t, task = solution.transcription, design.task
+    force = solution.lam_w / t.scale * solution.problem.cost_scale
     for j, joint in enumerate(task.joints):
         for kind, unit, row, limits in (
             ("range", "rad", j, (task.lower[j], task.upper[j])),
-            ("speed", "rad/s", m + j, (-task.speed[j], task.speed[j])),
+            ("speed", "rad/s", len(task.moving) + j, (-task.speed[j], task.speed[j])),
         ):
-            for side, value in (("lower", limits[0]), ("upper", limits[1])):
-                total = _one_sided(force, [_inner(b, row) for b in t.blocks], side)
-                found.append(_bound(design, solution, f"the {side} {kind} limit of {joint}", float(value), unit, total))
-        total = sum(_one_sided(force, [np.unique(b.stage_u[j]) for b in t.blocks], side) for side in ("lower", "upper"))
+            # a state's variables at all nodes and stages but the phase's fixed ends
+            inner = [np.setdiff1d(np.r_[b.nodes[row], b.stage_x[row].ravel()], b.nodes[row, [0, -1]]) for b in t.blocks]
+            for side, sign, value in zip(("lower", "upper"), (-1, 1), limits, strict=True):
+                yield f"the {side} {kind} limit of {joint}", value, unit, _positive(sign * force, inner)
+        controls = [np.unique(b.stage_u[j]) for b in t.blocks]
         if np.isfinite(task.acceleration[j]):
-            found.append(
-                _bound(design, solution, f"the acceleration limit of {joint}", float(task.acceleration[j]), "rad/s²", total)
-            )
-    return found
+            total = _positive(-force, controls) + _positive(force, controls)
+            yield f"the acceleration limit of {joint}", task.acceleration[j], "rad/s²", total
 
 
-def _path_bounds(design: CoDesign, solution: Solution) -> list[ActiveBound]:
+def _positive(force: np.ndarray, indices: list[np.ndarray]) -> float:
+    """Sum of the positive multipliers."""
+    return float(sum(np.maximum(force[i], 0).sum() for i in indices))
+
+
+def _path_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
     """Torque limits and the floor, rows of the problem: the multipliers of all instants together."""
-    found, t, task = [], solution.transcription, design.task
-    force: dict[str, float] = {}
-    for name, rows in t.path_rows:
-        force[name] = force.get(name, 0.0) + float(np.abs(solution.lam_g[rows]).sum()) * solution.problem.cost_scale
+    task, force = design.task, dict[str, float]()
+    for name, rows in solution.transcription.path_rows:
+        force[name] = force.get(name, 0.0) + np.abs(solution.lam_g[rows]).sum() * solution.problem.cost_scale
+    limits = {torque_path(joint): limit for joint, limit in zip(task.joints, task.torque, strict=True)}
     for name, total in force.items():
         if name == FLOOR:
-            found.append(_bound(design, solution, "the floor under the tool", float(task.floor), "m", total))
-            continue
-        limit = float(task.torque[[torque_path(j) for j in task.joints].index(name)])
-        # the row is torque / limit ≤ 1
-        found.append(_bound(design, solution, f"the limit of the {name}", limit, "Nm", total / limit))
-    return found
-
-
-def _inner(block, row: int) -> np.ndarray:
-    """A state's variables at all nodes and stages but the phase's fixed ends."""
-    every = np.r_[block.nodes[row], block.stage_x[row].ravel()]
-    return np.setdiff1d(every, block.nodes[row, [0, -1]])
-
-
-def _one_sided(force: np.ndarray, indices: list[np.ndarray], side: str) -> float:
-    sign = 1 if side == "upper" else -1
-    return float(sum(np.maximum(sign * force[np.unique(i)], 0).sum() for i in indices))
+            yield "the floor under the tool", task.floor, "m", total
+        else:
+            yield f"the limit of the {name}", limits[name], "Nm", total / limits[name]  # the row is torque / limit ≤ 1
 
 
 def exact_cost(design: CoDesign, solution: Solution) -> float:

@@ -22,11 +22,11 @@ COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
 @dataclass(frozen=True, eq=False)
 class CoDesign:
-    """A task, the springs that may help, and the cost: what becomes an optimal-control problem.
+    """A task, the springs that may help, and the cost.
 
     Attributes:
         task: The task.
-        springs: With their bounds; `with_fixed` narrows them. Those that are known stand last; `with_physics` adds them.
+        springs: With their bounds, which `with_fixed` narrows. Known effects, added by `with_physics`, come last.
         cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11.
         actuators: Of the moving joints; needed for "motor" and "energy".
         at_rest: Whether the arm is at rest at both ends of each phase.
@@ -69,23 +69,18 @@ class CoDesign:
         """The optimal-control problem: states q, dq of the moving joints, controls their accelerations."""
         lower = np.concatenate([np.zeros(0), *[s.lower for s in self.springs]])
         upper = np.concatenate([np.zeros(0), *[s.upper for s in self.springs]])
-        names = tuple(
-            f"{'known ' if s.known else ''}{self.model.label(s.effect)}.{p.name}"
-            for s in self.springs
-            for p in s.effect.parameters
-        )
+        labels = [(f"{'known ' if s.known else ''}{self.model.label(s.effect)}", s.effect.parameters) for s in self.springs]
         design, designs = self._design()
-        holding = self._holding_cost()
         return Problem(
             phases=tuple(self._phase(i) for i in range(len(PHASES))),
-            parameters=names,
+            parameters=tuple(f"{label}.{p.name}" for label, parameters in labels for p in parameters),
             p_lower=lower,
             p_upper=upper,
             p_scale=np.maximum(np.maximum(np.abs(lower), np.abs(upper)), 1e-3),
             data=self.data(),
             design=design,
             designs=designs,
-            cost_scale=holding,
+            cost_scale=self._holding_cost(),
         )
 
     def _phase(self, index: int) -> Phase:
@@ -115,13 +110,9 @@ class CoDesign:
         )
 
     def _rates(self, index: int, limited: np.ndarray) -> ca.Function:
-        task, m, n_data = self.task, len(self.task.moving), len(self.data_names)
-        x, u, p, d = (
-            ca.SX.sym("x", 2 * m),
-            ca.SX.sym("u", m),
-            ca.SX.sym("p", len(self.model.parameters)),
-            ca.SX.sym("d", n_data),
-        )
+        task, m = self.task, len(self.task.moving)
+        sizes = {"x": 2 * m, "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
+        x, u, p, d = (ca.SX.sym(name, size) for name, size in sizes.items())
         payload = d[0] if index == 0 else 0.0
         tau = self._load_torque(x[:m], x[m:], u, payload, p, d[1 : 1 + self.model.widths.size])[0]
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for i in limited])
@@ -130,15 +121,13 @@ class CoDesign:
         return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), self._cost_rate(x[m:], u, tau), path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
-        full = [self._all_joints(values) for values in (q, dq, ddq)]
-        tau, spring = self.model.inverse(*full, payload, theta, widths)
         moving = list(self.task.moving)
+        tau, spring = self.model.inverse(*(self._all_joints(v) for v in (q, dq, ddq)), payload, theta, widths)
         return tau[moving], spring[moving]
 
     def _all_joints(self, moving: ca.SX) -> ca.SX:
         full = ca.SX.zeros(self.task.robot.n)
-        for row, joint in enumerate(self.task.moving):
-            full[joint] = moving[row]
+        full[list(self.task.moving)] = moving
         return full
 
     def _cost_rate(self, dq, ddq, tau) -> ca.SX:
@@ -162,10 +151,8 @@ class CoDesign:
         return (ca.Function("design", [p, d], [ca.vertcat(*rows)]), tuple(names)) if rows else (None, ())
 
     def _holding_cost(self) -> float:
-        """Cost of holding the loaded arm still at both ends for two seconds without springs: a magnitude for scaling."""
-        zero = np.zeros(self.task.robot.n)
-        bare = self.task.model()
-        total = 0.0
+        """A tenth of the cost of holding the loaded arm still at both ends for two seconds each without springs: a magnitude."""
+        bare, zero, total = self.task.model(), np.zeros(self.task.robot.n), 0.0
         for end in (self.task.start, self.task.release):
             tau = np.array(bare.inverse(self.task.full(end), zero, zero, self.task.payload, [], [])[0]).ravel()
             total += 2.0 * float((tau[list(self.task.moving)] ** 2).sum())
@@ -174,17 +161,13 @@ class CoDesign:
     @cached_property
     def torques(self) -> ca.Function:
         """(q, dq, ddq, payload, theta, widths) of the moving joints -> (load torque, spring torque), (m,) each [Nm]."""
-        m = len(self.task.moving)
-        inputs = [ca.SX.sym(n, m) for n in ("q", "dq", "ddq")]
-        inputs += [
-            ca.SX.sym("payload"),
-            ca.SX.sym("theta", len(self.model.parameters)),
-            ca.SX.sym("widths", self.model.widths.size),
-        ]
+        sizes = dict.fromkeys(("q", "dq", "ddq"), len(self.task.moving)) | {"payload": 1}
+        sizes |= {"theta": len(self.model.parameters), "widths": self.model.widths.size}
+        inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
         return ca.Function("torques", inputs, list(self._load_torque(*inputs)))
 
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
-        """The springs of a solution as a designer names them: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI and radians."""
+        """The springs of a solution by a designer's names: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI units and radians."""
         found, numbers = {}, iter(np.asarray(parameters, float).tolist())
         for spring in self.springs:
             named = {p.name: next(numbers) for p in spring.effect.parameters}
@@ -193,16 +176,13 @@ class CoDesign:
         return found
 
     def with_physics(self, effects: Sequence[tuple[Effect, np.ndarray]]) -> "CoDesign":
-        """The same problem on an arm that has further effects of known parameters, which come after the springs'."""
-        given = [
-            SpringBounds(effect, np.asarray(theta, float), np.asarray(theta, float), known=True) for effect, theta in effects
-        ]
-        return replace(self, springs=(*self.springs, *given))
+        """The same problem on an arm that has further effects with known parameters, which come after the springs'."""
+        values = [(effect, np.asarray(theta, float)) for effect, theta in effects]
+        return replace(self, springs=(*self.springs, *(SpringBounds(e, v, v, known=True) for e, v in values)))
 
     def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "CoDesign":
         """The same problem with springs fixed to hardware, except the names in `keep_free`."""
-        springs = tuple(spring.held(hardware, keep_free) for spring in self.springs)
-        return replace(self, springs=springs)
+        return replace(self, springs=tuple(spring.held(hardware, keep_free) for spring in self.springs))
 
 
 def torque_path(joint: str) -> str:

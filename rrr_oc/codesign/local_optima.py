@@ -1,5 +1,6 @@
 """Local optima of a co-design: followed from the coarse to the fine mesh, compared, refined, and improved by basin hopping."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +11,12 @@ from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.refinement import mesh_row, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
-from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure, continue_in
+from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import ordered
 
 SOLVED = "Solve_Succeeded"
-STRETCHES = (0.85, 0.92, 1.08, 1.15)  # [1] factors on a duration that a hop tries
+STRETCHES = (0.85, 0.92, 1.08, 1.15)  # [1] factors on a duration that a hop tries; with steps twice as large it skips optima
 BARRIERS = (1e-2, 1e-6)  # [1] initial barrier parameters of a hop: far from the bounds, and close to the stretched optimum
 
 
@@ -41,8 +42,8 @@ class Optimum:
 
 def transcribed(design: CoDesign, options: SearchOptions, intervals: int) -> Transcription:
     """The problem on a uniform mesh with the search's scheme, its functions compiled."""
-    problem = design.problem
-    return Transcription(problem, scheme(options.scheme, options.stages), uniform_mesh(problem, intervals), compiled=True)
+    method, mesh = scheme(options.scheme, options.stages), uniform_mesh(design.problem, intervals)
+    return Transcription(design.problem, method, mesh, compiled=True)
 
 
 def same_optimum(a: Solution, b: Solution) -> bool:
@@ -58,52 +59,38 @@ def same_optimum(a: Solution, b: Solution) -> bool:
     return all(np.abs(a.at(i, s)[0][:half] - b.at(i, s)[0][:half]).max() < 0.03 for i in range(len(a.durations)))
 
 
-def join_optimum(optima: list[Optimum], found: Optimum) -> None:
-    """Add an optimum to distinct ones. Where it equals one of them, the cheaper of both stands, with the starts of both."""
-    for i, other in enumerate(optima):
-        if same_optimum(found.solution, other.solution):
-            better = min(found, other, key=lambda o: o.cost)
-            optima[i] = replace(better, reached=found.reached + other.reached)
-            return
-    optima.append(found)
+def distinct(optima: Iterable[Optimum]) -> list[Optimum]:
+    """The different ones of some optima, cheapest first: of equal ones the cheaper, with the starts of both."""
+    kept: list[Optimum] = []
+    for found in optima:
+        same = next((i for i, other in enumerate(kept) if same_optimum(found.solution, other.solution)), None)
+        if same is None:
+            kept.append(found)
+        else:
+            reached = found.reached + kept[same].reached
+            kept[same] = replace(min(found, kept[same], key=lambda o: o.cost), reached=reached)
+    return sorted(kept, key=lambda o: o.cost)
 
 
-@dataclass(frozen=True)
-class PackedOptimum:
-    """An optimum as plain arrays, to be passed between processes: compiled functions cannot be."""
-
-    mesh: tuple[np.ndarray, ...]
-    data: np.ndarray
-    arrays: tuple[np.ndarray, np.ndarray, np.ndarray]
-    numbers: tuple[float, str, int, float]
-    meshes: list[dict]
-    reached: int
-
-    @classmethod
-    def of(cls, optimum: Optimum) -> "PackedOptimum":
-        """Pack an optimum."""
-        s = optimum.solution
-        numbers = s.cost, s.status, s.iterations, s.seconds
-        return cls(s.transcription.mesh, s.problem.data, (s.w, s.lam_g, s.lam_w), numbers, optimum.meshes, optimum.reached)
-
-    def of_design(self, design: CoDesign, options: SearchOptions) -> Optimum:
-        """The optimum as one of `design`, which must be the design that it was packed from."""
-        problem = replace(design.problem, data=self.data)
-        transcription = Transcription(problem, scheme(options.scheme, options.stages), self.mesh, compiled=True)
-        return Optimum(Solution(transcription, *self.arrays, *self.numbers), self.meshes, self.reached)
+def attached(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
+    """An optimum of `design` that another process found, on this process's own problem and scheme, whose functions exist already."""
+    s = optimum.solution
+    problem = replace(design.problem, data=s.problem.data)
+    transcription = replace(transcribed(design, options, 1), problem=problem, mesh=s.transcription.mesh)
+    return replace(optimum, solution=replace(s, transcription=transcription))
 
 
-def follow_to_fine_mesh(design: CoDesign, options: SearchOptions, guess: Guess) -> PackedOptimum | None:
+def follow_to_fine_mesh(design: CoDesign, options: SearchOptions, guess: Guess) -> Optimum | None:
     """The optimum near a guess on the fine mesh with the smallest smoothing width; None where IPOPT loses it."""
     solver = Solver(transcribed(design, options, options.fine), Options(barrier=1e-6))
     try:
         followed = solver.solve(guess, design.data(options.width))
-        widths = options.widths if design.springs else options.widths[-1:]
-        followed = continue_in(solver, followed, [design.data(width) for width in widths])
+        for width in options.widths if design.springs else options.widths[-1:]:
+            followed = solver.solve(followed, design.data(width))
         followed = leave_saddle(solver, followed)
     except SolverFailure:
         return None
-    return PackedOptimum.of(Optimum(followed, [mesh_row(followed)]))
+    return Optimum(followed, [mesh_row(followed)])
 
 
 def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solution:
@@ -114,44 +101,41 @@ def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solutio
             break
         direction = conditions.second_order()[2]
         step = 0.1 * direction / np.abs(direction).max()
-        found = []
-        for sign in (1, -1):
-            away = solver.solve(solution.w + sign * step, solution.problem.data, check=False)
-            if away.status == SOLVED and away.cost < solution.cost * (1 - 1e-6):
-                found.append(away)
-        if not found:
+        tries = [solver.solve(solution.w + s * step, solution.problem.data, check=False) for s in (1, -1)]
+        lower = [t for t in tries if t.status == SOLVED and t.cost < solution.cost * (1 - 1e-6)]
+        if not lower:
             break
-        solution = min(found, key=lambda s: s.cost)
+        solution = min(lower, key=lambda s: s.cost)
     return solution
 
 
 def refined(design: CoDesign, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
     """Optima refined to the mesh tolerance, in parallel; one that is lost on a finer mesh stays as it was, with its error."""
-    packed = ordered(_refine, [(design, options, PackedOptimum.of(o)) for o in optima], options.jobs)
-    return [p.of_design(design, options) for p in packed]
+    found = ordered(_refine, [(design, options, o) for o in optima], options.jobs)
+    return [attached(design, options, o) for o in found]
 
 
-def _refine(design: CoDesign, options: SearchOptions, packed: PackedOptimum) -> PackedOptimum:
+def _refine(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
     try:
-        solution, rows = refine(packed.of_design(design, options).solution, options.refinement)
+        solution, rows = refine(attached(design, options, optimum).solution, options.refinement)
         left = leave_saddle(Solver(solution.transcription, Options(barrier=1e-6)), solution)
         if left is not solution:
             solution, more = refine(left, options.refinement)
             rows += more
     except SolverFailure:
-        return packed
-    return PackedOptimum.of(Optimum(solution, rows, packed.reached))
+        return optimum
+    return Optimum(solution, rows, optimum.reached)
 
 
 def hopped(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
     """Basin hopping over the durations, as long as it lowers the cost. Optima of nearly equal cost differ in the number of
     swings, so the best one is stretched or shortened, phase by phase, and solved again."""
     for _ in range(options.hops):
-        packed, best = PackedOptimum.of(optimum), optimum
-        tries = [(design, options, packed, i, f, barrier) for i in range(2) for f in STRETCHES for barrier in BARRIERS]
+        best = optimum
+        tries = [(design, options, optimum, i, f, barrier) for i in range(2) for f in STRETCHES for barrier in BARRIERS]
         for found in ordered(_hop, tries, options.jobs):
-            if found is not None and found.numbers[0] < best.cost * (1 - 1e-5):
-                best = found.of_design(design, options)
+            if found is not None and found.cost < best.cost * (1 - 1e-5):
+                best = attached(design, options, found)
         if best is optimum:
             break
         optimum = best
@@ -159,11 +143,12 @@ def hopped(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimu
 
 
 def _hop(
-    design: CoDesign, options: SearchOptions, packed: PackedOptimum, phase: int, factor: float, barrier: float
-) -> PackedOptimum | None:
-    guess = packed.of_design(design, options).solution.guess()
+    design: CoDesign, options: SearchOptions, optimum: Optimum, phase: int, factor: float, barrier: float
+) -> Optimum | None:
+    start = attached(design, options, optimum).solution
+    guess = start.guess()
     motions = list(guess.phases)
     motions[phase] = replace(motions[phase], duration=float(np.clip(factor * motions[phase].duration, *design.task.duration)))
     solver = Solver(transcribed(design, options, options.fine), Options(barrier=barrier, iterations=200))
-    found = solver.solve(Guess(tuple(motions), guess.parameters), packed.data, check=False)
-    return PackedOptimum.of(Optimum(found, [mesh_row(found)])) if found.status == SOLVED else None
+    found = solver.solve(Guess(tuple(motions), guess.parameters), start.problem.data, check=False)
+    return Optimum(found, [mesh_row(found)]) if found.status == SOLVED else None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import Optimum, follow_to_fine_mesh, hopped, join_optimum, refined, transcribed
+from rrr_oc.codesign.local_optima import Optimum, attached, distinct, follow_to_fine_mesh, hopped, refined, transcribed
 from rrr_oc.codesign.proposals import (
     LAYERS,
     SearchOptions,
@@ -25,7 +25,7 @@ from rrr_oc.parallel import once_per_process, ordered, unordered
 
 @dataclass(frozen=True)
 class Start:
-    """One starting point and where it led.
+    """A starting point and the optimum that IPOPT found from it.
 
     Attributes:
         layer: Its source (`LAYERS`).
@@ -51,7 +51,7 @@ class SearchResult:
     Attributes:
         design: The problem.
         optima: Distinct local optima, cheapest first.
-        starts: All starting points, in the order in which they were polished.
+        starts: All starting points, in the order of their polishes' ends.
         interrupted: Whether Ctrl-C ended the search early.
     """
 
@@ -66,7 +66,7 @@ class SearchResult:
         return self.optima[0]
 
     def whole(self) -> "SearchResult":
-        """The result itself; raises `KeyboardInterrupt` if the search was stopped early, so that no part of it is stored as whole."""
+        """The result itself; raises `KeyboardInterrupt` if the search was interrupted, so that no partial result is stored."""
         if self.interrupted:
             raise KeyboardInterrupt
         return self
@@ -76,13 +76,13 @@ class SearchResult:
         rows = {}
         for layer in LAYERS:
             starts = [s for s in self.starts if s.layer == layer]
-            costs = np.array([s.polished for s in starts if np.isfinite(s.polished)])
+            costs = [s.polished for s in starts if np.isfinite(s.polished)]
             if starts:
                 rows[layer] = {
                     "starts": len(starts),
-                    "failed": len(starts) - costs.size,
-                    "best": float(costs.min()) if costs.size else float("inf"),
-                    "median": float(np.median(costs)) if costs.size else float("inf"),
+                    "failed": len(starts) - len(costs),
+                    "best": min(costs, default=float("inf")),
+                    "median": float(np.median(costs or [np.inf])),
                     "best_proposal": min(s.proposed for s in starts),
                     "seconds": float(sum(s.seconds for s in starts)),
                 }
@@ -118,10 +118,8 @@ class Polisher:
 def solve_multistart(
     design: CoDesign, options: SearchOptions | None = None, progress: Callable[[Start], None] | None = None
 ) -> SearchResult:
-    """The best co-design found from many starting points.
-
-    Every start is polished on a coarse mesh, the distinct optima are solved on a fine one, and the best of them refined.
-    Ctrl-C ends the search early; what has been found so far is returned.
+    """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
+    fine one, and the best of them refined. Ctrl-C ends the search early with what has been found.
 
     Args:
         progress: Called with every start that has been polished.
@@ -130,7 +128,7 @@ def solve_multistart(
         SolverFailure: No start led to an optimum.
     """
     options = options or SearchOptions()
-    polisher = Polisher(design, options)  # which compiles the functions here once, not in each process
+    polisher = Polisher(design, options)  # compiles the functions before the processes need them
     starts: list[Start] = []
     interrupted = False
     try:
@@ -153,16 +151,15 @@ def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> 
     Returns:
         The number of starts, and the solution; None where `options.starts` were not enough.
     """
-    polisher, count = Polisher(design, options), 0
-    for vector in sobol_points(dimensions(design, options.via), options.starts, options.seed):
-        count += 1
+    polisher = Polisher(design, options)
+    for count, vector in enumerate(sobol_points(dimensions(design, options.via), options.starts, options.seed), 1):
         start = polisher(LAYERS[0], vector)
         if not start.w.size or start.polished > 2 * target:  # the coarse mesh and the wide springs change the cost by far less
             continue
-        packed = follow_to_fine_mesh(design, options, polisher.solution(start).guess())
-        if packed is not None and packed.numbers[0] <= target:
-            return count, packed.of_design(design, options).solution
-    return count, None
+        found = follow_to_fine_mesh(design, options, polisher.solution(start).guess())
+        if found is not None and found.cost <= target:
+            return count, found.solution
+    return options.starts, None
 
 
 def continue_from(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:
@@ -171,8 +168,8 @@ def continue_from(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) 
     Returns:
         (index of the start, optimum), cheapest first; starts from which IPOPT found no optimum are missing.
     """
-    packed = ordered(follow_to_fine_mesh, [(design, options, guess) for design, guess in starts], options.jobs)
-    found = [(i, p.of_design(starts[i][0], options)) for i, p in enumerate(packed) if p is not None]
+    followed = ordered(follow_to_fine_mesh, [(design, options, guess) for design, guess in starts], options.jobs)
+    found = [(i, attached(starts[i][0], options, o)) for i, o in enumerate(followed) if o is not None]
     found.sort(key=lambda pair: pair[1].cost)
     if found:
         index, optimum = found[0]
@@ -220,24 +217,14 @@ def _raise_failure(design: CoDesign, options: SearchOptions, starts: list[Start]
 def _best_optima(polisher: Polisher, starts: list[Start], interrupted: bool) -> tuple[Optimum, ...]:
     """The distinct optima on a fine mesh, the best of them refined; cheapest first."""
     design, options = polisher.design, polisher.options
-    coarse: list[Optimum] = []
-    for start in sorted((s for s in starts if s.w.size), key=lambda s: s.polished):
-        join_optimum(coarse, Optimum(polisher.solution(start), [], 1))
-    kept = coarse[: 1 if interrupted else options.kept]
-    followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in kept], options.jobs)
-    optima: list[Optimum] = []
-    for optimum, packed in zip(kept, followed, strict=True):
-        if packed is not None:
-            join_optimum(optima, replace(packed.of_design(design, options), reached=optimum.reached))
-    if not optima:
+    starts = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
+    coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in starts)[: 1 if interrupted else options.kept]
+    followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in coarse], options.jobs)
+    pairs = [(o, f) for o, f in zip(coarse, followed, strict=True) if f is not None]
+    if not pairs:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
-    optima.sort(key=lambda o: o.cost)
+    optima = distinct(replace(attached(design, options, f), reached=o.reached) for o, f in pairs)
     if not interrupted:
-        join_optimum(optima, hopped(design, options, optima[0]))
-        optima.sort(key=lambda o: o.cost)
+        optima = distinct([*optima, hopped(design, options, optima[0])])
     count = sum(o.cost <= optima[0].cost * (1 + options.within) for o in optima)
-    best: list[Optimum] = []
-    for optimum in refined(design, options, optima[:count]):
-        join_optimum(best, optimum)
-    best.sort(key=lambda o: o.cost)
-    return (*best, *optima[count:])
+    return (*distinct(refined(design, options, optima[:count])), *optima[count:])

@@ -1,4 +1,4 @@
-"""The outcome of a co-design: the optimum's dense motion, its metrics, and its re-simulation in MuJoCo."""
+"""An optimum's motion, sampled densely, its metrics, and its simulation in MuJoCo."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ SAVED = ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload")  #
 class SampledMotion(Motion):
     """A task's motion sampled densely; rows are the moving joints (m), time is the last axis (K).
 
-    Times are counted from the task's start; the instant between two phases stands twice.
+    Time 0 is the start of the task; the instant between two phases is sampled twice.
 
     Attributes:
         tau_load, tau_spring: [Nm], (m, K).
@@ -39,7 +39,7 @@ class SampledMotion(Motion):
 
     def phases(self) -> list[np.ndarray]:
         """Indices of each phase's samples."""
-        return [np.arange(s.start, s.stop) for s in self.segments]
+        return [np.arange(len(self.t))[s] for s in self.segments]
 
     def metrics(self) -> Metrics:
         """E1, RMS and peak of the load torque, by the trapezoid rule phase by phase."""
@@ -47,14 +47,14 @@ class SampledMotion(Motion):
 
     def by_phase(self, task: Task) -> list[Motion]:
         """The motion of all joints (n, K) in each phase, from time 0, with the task's payloads."""
-        whole = [task.full(values) for values in (self.q, self.dq, self.ddq)]
+        rows = [(k, [task.full(x[:, k]) for x in (self.q, self.dq, self.ddq)]) for k in self.phases()]
         return [
-            Motion(self.t[k] - self.t[k[0]], *(x[:, k] for x in whole), payload=np.full(len(k), payload))
-            for k, payload in zip(self.phases(), task.payloads, strict=True)
+            Motion(self.t[k] - self.t[k[0]], *values, payload=np.full(len(k), payload))
+            for (k, values), payload in zip(rows, task.payloads, strict=True)
         ]
 
     def references(self, task: Task, torque: Callable[[Motion], np.ndarray]) -> list[Reference]:
-        """The phases to be followed, with the torque (n, K) [Nm] that is fed forward along each."""
+        """The phases as references of a tracking controller; `torque` gives the feed-forward (n, K) [Nm] of each."""
         return [
             Reference(p.t, p.q, p.dq, p.ddq, p.payload, name=name, feed_forward=torque(p))
             for name, p in zip(PHASES, self.by_phase(task), strict=True)
@@ -62,15 +62,13 @@ class SampledMotion(Motion):
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """What a saved design holds of its motion, by name; `SampledMotion(**arrays)` is the motion again."""
+        """The arrays of `SAVED` by name, from which `SampledMotion(**arrays)` restores the motion."""
         return {name: getattr(self, name) for name in SAVED}
 
 
 def sample_motion(design: CoDesign, solution: Solution, tolerance: float = 2e-5) -> SampledMotion:
-    """The optimum on so many points that the trapezoid rule gives its cost to a relative `tolerance`.
-
-    (For costs other than load torque², the same density that 33 points an interval give.)
-    """
+    """The optimum on enough points that the trapezoid rule gives its cost to a relative `tolerance`; with costs other than "load", on
+    33 points an interval."""
     for points in (5, 9, 17, 33):
         motion = _sample(design, solution, points)
         if design.cost == "load" and abs(motion.metrics().E1_total - solution.cost) <= tolerance * solution.cost:
@@ -94,9 +92,9 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
 
 
 def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form: Form = "generated") -> Tracked:
-    """Track the optimum in MuJoCo with its load torque as feed-forward and the paper's P-controllers, all joints simulated."""
-    model = design.model
-    theta, widths = solution.parameters, solution.problem.data[1 : 1 + model.widths.size]
+    """Track the optimum in MuJoCo with its load torque as feed-forward and the paper's P-controllers; all joints are simulated."""
+    model, theta = design.model, solution.parameters
+    widths = solution.problem.data[1 : 1 + model.widths.size]
 
     def load(phase: Motion) -> np.ndarray:
         return np.array(model.inverse(phase.q, phase.dq, phase.ddq, phase.payload[0], theta, widths)[0])
@@ -105,23 +103,27 @@ def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form
 
 
 def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = None) -> dict[str, Any]:
-    """E1 in total and by joint, RMS and peak load torque, as plain data; `rows` are the moving joints' rows in the metrics."""
-    rows = tuple(range(len(design.task.moving))) if rows is None else rows
+    """E1 [N²m²s] in total and by joint, RMS and peak torque [Nm] by joint; `rows` are the moving joints' rows in the metrics."""
+    joints = design.task.joints
+    figures = {"E1_joint": metrics.E1, "rms": metrics.rms, "peak": metrics.peak}
     by_joint = {
-        key: {j: float(values[row]) for j, row in zip(design.task.joints, rows, strict=True)}
-        for key, values in (("E1_joint", metrics.E1), ("rms", metrics.rms), ("peak", metrics.peak))
+        key: {j: float(x[row]) for j, row in zip(joints, rows or range(len(joints)), strict=True)} for key, x in figures.items()
     }
     return {"E1": sum(by_joint["E1_joint"].values()), **by_joint}
 
 
 def describe_simulation(design: CoDesign, solution: Solution, motion: SampledMotion) -> dict[str, Any]:
-    """The paper's simulation metrics from the engine's load torque, for the smoothed law (generated C) and the exact one."""
-    described = {}
+    """The paper's metrics of the engine's load torque with smoothed springs (generated C), and under "exact_springs" with exact ones.
+
+    Beside those of `describe`: "E1_relative_error" against the optimum's cost (None for costs other than "load"),
+    "energy_residual" [1] and "tracking_error_rad".
+    """
+    described = []
     for form in ("generated", "native"):
         tracked = resimulate(design, solution, motion, form)
-        here = describe(design, tracked.metrics, design.task.moving)
-        here["E1_relative_error"] = here["E1"] / solution.cost - 1 if design.cost == "load" else None
-        here["energy_residual"] = float(tracked.energy_residual)
-        here["tracking_error_rad"] = tracked.tracking_error
-        described[form] = here
-    return {**described["generated"], "exact_springs": described["native"]}
+        found = describe(design, tracked.metrics, design.task.moving)
+        found["E1_relative_error"] = found["E1"] / solution.cost - 1 if design.cost == "load" else None
+        described.append(
+            found | {"energy_residual": float(tracked.energy_residual), "tracking_error_rad": tracked.tracking_error}
+        )
+    return {**described[0], "exact_springs": described[1]}

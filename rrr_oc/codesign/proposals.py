@@ -72,14 +72,8 @@ def sobol_points(size: int, count: int, seed: int) -> np.ndarray:
 def cma_strategy(size: int, options: SearchOptions, left: int) -> cma.CMAEvolutionStrategy:
     """A CMA-ES with a random mean, for `left` more evaluations; each restart has another seed."""
     seed = options.seed * 1000 + left + 1
-    settings = {
-        "bounds": [0, 1],
-        "seed": seed,
-        "popsize": min(options.population, max(left, 2)),
-        "verbose": -9,
-        "tolfun": 1e-4,
-        "tolflatfitness": 3,
-    }
+    settings = {"bounds": [0, 1], "seed": seed, "popsize": min(options.population, max(left, 2)), "verbose": -9}
+    settings |= {"tolfun": 1e-4, "tolflatfitness": 3}
     return cma.CMAEvolutionStrategy(np.random.default_rng(seed).uniform(0.2, 0.8, size), options.sigma, settings)
 
 
@@ -131,13 +125,17 @@ def _phase_guess(task: Task, index: int, T: float, via: np.ndarray) -> PhaseGues
     points = np.column_stack([start, via, end])
     path = CubicSpline(np.linspace(0, 1, points.shape[1]), points, axis=1)
 
+    def progress(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Share of the path behind at a share s of the time, and its rate [1/s]: minimum jerk."""
+        return s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
+
     def states(s: np.ndarray) -> np.ndarray:
-        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
+        sigma, rate = progress(s)
         q = np.clip(path(sigma), task.lower[:, None], task.upper[:, None])
         return np.vstack([q, np.clip(path(sigma, 1) * rate, -task.speed[:, None], task.speed[:, None])])
 
     def controls(s: np.ndarray) -> np.ndarray:
-        sigma, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / T
+        sigma, rate = progress(s)
         curve = 60 * s * (1 - s) * (1 - 2 * s) / T**2
         limit = task.acceleration[:, None]
         return np.clip(path(sigma, 2) * rate**2 + path(sigma, 1) * curve, -limit, limit)

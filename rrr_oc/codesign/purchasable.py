@@ -105,16 +105,8 @@ def search_catalogue(
         best = Screened([(cost, choice) for cost, choice, _ in solver.solve(candidates)], 0, float("inf"))
     solved, neighbours = solver.solved - best.relaxed, spring is not None and several
     complete = solved == choices.distinct and not solver.failed
-    coverage = Coverage(
-        choices.combinations,
-        choices.distinct,
-        solved,
-        complete,
-        neighbours and not complete,
-        best.relaxed,
-        best.margin,
-        solver.failed,
-    )
+    counts = choices.combinations, choices.distinct, solved
+    coverage = Coverage(*counts, complete, neighbours and not complete, best.relaxed, best.margin, solver.failed)
     return _on_fine_mesh(design, start, options, [c for _, c in best.ranked[:FINALISTS]], coverage)
 
 
@@ -124,8 +116,7 @@ def _on_fine_mesh(
     """Solve the best choices on the fine mesh, and refine the best of them."""
     free = [name for s in design.springs for name in s.form.free_names(s.effect.joints)]
     held = [design.with_fixed(c.hardware, free) for c in choices]
-    guess = start.guess()
-    starts = [replace(guess, parameters=np.clip(guess.parameters, c.lower, c.upper)) for c in choices]
+    starts = [replace(start.guess(), parameters=np.clip(start.parameters, c.lower, c.upper)) for c in choices]
     found = continue_from(list(zip(held, starts, strict=True)), options)
     if not found:
         raise SolverFailure("no choice of the catalogue could be solved", 0, 0.0, "")

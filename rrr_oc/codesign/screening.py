@@ -16,8 +16,8 @@ from rrr_oc.parallel import once_per_process, unordered
 
 GRID = 12  # nodes an axis of the surface; twice as many solve four times the problems for a surface that is smooth anyway
 MARGIN = 0.02  # [1] screening ends at this distance above the best cost; doubled it solves more and trusts the surface less
-BATCH = 64  # choices solved at once between two decisions to end
-CHUNK = 40  # choices that one process solves in turn
+BATCH = 64  # choices solved at once between two decisions to end; doubled, more are solved than the decision needs
+CHUNK = 40  # choices that one process solves in turn; doubled, processes wait longer for the last one
 ACCEPTED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 Solved = tuple[float, Choice, np.ndarray]  # cost (infinite where IPOPT failed), choice, parameters (np,)
 
@@ -28,19 +28,18 @@ class ChoiceSolver:
     def __init__(
         self, design: CoDesign, start: Solution, options: SearchOptions, progress: Callable[[int], None] | None = None
     ) -> None:
-        coarse = transcribed(design, options, options.coarse)
-        self._design, self._options, self._progress = design, options, progress
-        self._w = Solver(coarse, Options(barrier=1e-4)).solve(start.guess(), design.data(options.widths[0])).w
-        self._key = uuid.uuid4().hex
+        coarse = Solver(transcribed(design, options, options.coarse), Options(barrier=1e-4))
+        w = coarse.solve(start.guess(), design.data(options.widths[0])).w
+        self._problem = uuid.uuid4().hex, design, options, w
+        self._jobs, self._progress = options.jobs, progress
         self.solved = self.failed = 0
 
     def solve(self, choices: list[Choice]) -> list[Solved]:
         """(cost, choice, parameters), cheapest first. Neighbours are solved in turn, each started from the one before."""
         ordered = sorted(choices, key=lambda c: c.lower.tolist())
-        chunks = [ordered[i : i + CHUNK] for i in range(0, len(ordered), CHUNK)]
-        arguments = [(self._key, self._design, self._options, self._w, c) for c in chunks]
+        arguments = [(*self._problem, ordered[i : i + CHUNK]) for i in range(0, len(ordered), CHUNK)]
         results: list[Solved] = []
-        for part in unordered(_solve_chunk, arguments, self._options.jobs):
+        for part in unordered(_solve_chunk, arguments, self._jobs):
             results += part
             self.solved += len(part)
             if self._progress:
@@ -52,16 +51,15 @@ class ChoiceSolver:
 def _solve_chunk(key: str, design: CoDesign, options: SearchOptions, w: np.ndarray, choices: list[Choice]) -> list[Solved]:
     settings = Options(tolerance=1e-5, iterations=100, barrier=1e-4)
     solver = once_per_process(key, lambda: Solver(transcribed(design, options, options.coarse), settings))
-    results, data = [], design.data(options.widths[0])
-    start: np.ndarray | Solution = w
+    results, data, start = [], design.data(options.widths[0]), w
     for choice in choices:
         bounds = choice.lower, choice.upper
         solution = solver.solve(start, data, check=False, parameters=bounds)
         if solution.status not in ACCEPTED:
             solution = solver.solve(w, data, check=False, parameters=bounds)
-        lost = solution.status not in ACCEPTED
-        start = w if lost else solution
-        results.append((float("inf") if lost else solution.cost, choice, solution.parameters))
+        solved = solution.status in ACCEPTED
+        start = solution if solved else w
+        results.append((solution.cost if solved else float("inf"), choice, solution.parameters))
     return results
 
 
@@ -105,7 +103,7 @@ def screened(choices: Choices, spring: int, solver: ChoiceSolver, finalists: int
 def _surface(choices: Choices, solver: ChoiceSolver, spring: int) -> np.ndarray:
     """Logarithm of the optimal cost with parallel springs free, for every choice of the biarticular spring, by cubic interpolation
     in (log kappa, rho)."""
-    kinds, at = choices.of_spring[spring], choices.first_parameter(spring)
+    kinds, at = choices.of_spring[spring], sum(len(s.lower) for s in choices.design.springs[:spring])
     kappa, rho = (np.array([c.lower[i] for c in kinds]) for i in (0, 1))
     axes = np.geomspace(kappa.min(), kappa.max(), GRID), np.linspace(rho.min(), rho.max(), GRID)
     low, high = min(c.lower[2] for c in kinds), max(c.upper[2] for c in kinds)

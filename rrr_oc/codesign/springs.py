@@ -20,7 +20,7 @@ def configurations() -> dict[str, tuple[str, ...]]:
     return {"SA": ()} | {"+".join(labels): tuple(kinds[label] for label in labels) for labels in some}
 
 
-CONFIGURATIONS = configurations()  # of the springs that are known as this module is imported
+CONFIGURATIONS = configurations()  # of the springs registered when this module is imported
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,10 @@ class SpringBounds:
     Attributes:
         effect: The spring.
         lower, upper: Bounds of its parameters, in their order.
-        hardware: Of a spring whose parameters are functions of its hardware (`DesignForm.derived`), the bounds of that by symbol
-            in SI units; else empty.
-        fixed: Of such a spring of given hardware, the hardware in SI units; else empty.
-        known: Whether it is there in any case, with `lower` = `upper`, and no part of the design: then it may be any effect on
-            the links or of the rigid body.
+        hardware: Where the parameters are functions of the hardware (`DesignForm.derived`), the bounds of that by symbol [SI].
+        fixed: Where such hardware is given, its values [SI].
+        known: Whether it is an effect of the arm and no part of the design; then `lower` = `upper`, and any effect of the links
+            or of the rigid body will do.
     """
 
     effect: Effect
@@ -63,14 +62,14 @@ class SpringBounds:
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     """The springs of a configuration (`configurations`) with the task's bounds; raises `UserError` for crossed ones."""
     every, known = configurations(), [kind.name for kind in design_forms().values()]
-    if configuration not in every:
+    kinds = every.get(configuration)
+    if kinds is None:
         raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(every)}")
-    kinds = every[configuration]
     for entry in task.springs:
         if entry.get("effect") not in known:
             raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
-    springs = tuple(_spring(task, entry) for entry in task.springs if entry.get("effect") in kinds)
-    missing = [k for k in kinds if k not in {s.effect.name for s in springs}]
+    springs = tuple(_spring(task, entry) for entry in task.springs if entry["effect"] in kinds)
+    missing = [kind for kind in kinds if kind not in {s.effect.name for s in springs}]
     if missing:
         raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
     return springs
@@ -79,9 +78,9 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
 def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of the numbers that a search draws for springs: the hardware where parameters are functions of it and it is free, else
     the effect's own parameters."""
-    lower = [[lo for lo, _ in s.hardware.values()] if s.hardware else s.lower for s in springs]
-    upper = [[hi for _, hi in s.hardware.values()] if s.hardware else s.upper for s in springs]
-    return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
+    pairs = [np.array([*s.hardware.values()]).T if s.hardware else np.array([s.lower, s.upper]) for s in springs]
+    lower, upper = np.concatenate([np.zeros((2, 0)), *pairs], axis=1)
+    return lower, upper
 
 
 def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The pick-and-place task: where from, where to, with what load, within which limits. All of it data, read from a file."""
+"""The pick-and-place task, read from a file: start and release, payload, limits, and the springs that a design may use."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ PHASES = ("go", "return")
 
 
 class Tool(Schema, frozen=True):
-    """Where the payload is held: a point in a link's frame."""
+    """The payload's point in a link's frame."""
 
     link: Text
     position_m: Vector
@@ -163,7 +163,12 @@ def load_task(source: str | Path) -> Task:
     )
     body = rigid_body(robot)
     start, release = (_angles(f"{where}: {end}", task, body, getattr(given, end)) for end in ("start", "release"))
-    task = _within_margin(replace(task, start=start, release=release), given.path_margin)
+    task = replace(task, start=start, release=release)
+    if given.path_margin is not None:  # the ranges become the one between the ends, widened by this share of it on each side
+        ends = np.array([start, release])
+        width = given.path_margin * np.ptp(ends, axis=0)
+        lower, upper = np.maximum(task.lower, ends.min(axis=0) - width), np.minimum(task.upper, ends.max(axis=0) + width)
+        task = replace(task, lower=lower, upper=upper)
     _check_feasible(where, task, body)
     return task
 
@@ -188,7 +193,7 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
 
 
 def _limits(where: str, robot: Robot, given: TaskFile) -> dict[str, np.ndarray]:
-    """Limits of the moving joints in SI units, by the names that `Task` has for them, (m,) each."""
+    """Limits of the moving joints in SI units, (m,) each, by the names of `Task`'s attributes."""
     check_names(given.limits, given.moving, f"{where}: limits", "joint")
     rows = []
     for joint in given.moving:
@@ -211,10 +216,8 @@ def _angles(where: str, task: Task, body: RigidBody, end: End) -> np.ndarray:
         raise UserError(f"{where}.angles_deg: found {list(end.angles_deg)}; one number per moving joint is required")
     for joint, angle, low, high in zip(task.joints, angles, task.lower, task.upper, strict=True):
         if not low <= angle <= high:
-            raise UserError(
-                f"{where}: {joint} would stand at {np.degrees(angle):.2f}°, outside its range "
-                f"{np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
-            )
+            outside = f"outside its range {np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
+            raise UserError(f"{where}: {joint} would stand at {np.degrees(angle):.2f}°, {outside}")
     return angles
 
 
@@ -243,21 +246,8 @@ def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where:
     reached = [fit.x for fit in fits if np.abs(fit.fun).max() < 1e-8]
     if not reached:
         nearest = min(float(np.linalg.norm(fit.fun)) for fit in fits)
-        raise UserError(
-            f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges: "
-            f"the tool comes no nearer than {nearest:.4f} m"
-        )
+        told = f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges"
+        raise UserError(f"{told}: the tool comes no nearer than {nearest:.4f} m")
     up = upwards(task.robot.gravity)
     best = max(reached, key=lambda q: float((up @ np.array(body.joint_frames(task.full(q)))[9:]).sum()))
     return np.clip(best, task.lower, task.upper)
-
-
-def _within_margin(task: Task, margin: float | None) -> Task:
-    """Narrow the joint ranges to the range start–release, widened by `margin` of it on each side."""
-    if margin is None:
-        return task
-    ends = np.array([task.start, task.release])
-    width = margin * np.ptp(ends, axis=0)
-    return replace(
-        task, lower=np.maximum(task.lower, ends.min(axis=0) - width), upper=np.minimum(task.upper, ends.max(axis=0) + width)
-    )

@@ -1,4 +1,4 @@
-"""Between recordings and design: an optimum in the twin calibrated on recordings, and a design on the arm that they revealed."""
+"""Optima in the twin calibrated on recordings, and designs on the arm with the physics that a diagnosis found."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion, describe
-from rrr_oc.effects import Body, Effect
+from rrr_oc.effects import Body
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import measure
 from rrr_oc.model.recorded_physics import Physics
@@ -20,68 +20,72 @@ from rrr_oc.simulation.tracking import Reference, check_gears, track
 
 
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
-    """Raise `UserError` where a calibrated model is of other joints, or has terms that no simulation of a task can have."""
-    if calibrated.joints != design.task.robot.joints:
-        raise UserError(
-            f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(design.task.robot.joints)}"
-        )
+    """Raise `UserError` unless every optimum of the design can be simulated with the calibrated model: it has the joints of the
+    task's robot, every term holds for all recordings, and no gear is elastic."""
+    _check_joints(design, calibrated)
     some = [term.effect.name for term in calibrated.terms if term.recordings != "all"]
     if some:
         raise UserError(f"the model's {some[0]} holds for single recordings only; a model whose terms hold for all is needed")
-    check_gears(twin(*_parts(design, calibrated, np.zeros(len(design.model.parameters))), settings=Settings("native")))
+    arm = _calibrated_arm(design, calibrated, np.zeros(len(design.model.parameters)))
+    check_gears(twin(arm.model, arm.theta, settings=Settings("native")))
+
+
+def _check_joints(design: CoDesign, calibrated: CalibratedModel) -> None:
+    own = design.task.robot.joints
+    if calibrated.joints != own:
+        raise UserError(f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(own)}")
 
 
 def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str]) -> CoDesign:
-    """The design on the arm as recordings showed it, with what a diagnosis added on the links and in the rigid body.
+    """The design on the calibrated arm: with its inertial parameters, its payload, and its effects of the sides "link" and "body".
 
-    Of the other effects none changes the load torque of a motion of the links: those of the drives and of the sensors stand between
-    it and the recorded torque, those of the side "motion" between the links and the encoders; and effects of a spring that a
-    recording lists leave with that spring.
+    The other effects change the recorded torque, not the load torque of a given motion of the links: those of drives and sensors
+    act between load torque and recording, those of the side "motion" between links and encoders. Effects that scale the recorded
+    springs are left out, because the design brings its own springs.
 
     Args:
         groups: Label of the physical set-up of each phase ("go", "return"), for terms that hold for some groups only.
 
     Raises:
-        UserError: The model is of other joints; an effect other than the payload's comes and goes between the phases.
+        UserError: The model has other joints; an effect, other than of the payload, holds in one phase only.
     """
-    task = design.task
-    if calibrated.joints != task.robot.joints:
-        raise UserError(
-            f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(task.robot.joints)}"
-        )
-    known, payload = [], task.payload
+    _check_joints(design, calibrated)
+    known, payload = [], design.task.payload
     for term in calibrated.terms:
         effect = term.effect
         if effect.side not in ("link", "body") or "springs" in effect.inputs:
             continue
-        there = [term.recordings == "all" or group in term.groups for group in groups]
-        if all(there) or (effect.alters == "position" and there[0]):  # without a payload its point means nothing
+        holds = [term.recordings == "all" or group in term.groups for group in groups]
+        if all(holds) or (effect.alters == "position" and holds[0]):  # in the return phase there is no payload to be displaced
             known.append((effect, term.values))
-        elif effect.alters == "payload" and there[0]:
+        elif effect.alters == "payload" and holds[0]:
             payload = effect.change(Body(None, None, payload, None), term.named).payload
-        elif any(there):
+        elif any(holds):
             raise UserError(f"{effect.name} holds for {' and '.join(term.groups)}, but not in every phase of the task")
-    there = replace(task, robot=replace(task.robot, inertial=calibrated.robot.inertial), tool=calibrated.tool, payload=payload)
-    return replace(design, task=there).with_physics(known)
+    robot = replace(design.task.robot, inertial=calibrated.robot.inertial)
+    task = replace(design.task, robot=robot, tool=calibrated.tool, payload=payload)
+    return replace(design, task=task).with_physics(known)
 
 
 def describe_transfer(
     design: CoDesign, motion: SampledMotion, theta: np.ndarray, calibrated: CalibratedModel, drives: Actuators
 ) -> dict[str, Any]:
-    """The paper's metrics of an optimum tracked in the calibrated twin, by both routes to the load torque.
+    """The paper's metrics of an optimum tracked in the calibrated twin, with the load torque computed in two ways.
 
-    The robot and its payload's point are the calibrated model's, the springs and the motion the optimum's. What the model predicts
-    as motor torque is fed forward, the paper's P-controllers do the rest.
+    Robot and tool point are the calibrated model's, springs and motion the optimum's. The motor torque that the model predicts is
+    fed forward; the paper's P-controllers add the feedback.
+
+    Args:
+        theta: Parameters of the design's springs (np,).
 
     Returns:
-        "engine": from M ddq + C dq + G − tau_spring of the engine's motion; "eq10": from the controllers' torque through Eq. 10,
-        each as `describe` gives it; "motor": the same of the motor torque itself; "tracking_error_rad"; "saturated": whether a
-        controller ran into its limit.
+        "engine": metrics of M ddq + C dq + G − tau_spring along the simulated motion; "eq10": of the load torque by Eq. 10 from the
+        motor torque; "motor": of the motor torque itself; each as `describe` gives it. "tracking_error_rad"; "saturated": whether a
+        controller reached its limit.
     """
-    task, references = design.task, reference_phases(design, motion, theta, calibrated)
-    model, theta = _parts(design, calibrated, theta)
-    widths = _widths(design, calibrated)
-    tracked = track(model, references, theta, settings=Settings(effects="native"), widths=widths)
+    task, arm = design.task, _calibrated_arm(design, calibrated, theta)
+    references = reference_phases(design, motion, theta, calibrated)
+    tracked = track(arm.model, references, arm.theta, settings=Settings(effects="native"), widths=arm.widths)
     rows = [task.robot.index(joint) for joint in drives.joints]
     by_eq10 = [np.array(drives.load_from_motor(p.dq[rows], p.ddq[rows], p.tau_motor[rows])[0]) for p in tracked.phases]
     return {
@@ -96,55 +100,39 @@ def describe_transfer(
 def reference_phases(
     design: CoDesign, motion: SampledMotion, theta: np.ndarray, calibrated: CalibratedModel
 ) -> list[Reference]:
-    """The phases of an optimum with the motor torque that the calibrated model expects, as feed-forward."""
-    model, theta = _parts(design, calibrated, theta)
-    physics = Physics(model, theta, _widths(design, calibrated), model.robot.inertial)
-    return motion.references(design.task, lambda phase: physics.torques(phase)[0])
+    """The phases of an optimum, with the motor torque [Nm] that the calibrated model predicts as feed-forward."""
+    arm = _calibrated_arm(design, calibrated, theta)
+    return motion.references(design.task, lambda phase: arm.torques(phase)[0])
+
+
+def _calibrated_arm(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> Physics:
+    """The calibrated robot with the design's springs and with the calibrated terms but those that scale the recorded springs."""
+    springs = [s.effect for s in design.springs if not s.known]  # known effects are among the terms
+    terms = [term for term in calibrated.terms if "springs" not in term.effect.inputs]
+    model = Model(calibrated.robot, calibrated.tool, (*springs, *(term.effect for term in terms)))
+    own = theta[: sum(len(e.parameters) for e in springs)]
+    widths = [e.width.nominal for e in springs if e.width is not None] + [t.width for t in terms if t.width is not None]
+    return Physics(model, np.concatenate([own, *(t.values for t in terms)]), np.array(widths), model.robot.inertial)
 
 
 def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:
-    """Decrease against stiff actuation of E1 in the calibrated twin, by both routes, in Markdown; "" where nothing was transferred."""
+    """E1 in the calibrated twin and its decrease against stiff actuation, by both load torques, in Markdown; "" without a transfer."""
     known = {name: c["calibrated"] for name, c in configurations.items() if c.get("calibrated")}
     if not known:
         return ""
     stiff = known.get("SA")
     lines = [
         "\n## In the twin calibrated on recordings\n",
-        "Each optimum tracked by P-controllers helped by the model's own torque; E1 [N²m²s], and its decrease against SA, of the load "
-        "torque that the engine gives, and of the controllers' torque through Eq. 10.\n",
+        "Each optimum tracked by P-controllers with the model's own torque as feed-forward; E1 [N²m²s], and its decrease against SA, "
+        "of the load torque that the engine gives, and of the one from the motor torque through Eq. 10.\n",
         "|  | engine | decrease | Eq. 10 | decrease | RMS motor torque [Nm] | tracking [rad] | at its limit |",
         "| --- " * 8 + "|",
     ]
     for name, c in known.items():
-        cells = []
+        cells = [name]
         for route in ("engine", "eq10"):
             less = "" if stiff is None or name == "SA" else f"{100 * (1 - c[route]['E1'] / stiff[route]['E1']):.1f} %"
             cells += [f"{c[route]['E1']:.2f}", less]
-        rms = ", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values())
-        limit = "yes" if c["saturated"] else "no"
-        lines.append(f"| {name} | {' | '.join(cells)} | {rms} | {c['tracking_error_rad']:.4f} | {limit} |")
+        cells += [", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values()), f"{c['tracking_error_rad']:.4f}"]
+        lines.append(f"| {' | '.join(cells)} | {'yes' if c['saturated'] else 'no'} |")
     return "\n".join(lines) + "\n"
-
-
-def _parts(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> tuple[Model, np.ndarray]:
-    """The calibrated robot with the optimum's springs and the calibrated terms, and all their parameters."""
-    springs = _springs(design)
-    own = theta[: sum(len(e.parameters) for e in springs)]
-    terms = _terms(calibrated)
-    effects = (*springs, *(term.effect for term in terms))
-    return Model(calibrated.robot, calibrated.tool, effects), np.concatenate([own, *(t.values for t in terms)])
-
-
-def _terms(calibrated: CalibratedModel) -> list[Term]:
-    """The calibrated terms but for those of springs that were mounted then."""
-    return [term for term in calibrated.terms if "springs" not in term.effect.inputs]
-
-
-def _springs(design: CoDesign) -> list[Effect]:
-    """The springs of the design itself; what is known beside them is among the calibrated terms."""
-    return [s.effect for s in design.springs if not s.known]
-
-
-def _widths(design: CoDesign, calibrated: CalibratedModel) -> np.ndarray:
-    own = [e.width.nominal for e in _springs(design) if e.width is not None]
-    return np.array(own + [term.width for term in _terms(calibrated) if term.width is not None])

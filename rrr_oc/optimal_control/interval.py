@@ -8,7 +8,7 @@ import numpy as np
 
 from rrr_oc.compiler import digest, library
 from rrr_oc.optimal_control.problem import Phase
-from rrr_oc.optimal_control.scatter import sum_into
+from rrr_oc.optimal_control.scatter import nonzeros_of, sum_into
 from rrr_oc.optimal_control.scheme import Scheme
 
 
@@ -38,11 +38,10 @@ class Interval:
 
 @lru_cache(maxsize=64)
 def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float, compiled: bool) -> Interval:
-    """The functions of an interval of a phase, which has n_p parameters and n_d data; the 64 used last are kept, by the phase's identity."""
+    """The functions of an interval of a phase with n_p parameters and n_d data. The 64 used last are kept, by the phase's identity."""
     nx, nu = len(phase.states), len(phase.controls)
-    own = s.d - s.shares_first - s.shares_last
     p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)
-    x0, x1, X, U = ca.SX.sym("x0", nx), ca.SX.sym("x1", nx), ca.SX.sym("X", nx, own), ca.SX.sym("U", nu, s.d)
+    x0, x1, X, U = ca.SX.sym("x0", nx), ca.SX.sym("x1", nx), ca.SX.sym("X", nx, len(s.inner)), ca.SX.sym("U", nu, s.d)
     stages = [*([x0] if s.shares_first else []), *ca.horzsplit(X), *([x1] if s.shares_last else [])]
     rates = [phase.rates(x, U[:, i], p, d) for i, x in enumerate(stages)]
     F, step = ca.horzcat(*[r[0] for r in rates]), h * T
@@ -53,7 +52,6 @@ def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: 
     rows = ca.vertcat(*[defect / phase.x_scale for defect in defects], *[r[2] for r in rates])
     z = ca.vertcat(p, T, x0, x1, ca.vec(X), ca.vec(U))
     slopes = ca.jacobian(rows, z)
-    jacobian_at = slopes.sparsity().get_triplet()
     gradient, hessian, hessian_at = _by_stages(phase, s, n_p, n_d, cost_scale)
     functions = [
         ca.Function("value", [z, h, d], [cost, ca.densify(rows)]),
@@ -62,8 +60,7 @@ def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: 
         hessian,
     ]
     value, gradient, jacobian, hessian = _as_c(functions) if compiled else functions
-    at = (np.array(jacobian_at[0], int), np.array(jacobian_at[1], int))
-    return Interval(rows.numel(), value, gradient, jacobian, at, hessian, hessian_at)
+    return Interval(rows.numel(), value, gradient, jacobian, nonzeros_of(slopes.sparsity()), hessian, hessian_at)
 
 
 def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float):
@@ -82,15 +79,14 @@ def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float):
     second = ca.triu(ca.hessian(share, y)[0])
     slope = ca.Function("slope", [y, data, sigma], [ca.densify(ca.gradient(T * sigma * rate, y))])
     curvature = ca.Function("curvature", [y, data, sigma, nu_f, mu], [second.nz[:]])
-    i, j = (np.array(k, int) for k in second.sparsity().get_triplet())
+    i, j = nonzeros_of(second.sparsity())
 
-    own = d - s.shares_first - s.shares_last
-    shared, controls = np.arange(n_p + 1), n_p + 1 + (2 + own) * nx
+    shared, controls = np.arange(n_p + 1), n_p + 1 + (2 + len(s.inner)) * nx
     places = []  # of each stage's y in z
     for k in range(d):
         position = 0 if k == 0 and s.shares_first else 1 if k == d - 1 and s.shares_last else 2 + k - s.shares_first
         places.append(np.r_[shared, n_p + 1 + position * nx + np.arange(nx), controls + k * nu + np.arange(nu)])
-    nz, n_defects = controls + d * nu, d - s.shares_first + (not s.shares_last)
+    nz, n_defects = controls + d * nu, s.defects
     z, h, c = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("d", n_d)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nx * n_defects + ng * d)
     weights = np.vstack([s.A[int(s.shares_first) :], *([] if s.shares_last else [s.b])])  # (n_defects, d)

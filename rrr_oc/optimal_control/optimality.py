@@ -24,38 +24,25 @@ class Kkt:
     """
 
     def __init__(self, solution: Solution) -> None:
-        self.solution = solution
-        t, self.d = solution.transcription, solution.problem.data
-        functions = t.functions
-        w, lam = solution.w, solution.lam_g
-        _, gradient = functions["grad_f"](w, self.d)
-        g, jacobian = functions["jac_g"](w, self.d)
-        self.jacobian, self.g = ca.DM(jacobian), np.array(g).ravel()
-        self.hessian = ca.DM(functions["hess_lag"](w, self.d, 1.0, lam))
-        self.lower, self.upper = t.bounds
-        self.row_lower, self.row_upper = t.row_bounds
-        stationarity = np.array(gradient).ravel() + np.array(self.jacobian.T @ lam).ravel() + solution.lam_w
-        fixed = self.lower == self.upper
+        self.solution, self.d = solution, solution.problem.data
+        t, w, lam = solution.transcription, solution.w, solution.lam_g
+        _, gradient = t.functions["grad_f"](w, self.d)
+        g, jacobian = t.functions["jac_g"](w, self.d)
+        hessian = t.functions["hess_lag"](w, self.d, 1.0, lam)
+        self.jacobian = scipy.sparse.csc_array(ca.DM(jacobian).sparse())
+        self.hessian = scipy.sparse.csc_array(ca.triu2symm(ca.DM(hessian)).sparse())
+        gap, row_gap = _distance(w, *t.bounds), _distance(np.array(g).ravel(), *t.row_bounds)
+        fixed, equal = t.bounds[0] == t.bounds[1], t.row_bounds[0] == t.row_bounds[1]
+        stationarity = np.array(gradient).ravel() + self.jacobian.T @ lam + solution.lam_w
         self.dual = float(np.abs(np.where(fixed, 0.0, stationarity)).max())
-        self.primal = float(
-            max(
-                np.maximum(self.lower - w, w - self.upper).max(),
-                np.maximum(self.row_lower - self.g, self.g - self.row_upper).max(initial=0.0),
-            )
-        )
-        gap = np.minimum(w - self.lower, self.upper - w)
-        row_gap = np.minimum(self.g - self.row_lower, self.row_upper - self.g)
-        finite = np.isfinite(gap) & ~fixed
-        finite_row = np.isfinite(row_gap) & (self.row_lower < self.row_upper)
-        self.complementarity = float(
-            max(
-                np.abs(solution.lam_w[finite] * gap[finite]).max(initial=0.0),
-                np.abs(lam[finite_row] * row_gap[finite_row]).max(initial=0.0),
-            )
-        )
+        self.primal = float(max(-gap.min(), -row_gap.min(initial=0.0)))
+        self.complementarity = 0.0
+        for multiplier, distance, held in ((solution.lam_w, gap, fixed), (lam, row_gap, equal)):
+            k = np.isfinite(distance) & ~held
+            self.complementarity = float(np.abs(multiplier[k] * distance[k]).max(initial=self.complementarity))
         # active if the multiplier exceeds the distance (strict complementarity); equalities always are
         self.at_bound = fixed | (np.abs(solution.lam_w) > gap)
-        self.active_rows = (self.row_lower == self.row_upper) | (np.abs(lam) > row_gap)
+        self.active_rows = equal | (np.abs(lam) > row_gap)
         self.near_bound = self.at_bound | (gap < NEAR)
         self.near_rows = self.active_rows | (row_gap < NEAR)
 
@@ -82,37 +69,22 @@ class Kkt:
             even that. Then the smallest curvature (eigenvalue for variables weighted by their share of time), and its direction
             (size of w,), of unit length in those weights.
         """
-        verdict = self.verdict()
-        value, direction = self._curvature(self.at_bound, self.active_rows)
-        return verdict, value, direction
+        H, A, weights = self._reduced(self.at_bound, self.active_rows)
+        value, direction = _smallest(H, A, weights)
+        whole = np.zeros(self.at_bound.size)
+        whole[~self.at_bound] = direction
+        return self.verdict(), value, whole
 
     def verdict(self) -> str:
         """The verdict of `second_order` alone, from the inertia of one or two factorisations."""
-        if self._below(self.at_bound, self.active_rows, 0.0) == 0:
+        if _below(*self._reduced(self.at_bound, self.active_rows), 0.0) == 0:
             return "strict"
-        return "weak" if self._below(self.near_bound, self.near_rows, -FLAT) == 0 else "violated"
+        return "weak" if _below(*self._reduced(self.near_bound, self.near_rows), -FLAT) == 0 else "violated"
 
     def _reduced(self, at_bound: np.ndarray, active_rows: np.ndarray):
-        free, rows = np.flatnonzero(~at_bound), np.flatnonzero(active_rows)
-        return self._H[free][:, free], self._A[rows][:, free], self.weights[free], free
-
-    def _below(self, at_bound: np.ndarray, active_rows: np.ndarray, shift: float) -> int:
-        return _below(*self._reduced(at_bound, active_rows)[:3], shift)
-
-    def _curvature(self, at_bound: np.ndarray, active_rows: np.ndarray) -> tuple[float, np.ndarray]:
-        H, A, weights, free = self._reduced(at_bound, active_rows)
-        value, vector = _smallest(H, A, weights)
-        direction = np.zeros(at_bound.size)
-        direction[free] = vector
-        return value, direction
-
-    @cached_property
-    def _H(self):
-        return _sparse(ca.triu2symm(self.hessian))
-
-    @cached_property
-    def _A(self):
-        return _sparse(self.jacobian)
+        """Hessian, Jacobian and weights of the variables that are free and the rows that are active."""
+        free = np.flatnonzero(~at_bound)
+        return self.hessian[free][:, free], self.jacobian[np.flatnonzero(active_rows)][:, free], self.weights[free]
 
     @cached_property
     def weights(self) -> np.ndarray:
@@ -127,20 +99,18 @@ class Kkt:
 
     def dominant(self, direction: np.ndarray) -> tuple[str, ...]:
         """Names of the parameters and durations, or "motion", with more than 5 % of the squared length of a direction."""
-        t, problem = self.solution.transcription, self.solution.problem
-        energy: dict[str, float] = {}
-        labels: dict[int, str] = dict(enumerate(problem.parameters))
-        for phase, block in zip(problem.phases, t.blocks, strict=True):
-            labels[block.duration] = f"duration of {phase.name}"
-        for index, value in enumerate(self.weights * direction**2):
-            name = labels.get(index, "motion")
-            energy[name] = energy.get(name, 0.0) + float(value)
-        total = sum(energy.values())
-        return tuple(k for k, v in sorted(energy.items(), key=lambda kv: -kv[1]) if v > 0.05 * total)
+        names, squares = [*self.solution.problem.parameters], self.weights * direction**2
+        places = [*range(len(names))]
+        for phase, block in zip(self.solution.problem.phases, self.solution.transcription.blocks, strict=True):
+            names.append(f"duration of {phase.name}")
+            places.append(block.duration)
+        shares = dict(zip(names, squares[places], strict=True)) | {"motion": np.delete(squares, places).sum()}
+        return tuple(sorted((k for k, v in shares.items() if v > 0.05 * squares.sum()), key=lambda k: -shares[k]))
 
 
-def _sparse(matrix: ca.DM) -> scipy.sparse.csc_array:
-    return scipy.sparse.csc_array(matrix.sparse())
+def _distance(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Distance to the nearer bound, negative outside."""
+    return np.minimum(value - lower, upper - value)
 
 
 def _factor(H, A, diagonal: np.ndarray, delta: float = 1e-9):

@@ -44,32 +44,23 @@ class Phase:
     path_upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        nx, nu, ng = len(self.states), len(self.controls), len(self.paths)
-        for name, size in (("x", nx), ("u", nu), ("path", ng)):
-            lower, upper = getattr(self, f"{name}_lower"), getattr(self, f"{name}_upper")
-            if np.shape(lower) != (size,) or np.shape(upper) != (size,):
-                raise UserError(
-                    f"phase {self.name!r}: {name} bounds have shapes {np.shape(lower)}, {np.shape(upper)}, not ({size},)"
-                )
-            names = {"x": self.states, "u": self.controls, "path": self.paths}[name]
-            for i in np.flatnonzero(~(lower <= upper)):
-                raise UserError(f"phase {self.name!r}: bounds of {names[i]} are crossed: {lower[i]:g} … {upper[i]:g}")
+        nx, ng, where = len(self.states), len(self.paths), f"phase {self.name!r}: "
+        for kind, names in (("x", self.states), ("u", self.controls), ("path", self.paths)):
+            _check_bounds(where, kind, names, getattr(self, f"{kind}_lower"), getattr(self, f"{kind}_upper"))
         for name, values in (("start", self.start), ("end", self.end)):
             if np.shape(values) != (nx,):
-                raise UserError(f"phase {self.name!r}: {name} has shape {np.shape(values)}, not ({nx},)")
+                raise UserError(f"{where}{name} has shape {np.shape(values)}, not ({nx},)")
             for i in np.flatnonzero((values < self.x_lower) | (values > self.x_upper)):
-                raise UserError(
-                    f"phase {self.name!r}: {name} of {self.states[i]} is {values[i]:g}, "
-                    f"outside {self.x_lower[i]:g} … {self.x_upper[i]:g}"
-                )
-        for name, scale, size in (("x_scale", self.x_scale, nx), ("u_scale", self.u_scale, nu)):
+                outside = f"outside {self.x_lower[i]:g} … {self.x_upper[i]:g}"
+                raise UserError(f"{where}{name} of {self.states[i]} is {values[i]:g}, {outside}")
+        for name, scale, size in (("x_scale", self.x_scale, nx), ("u_scale", self.u_scale, len(self.controls))):
             if np.shape(scale) != (size,) or not np.all(np.asarray(scale) > 0):
-                raise UserError(f"phase {self.name!r}: {name} must be {size} numbers above 0, got {scale}")
+                raise UserError(f"{where}{name} must be {size} numbers above 0, got {scale}")
         found = tuple(self.rates.numel_out(i) for i in range(self.rates.n_out()))
         if found != (nx, 1, ng):
-            raise UserError(f"phase {self.name!r}: rates returns sizes {found}, not (dx/dt {nx}, cost rate 1, path {ng})")
+            raise UserError(f"{where}rates returns sizes {found}, not (dx/dt {nx}, cost rate 1, path {ng})")
         if not 0 < self.duration[0] <= self.duration[1] < np.inf:
-            raise UserError(f"phase {self.name!r}: durations {self.duration} must be positive, finite and not crossed")
+            raise UserError(f"{where}durations {self.duration} must be positive, finite and not crossed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +88,19 @@ class Problem:
     cost_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("p_lower", "p_upper", "p_scale"):
-            if np.shape(getattr(self, name)) != (len(self.parameters),):
-                raise UserError(
-                    f"{name} has shape {np.shape(getattr(self, name))}, and there are {len(self.parameters)} parameters"
-                )
+        if np.shape(self.p_scale) != (len(self.parameters),):
+            raise UserError(f"p_scale has shape {np.shape(self.p_scale)}, and there are {len(self.parameters)} parameters")
+        _check_bounds("", "p", self.parameters, self.p_lower, self.p_upper)
         if self.design is not None and self.design.numel_out(0) != len(self.designs):
             raise UserError(f"design returns {self.design.numel_out(0)} inequalities, and there are {len(self.designs)} names")
-        for i in np.flatnonzero(~(self.p_lower <= self.p_upper)):
-            raise UserError(f"bounds of {self.parameters[i]} are crossed: {self.p_lower[i]:g} … {self.p_upper[i]:g}")
+
+
+def _check_bounds(where: str, kind: str, names: tuple[str, ...], lower: np.ndarray, upper: np.ndarray) -> None:
+    size = len(names)
+    if np.shape(lower) != (size,) or np.shape(upper) != (size,):
+        raise UserError(f"{where}{kind} bounds have shapes {np.shape(lower)}, {np.shape(upper)}, not ({size},)")
+    for i in np.flatnonzero(~(lower <= upper)):
+        raise UserError(f"{where}bounds of {names[i]} are crossed: {lower[i]:g} … {upper[i]:g}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,8 +127,7 @@ def _split(solution: Solution, error: MeshError, refinement: Refinement) -> tupl
     threshold = min(refinement.tolerance, np.quantile(np.concatenate(error.intervals), 2 / 3))
     meshes = []
     for fractions, errors in zip(solution.transcription.mesh, error.intervals, strict=True):
-        pieces = np.ones(len(fractions), int)
-        coarse = errors > threshold
-        pieces[coarse] = np.clip(np.ceil((errors[coarse] / refinement.tolerance) ** (1 / order)), 2, 4)
+        pieces = np.clip(np.ceil((errors / refinement.tolerance) ** (1 / order)), 2, 4)
+        pieces = np.where(errors > threshold, pieces, 1).astype(int)
         meshes.append(np.repeat(fractions / pieces, pieces))
     return None if max(len(m) for m in meshes) > refinement.largest else tuple(meshes)

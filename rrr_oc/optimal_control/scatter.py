@@ -8,27 +8,25 @@ class Scatter:
     """Collects entries of a sparse matrix, (rows, columns, values) of equal shape; entries at one place add up."""
 
     def __init__(self) -> None:
-        self._rows: list[np.ndarray] = []
-        self._columns: list[np.ndarray] = []
-        self._values: list[ca.MX] = []
+        self._entries: list[tuple[np.ndarray, np.ndarray, ca.MX]] = []
 
     def add(self, rows: np.ndarray, columns: np.ndarray, values: ca.MX) -> None:
-        self._rows.append(rows.ravel(order="F"))
-        self._columns.append(columns.ravel(order="F"))
-        self._values.append(ca.vec(values))
+        self._entries.append((rows.ravel(order="F"), columns.ravel(order="F"), ca.vec(values)))
 
     def matrix(self, n_rows: int, n_columns: int) -> ca.MX:
-        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
-        keys, slot = np.unique(columns * n_rows + rows, return_inverse=True)
+        rows, columns, values = zip(*self._entries, strict=True)
+        keys, slot = np.unique(np.concatenate(columns) * n_rows + np.concatenate(rows), return_inverse=True)
         sparsity = ca.Sparsity.triplet(n_rows, n_columns, (keys % n_rows).tolist(), (keys // n_rows).tolist())
-        summed = ca.MX(incidence(keys.size, slot)) @ ca.vertcat(*self._values)
-        return ca.MX(sparsity, summed)
+        return ca.MX(sparsity, sum_into(keys.size, slot, ca.vertcat(*values)))
 
 
-def incidence(n_rows: int, slot: np.ndarray) -> ca.DM:
-    """Sparse 0/1 matrix that adds value k to row slot[k]."""
-    return ca.DM(ca.Sparsity.triplet(n_rows, slot.size, slot.tolist(), list(range(slot.size))), 1)
+def sum_into(size: int, places: np.ndarray, values: ca.MX) -> ca.MX:
+    """A vector (size,) to whose element places[k] value k is added."""
+    rows = places.ravel(order="F").tolist()
+    return ca.MX(ca.DM(ca.Sparsity.triplet(size, len(rows), rows, list(range(len(rows)))), 1)) @ ca.vec(values)
 
 
-def sum_into(size: int, gather: np.ndarray, values: ca.MX) -> ca.MX:
-    return ca.MX(incidence(size, gather.ravel(order="F"))) @ ca.vec(values)
+def nonzeros_of(sparsity: ca.Sparsity) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of a pattern's nonzeros, column by column."""
+    rows, columns = sparsity.get_triplet()
+    return np.array(rows, int), np.array(columns, int)

@@ -27,8 +27,8 @@ class Scheme:
         name: One of `SCHEMES`.
         c: Stages within an interval, in [0, 1], shape (d,).
         A, b: Runge–Kutta coefficients, shapes (d, d) and (d,).
-        order: Order of the Runge–Kutta method. The optimal cost converges with it for smooth problems; so do the states, except
-            that controls shared at the nodes hold the states of Lobatto's methods back to order 4.
+        order: Order of the Runge–Kutta method. For smooth problems the optimal cost converges with it; so do the states, except
+            that controls shared at the nodes limit the states of Lobatto's methods to order 4.
     """
 
     name: str
@@ -51,6 +51,16 @@ class Scheme:
     def shares_last(self) -> bool:
         """Whether the last stage is the node at the interval's end."""
         return self.c[-1] == 1
+
+    @property
+    def inner(self) -> list[int]:
+        """Stages that are no nodes."""
+        return list(range(self.d))[int(self.shares_first) : self.d - self.shares_last]
+
+    @property
+    def defects(self) -> int:
+        """Number of defects of each state in an interval: of the stages that are not its start, and of its end unless it is a stage."""
+        return self.d - self.shares_first + (not self.shares_last)
 
     def at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Interpolation inside an interval at s in [0, 1], (K,): weights of stage values and of stage rates.
@@ -90,7 +100,7 @@ def scheme(name: str = "gauss", stages: int = 3) -> Scheme:
 
 
 def uniform_mesh(problem: Problem, intervals: int) -> tuple[np.ndarray, ...]:
-    """`intervals` equal fractions for each phase."""
+    """`intervals` equal fractions for each phase; raises `UserError` unless there is at least one."""
     if intervals < 1:
         raise UserError(f"a mesh needs at least 1 interval a phase, got {intervals}")
     return tuple(np.full(intervals, 1 / intervals) for _ in problem.phases)

@@ -1,7 +1,6 @@
-"""Solve a transcribed problem with IPOPT, once or along a path of the problem's data."""
+"""Solve a transcribed problem with IPOPT."""
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,6 +11,9 @@ from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess, Problem
 from rrr_oc.optimal_control.scheme import Scheme, scheme, uniform_mesh
 from rrr_oc.optimal_control.transcription import Transcription
+
+LONGEST = 600.0  # [s] of a solve, in wall time; doubled, a solve that does not converge holds the search up for longer
+WARM = 1e-7  # initial barrier parameter from a solution; doubled, IPOPT starts further from it and takes an iteration more
 
 
 class SolverFailure(Exception):
@@ -31,37 +33,28 @@ class Options:
         tolerance: Tolerance of the scaled optimality conditions.
         iterations: Largest number of iterations.
         barrier: Initial barrier parameter, small for a warm start; None for IPOPT's adaptive strategy.
-        linear_solver: One of the casadi wheel (mumps, spral).
-        seconds: Largest wall time [s].
     """
 
     tolerance: float = 1e-8
     iterations: int = 500
     barrier: float | None = None
-    linear_solver: str = "mumps"
-    seconds: float = 600.0
 
     def ipopt(self) -> dict[str, object]:
         """The options by IPOPT's names."""
         named: dict[str, object] = {
             "tol": self.tolerance,
             "max_iter": self.iterations,
-            "max_wall_time": self.seconds,
-            "linear_solver": self.linear_solver,
+            "max_wall_time": LONGEST,
+            "linear_solver": "mumps",
             "print_level": 0,
             "sb": "yes",
             "mu_strategy": "adaptive",
             "bound_relax_factor": 1e-12,  # the default of 1e-8 would be the floor of the accuracy
         }
         if self.barrier is not None:
-            named |= {
-                "mu_strategy": "monotone",
-                "mu_init": self.barrier,
-                "warm_start_init_point": "yes",
-                "warm_start_bound_push": self.barrier,
-                "warm_start_mult_bound_push": self.barrier,
-                "warm_start_slack_bound_push": self.barrier,
-            }
+            pushes = (f"warm_start_{what}_push" for what in ("bound", "mult_bound", "slack_bound"))
+            named |= {"mu_strategy": "monotone", "mu_init": self.barrier, "warm_start_init_point": "yes"}
+            named |= dict.fromkeys(pushes, self.barrier)
         return named
 
 
@@ -119,32 +112,28 @@ class Solution:
         """
         transcription = self.transcription
         block, s = transcription.blocks[phase], transcription.scheme
-        T, h = self.durations[phase], transcription.mesh[phase] * self.durations[phase]
+        T, mesh = self.durations[phase], transcription.mesh[phase]
         lagrange, integrals = s.at(np.asarray(inside))
         x_stages, u_stages = self.values[block.stage_x], self.values[block.stage_u]  # (·, d, N)
         f = self.rates(phase, x_stages, u_stages)[0]
-        start = self.values[block.nodes[:, :-1]]
-        t = T * (np.r_[0, np.cumsum(transcription.mesh[phase])[:-1]][:, None]) + h[:, None] * inside
-        x = start[:, :, None] + np.einsum("kd,xdn,n->xnk", integrals, f, h)
+        h = mesh * T
+        t = T * (np.r_[0, np.cumsum(mesh)[:-1]][:, None]) + h[:, None] * inside
+        x = self.values[block.nodes[:, :-1]][:, :, None] + np.einsum("kd,xdn,n->xnk", integrals, f, h)
         return t, x, np.einsum("kd,xdn->xnk", lagrange, f), np.einsum("kd,udn->unk", lagrange, u_stages)
 
     def rates(self, phase: int, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rates, cost rate and paths at states and controls of any trailing shape."""
-        shape = x.shape[1:]
-        p, d = self.parameters[:, None], self.problem.data[:, None]
-        rates = self.problem.phases[phase].rates
-        count = int(np.prod(shape))
-        outputs = rates(x.reshape(len(x), count), u.reshape(len(u), count), p, d)
-        f, cost, path = (np.array(o) for o in outputs)
+        shape, rates = x.shape[1:], self.problem.phases[phase].rates
+        columns = (v.reshape(len(v), int(np.prod(shape))) for v in (x, u))
+        f, cost, path = (np.array(o) for o in rates(*columns, self.parameters[:, None], self.problem.data[:, None]))
         return f.reshape(len(f), *shape), cost.reshape(shape), path.reshape(len(path), *shape)
 
     def guess(self) -> Guess:
         """This solution as a starting point on any mesh."""
-        phases = []
-        for i, block in enumerate(self.transcription.blocks):
-            phases.append(
-                PhaseGuess(self.values[block.duration], lambda s, i=i: self.at(i, s)[0], lambda s, i=i: self.at(i, s)[1])
-            )
+        phases = [
+            PhaseGuess(T, lambda s, i=i: self.at(i, s)[0], lambda s, i=i: self.at(i, s)[1])
+            for i, T in enumerate(self.durations)
+        ]
         return Guess(tuple(phases), self.parameters)
 
     def at(self, phase: int, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,11 +155,7 @@ class Solver:
     """IPOPT for one transcription, built once for solves from many starting points."""
 
     def __init__(self, transcription: Transcription, options: Options | None = None) -> None:
-        self.transcription = transcription
-        self.options = options or Options()
-        functions = dict(transcription.functions)
-        self._functions = functions
-        self._nlp = functions.pop("nlp")
+        self.transcription, self.options = transcription, options or Options()
         self._solvers: dict[float | None, ca.Function] = {}
 
     def solve(
@@ -194,7 +179,6 @@ class Solver:
         """
         transcription = self.transcription
         problem = transcription.problem if data is None else replace(transcription.problem, data=np.asarray(data, float))
-        warm = isinstance(start, Solution)
         w0 = start.w if isinstance(start, Solution) else transcription.pack(start) if isinstance(start, Guess) else start
         if problem.data.size != transcription.problem.data.size or np.size(w0) != transcription.size:
             raise UserError(
@@ -207,45 +191,34 @@ class Solver:
             lower[:n_p], upper[:n_p] = (b / problem.p_scale for b in parameters)
         arguments = {"x0": np.clip(w0, lower, upper), "p": problem.data, "lbx": lower, "ubx": upper}
         arguments["lbg"], arguments["ubg"] = transcription.row_bounds
-        if isinstance(start, Solution) and start.lam_g.size == arguments["lbg"].size:
-            arguments |= {"lam_g0": start.lam_g, "lam_x0": start.lam_w}
-        barrier = (self.options.barrier or 1e-7) if warm else self.options.barrier
+        barrier = self.options.barrier
+        if isinstance(start, Solution):
+            barrier = barrier or WARM
+            if start.lam_g.size == arguments["lbg"].size:
+                arguments |= {"lam_g0": start.lam_g, "lam_x0": start.lam_w}
         solver, began = self._solver(barrier), time.perf_counter()
         result = solver(**arguments)
         seconds, stats = time.perf_counter() - began, solver.stats()
         if stats["return_status"] == "NonIpopt_Exception_Thrown":
             raise KeyboardInterrupt
-        g = np.array(result["g"]).ravel()
+        found = {name: np.array(value).ravel() for name, value in result.items()}
         if check and not stats["success"]:
-            raise self._failure(stats, g, arguments)
+            excess = np.maximum(arguments["lbg"] - found["g"], found["g"] - arguments["ubg"])
+            worst = int(np.argmax(excess))
+            violated = float(excess[worst]), transcription.row_name(worst)
+            raise SolverFailure(stats["return_status"], stats["iter_count"], *violated)
         solved = transcription if data is None else replace(transcription, problem=problem)
-        return Solution(
-            solved,
-            np.array(result["x"]).ravel(),
-            np.array(result["lam_g"]).ravel(),
-            np.array(result["lam_x"]).ravel(),
-            float(result["f"]) * problem.cost_scale,
-            stats["return_status"],
-            stats["iter_count"],
-            seconds,
-        )
+        cost, effort = float(found["f"][0]) * problem.cost_scale, (stats["return_status"], stats["iter_count"], seconds)
+        return Solution(solved, found["x"], found["lam_g"], found["lam_x"], cost, *effort)
 
     def _solver(self, barrier: float | None) -> ca.Function:
         if barrier not in self._solvers:
-            options = {
-                "ipopt": replace(self.options, barrier=barrier).ipopt(),
-                "print_time": False,
-                "calc_lam_p": False,
-                "no_nlp_grad": True,  # compiled functions have no derivatives, and none is needed
-            }
-            self._solvers[barrier] = ca.nlpsol("solver", "ipopt", self._nlp, options | self._functions)
+            derivatives = dict(self.transcription.functions)
+            nlp, ipopt = derivatives.pop("nlp"), replace(self.options, barrier=barrier).ipopt()
+            # compiled functions have no derivatives, and none is needed
+            options = {"ipopt": ipopt, "print_time": False, "calc_lam_p": False, "no_nlp_grad": True}
+            self._solvers[barrier] = ca.nlpsol("solver", "ipopt", nlp, options | derivatives)
         return self._solvers[barrier]
-
-    def _failure(self, stats: dict, g: np.ndarray, arguments: dict) -> SolverFailure:
-        excess = np.maximum(arguments["lbg"] - g, g - arguments["ubg"])
-        worst = int(np.argmax(excess))
-        name = self.transcription.row_name(worst)
-        return SolverFailure(stats["return_status"], stats["iter_count"], float(excess[worst]), name)
 
 
 def solve(
@@ -253,10 +226,3 @@ def solve(
 ) -> Solution:
     """Transcribe on a uniform mesh and solve once; raises `SolverFailure`."""
     return Solver(Transcription(problem, method or scheme(), uniform_mesh(problem, intervals)), options).solve(guess)
-
-
-def continue_in(solver: Solver, solution: Solution, values: Sequence[np.ndarray]) -> Solution:
-    """Numerical continuation: solve for each of the data `values` in turn, each time warm from the solution before."""
-    for data in values:
-        solution = solver.solve(solution, data)
-    return solution

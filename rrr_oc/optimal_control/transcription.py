@@ -8,7 +8,7 @@ import numpy as np
 
 from rrr_oc.optimal_control.interval import Interval, interval_functions
 from rrr_oc.optimal_control.problem import Guess, Phase, Problem
-from rrr_oc.optimal_control.scatter import Scatter, sum_into
+from rrr_oc.optimal_control.scatter import Scatter, nonzeros_of, sum_into
 from rrr_oc.optimal_control.scheme import Scheme
 
 
@@ -39,11 +39,15 @@ class Transcription:
     mesh: tuple[np.ndarray, ...]
     compiled: bool = False
 
+    def __getstate__(self) -> dict:
+        """Without the compiled functions, which cannot be passed between processes."""
+        return {name: value for name, value in self.__dict__.items() if name != "functions"}
+
     @cached_property
     def blocks(self) -> tuple[_Block, ...]:
         """Layout of the variables and rows, phase by phase."""
-        blocks, w, row = [], len(self.problem.parameters), 0
-        s = self.scheme
+        blocks, n_p, row = [], len(self.problem.parameters), 0
+        w, s = n_p, self.scheme
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
             nx, nu, N = len(phase.states), len(phase.controls), len(fractions)
             duration, w = w, w + 1
@@ -55,31 +59,23 @@ class Transcription:
                 return indices
 
             nodes = take(nx, N + 1)
-            own = [i for i in range(s.d) if not (i == 0 and s.shares_first) and not (i == s.d - 1 and s.shares_last)]
-            stage_x = np.empty((nx, s.d, N), int)
-            stage_x[:, own, :] = take(nx, len(own), N)
-            stage_u = np.empty((nu, s.d, N), int)
+            stage_x, stage_u = np.empty((nx, s.d, N), int), np.empty((nu, s.d, N), int)
+            stage_x[:, s.inner] = own = take(nx, len(s.inner), N)
+            if s.shares_last:
+                stage_x[:, -1] = nodes[:, 1:]
             if s.shares_first:  # controls at nodes are shared too: the control is continuous
-                stage_x[:, 0, :], node_u = nodes[:, :-1], take(nu, N + 1)
-                stage_x[:, -1, :] = nodes[:, 1:]
-                stage_u[:, 0, :], stage_u[:, -1, :] = node_u[:, :-1], node_u[:, 1:]
-                stage_u[:, own, :] = take(nu, len(own), N)
+                stage_x[:, 0], node_u = nodes[:, :-1], take(nu, N + 1)
+                stage_u[:, 0], stage_u[:, -1] = node_u[:, :-1], node_u[:, 1:]
+                stage_u[:, s.inner] = take(nu, len(s.inner), N)
             else:
-                if s.shares_last:
-                    stage_x[:, -1, :] = nodes[:, 1:]
                 stage_u[:] = take(nu, s.d, N)
-            gather = self._gather(duration, nodes, stage_x, stage_u, own)
+            shared = np.repeat(np.r_[np.arange(n_p), duration][:, None], N, axis=1)
+            inside = [x.reshape(-1, N, order="F") for x in (own, stage_u)]
+            gather = np.vstack([shared, nodes[:, :-1], nodes[:, 1:], *inside])
             rows = slice(row, row + self._interval(phase).rows * N)
             row = rows.stop
             blocks.append(_Block(duration, nodes, stage_x, stage_u, rows, gather))
         return tuple(blocks)
-
-    def _gather(self, duration, nodes, stage_x, stage_u, own) -> np.ndarray:
-        N, n_p = nodes.shape[1] - 1, len(self.problem.parameters)
-        shared = np.repeat(np.r_[np.arange(n_p), duration][:, None], N, axis=1)
-        stages = stage_x[:, own, :].reshape(-1, N, order="F") if own else np.empty((0, N), int)
-        controls = stage_u.reshape(-1, N, order="F")
-        return np.vstack([shared, nodes[:, :-1], nodes[:, 1:], stages, controls])
 
     @cached_property
     def size(self) -> int:
@@ -92,12 +88,9 @@ class Transcription:
         scale = np.ones(self.size)
         scale[: len(self.problem.parameters)] = self.problem.p_scale
         for phase, block in zip(self.problem.phases, self.blocks, strict=True):
-            for indices, magnitude in (
-                (block.nodes, phase.x_scale),
-                (block.stage_x, phase.x_scale),
-                (block.stage_u, phase.u_scale),
-            ):
-                scale[indices] = np.reshape(magnitude, (-1,) + (1,) * (indices.ndim - 1))
+            scale[block.nodes] = phase.x_scale[:, None]
+            scale[block.stage_x] = phase.x_scale[:, None, None]
+            scale[block.stage_u] = phase.u_scale[:, None, None]
         return scale
 
     @cached_property
@@ -120,31 +113,26 @@ class Transcription:
     @cached_property
     def row_bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the constraints, phase by phase, then the design's."""
-        lower, upper = [], []
+        sides = [], []
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
-            N, defects = len(fractions), self._defects(phase)
-            low = np.zeros((defects + self.scheme.d * len(phase.paths), N))
-            high = np.zeros_like(low)
-            low[defects:] = np.tile(phase.path_lower, self.scheme.d)[:, None]
-            high[defects:] = np.tile(phase.path_upper, self.scheme.d)[:, None]
-            if self.scheme.shares_first and phase.paths:  # the node's constraint stands once, with the interval before it
-                low[defects : defects + len(phase.paths), 1:] = -np.inf
-                high[defects : defects + len(phase.paths), 1:] = np.inf
-            lower.append(low.ravel(order="F"))
-            upper.append(high.ravel(order="F"))
+            first, paths = self._defects(phase), len(phase.paths)
+            for side, bound, none in zip(sides, (phase.path_lower, phase.path_upper), (-np.inf, np.inf), strict=True):
+                rows = np.repeat(np.r_[np.zeros(first), np.tile(bound, self.scheme.d)][:, None], len(fractions), axis=1)
+                if self.scheme.shares_first:  # the node's constraint stands once, with the interval before it
+                    rows[first : first + paths, 1:] = none
+                side.append(rows.ravel(order="F"))
         n_design = len(self.problem.designs)
-        return np.concatenate([*lower, np.full(n_design, -np.inf)]), np.concatenate([*upper, np.zeros(n_design)])
+        return np.concatenate([*sides[0], np.full(n_design, -np.inf)]), np.concatenate([*sides[1], np.zeros(n_design)])
 
     def row_name(self, row: int) -> str:
         """The name of a constraint and its instant, for messages."""
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
             if row < block.rows.stop:
-                per_interval = self._interval(phase).rows
-                interval, local = divmod(row - block.rows.start, per_interval)
-                time = f"at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
-                if local < self._defects(phase):
-                    return f"the motion of {phase.states[local % len(phase.states)]} {time}"
-                return f"{phase.paths[(local - self._defects(phase)) % len(phase.paths)]} {time}"
+                interval, local = divmod(row - block.rows.start, self._interval(phase).rows)
+                path = local - self._defects(phase)
+                motion = f"the motion of {phase.states[local % len(phase.states)]}"
+                name = motion if path < 0 else phase.paths[path % len(phase.paths)]
+                return f"{name} at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
         return self.problem.designs[row - self.blocks[-1].rows.stop]
 
     @property
@@ -157,8 +145,7 @@ class Transcription:
         return found
 
     def _defects(self, phase: Phase) -> int:
-        s = self.scheme
-        return len(phase.states) * (s.d - s.shares_first + (not s.shares_last))
+        return len(phase.states) * self.scheme.defects
 
     def _interval(self, phase: Phase) -> Interval:
         p, d = len(self.problem.parameters), self.problem.data.size
@@ -194,14 +181,12 @@ class Transcription:
             N, nz = len(fractions), block.gather.shape[0]
             z = ca.reshape(value[block.gather.ravel(order="F").tolist()], nz, N)
             h, data, gather = ca.MX(ca.DM(fractions).T), ca.repmat(d, 1, N), block.gather
-            magnitude = ca.DM(self.scale[gather])
             costs, g = interval.value.map(N)(z, h, data)
             cost, rows = cost + ca.sum2(costs), [*rows, ca.vec(g)]
-            slopes = interval.gradient.map(N)(z, h, data) * magnitude
+            slopes = interval.gradient.map(N)(z, h, data) * ca.DM(self.scale[gather])
             gradient += sum_into(self.size, gather, slopes)
-            n_rows = interval.rows
-            multipliers = ca.reshape(lam_g[block.rows], n_rows, N)
-            row_of = block.rows.start + np.arange(n_rows)[:, None] + n_rows * np.arange(N)
+            multipliers = ca.reshape(lam_g[block.rows], interval.rows, N)
+            row_of = np.arange(block.rows.start, block.rows.stop).reshape(-1, N, order="F")
             i, j = interval.jacobian_at
             values = interval.jacobian.map(N)(z, h, data)
             jacobian.add(row_of[i], gather[j], values * ca.DM(self.scale[gather[j]]))
@@ -225,18 +210,14 @@ class Transcription:
         design = self.problem.design
         if design is None:
             return
-        n_p, start = len(self.problem.parameters), self.blocks[-1].rows.stop
-        p, scale = value[:n_p], self.problem.p_scale
-        rows.append(design(p, d))
-        symbols = [ca.SX.sym("p", n_p), ca.SX.sym("d", d.size1()), ca.SX.sym("lam", len(self.problem.designs))]
-        outputs = design(*symbols[:2])
-        for scatter, expression, multipliers in (
-            (jacobian, ca.jacobian(outputs, symbols[0]), ()),
-            (hessian, ca.triu(ca.hessian(ca.dot(symbols[2], outputs), symbols[0])[0]), (lam_g[start:],)),
-        ):
-            function = ca.Function("derivative", symbols[: 2 + len(multipliers)], [expression])
-            i, j = (np.array(k, int) for k in function.sparsity_out(0).get_triplet())
-            values = ca.MX(function(p, d, *multipliers)).nz[:]
-            magnitude = scale[j] if not multipliers else scale[i] * scale[j]
-            offset = start if not multipliers else 0
-            scatter.add((i + offset)[:, None], j[:, None], (values * ca.DM(magnitude)) if i.size else ca.MX(0, 1))
+        n_p, start, scale = len(self.problem.parameters), self.blocks[-1].rows.stop, self.problem.p_scale
+        rows.append(design(value[:n_p], d))
+        p, data, lam = ca.SX.sym("p", n_p), ca.SX.sym("d", d.size1()), ca.SX.sym("lam", len(self.problem.designs))
+        outputs = design(p, data)
+        first, second = ca.jacobian(outputs, p), ca.triu(ca.hessian(ca.dot(lam, outputs), p)[0])
+        slopes = ca.Function("slopes", [p, data], [first.nz[:]])(value[:n_p], d)
+        curvatures = ca.Function("curvatures", [p, data, lam], [second.nz[:]])(value[:n_p], d, lam_g[start:])
+        i, j = nonzeros_of(first.sparsity())
+        jacobian.add(start + i, j, slopes * ca.DM(scale[j].tolist()))
+        i, j = nonzeros_of(second.sparsity())
+        hessian.add(i, j, curvatures * ca.DM((scale[i] * scale[j]).tolist()))

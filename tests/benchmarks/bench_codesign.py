@@ -18,7 +18,7 @@ from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
-from rrr_oc.optimal_control.solver import Options, Solver, continue_in
+from rrr_oc.optimal_control.solver import Options, Solver
 from rrr_oc.optimal_control.transcription import Transcription
 
 INTERVALS = 40
@@ -99,7 +99,10 @@ def test_solve_and_follow(benchmark, configuration, method):
     widths = [design.data(width) for width in (0.03, 0.01)]
 
     def both():
-        return continue_in(solver, solver.solve(guess, design.data(0.1)), widths)
+        followed = solver.solve(guess, design.data(0.1))
+        for data in widths:
+            followed = solver.solve(followed, data)
+        return followed
 
     both()
     solution = benchmark.pedantic(both, rounds=5)
