@@ -26,9 +26,8 @@ def register(kind: Kind) -> Kind:
     if CATALOGUE.get(kind.name, kind) is not kind:
         raise UserError(f"there are two effects of the name {kind.name!r}: {CATALOGUE[kind.name]} and {kind}")
     CATALOGUE[kind.name] = kind
-    every = sorted(CATALOGUE.items())
-    CATALOGUE.clear()
-    CATALOGUE.update(every)
+    for name in sorted(CATALOGUE):
+        CATALOGUE[name] = CATALOGUE.pop(name)
     return kind
 
 
@@ -39,18 +38,20 @@ def plain_effects() -> tuple[type[Effect], ...]:
 
 def listed_springs() -> dict[str, type[Effect]]:
     """The springs that a recording set may list, by their key in its header, those of one joint first."""
-    listed = sorted((k for k in CATALOGUE.values() if k.listing is not None), key=lambda k: (k.placement == "pair", k.name))
-    return {kind.listing.key: kind for kind in listed if kind.listing is not None}
+    return {kind.listing.key: kind for kind in _one_joint_first() if kind.listing is not None}
 
 
 def design_forms() -> dict[str, type[Effect]]:
     """The springs that a co-design may use, by the label of the configuration that has them alone, those of one joint first."""
-    drawn = sorted((k for k in CATALOGUE.values() if k.design is not None), key=lambda k: (k.placement == "pair", k.name))
-    return {kind.design.label: kind for kind in drawn if kind.design is not None}
+    return {kind.design.label: kind for kind in _one_joint_first() if kind.design is not None}
+
+
+def _one_joint_first() -> list[type[Effect]]:
+    return sorted(CATALOGUE.values(), key=lambda kind: (kind.placement == "pair", kind.name))
 
 
 def _concrete(kind: type[Effect]) -> Iterator[type[Effect]]:
-    """All subclasses of a kind that have a name, however far below it; a family of effects may share a base without one."""
+    """All subclasses of a kind, direct or not, that have a name; a family of effects may share a base without one."""
     for below in kind.__subclasses__():
         yield from _concrete(below)
         if hasattr(below, "name"):

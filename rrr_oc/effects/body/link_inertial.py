@@ -1,6 +1,6 @@
 """A link whose mass, centre or inertia is not the URDF's."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 
@@ -8,7 +8,6 @@ from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class LinkInertial(Effect):
     """The link's ten inertial parameters are the URDF's plus these, which stand as in `Robot.inertial`."""
 

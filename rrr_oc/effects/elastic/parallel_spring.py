@@ -26,10 +26,7 @@ class ParallelSpring(Effect):
 
     name = "parallel_spring"
     equation = "tau = stiffness (equilibrium - q) on the active side of the equilibrium, else 0"
-    parameters = (
-        Parameter("stiffness", "Nm/rad", 5.0, lower=0.0),
-        Parameter("equilibrium", "rad", 0.0),
-    )
+    parameters = (Parameter("stiffness", "Nm/rad", 5.0, lower=0.0), Parameter("equilibrium", "rad"))
     amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
     provides = "springs"
@@ -78,18 +75,6 @@ class ParallelSpring(Effect):
 
     def moved(self, theta, offset):
         return {**theta, "equilibrium": theta["equilibrium"] + offset}
-
-    @classmethod
-    def from_entry(cls, joints, entry):
-        theta = {"stiffness": entry["stiffness_Nm_per_rad"], "equilibrium": entry["equilibrium_rad"]}
-        return cls(joints, active=entry.get("active", "below")), theta
-
-    def entry(self, theta):
-        return {
-            "stiffness_Nm_per_rad": theta["stiffness"],
-            "equilibrium_rad": theta["equilibrium"],
-            "active": self.active,
-        }
 
     @classmethod
     def trials(cls, view):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -20,7 +20,7 @@ class CoupledFriction(Effect):
     equation = "tau_a = -(coulomb sgn(r) + viscous r), r = dq_a + dq_b, dq_a - dq_b or dq_b"
     parameters = (Parameter("coulomb", "Nm", 0.0, lower=0.0), Parameter("viscous", "Nm s/rad", 0.0, lower=0.0))
     amplitudes = ("coulomb", "viscous")
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
     placement = "pair"
     options = ("form",)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import TURNS, sign
 from rrr_oc.robot.parameters import Parameter
@@ -19,7 +19,7 @@ class DryFriction(Effect):
     name = "dry_friction"
     equation = "tau = -level sgn(dq)"
     parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
     provides = "friction"
     role = "plain"

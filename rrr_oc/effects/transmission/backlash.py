@@ -42,10 +42,8 @@ class Backlash(Effect):
         mass = np.maximum(inertia, 1e-9)
         steps = np.append(np.diff(t), t[-1] - t[-2] if count > 1 else 1.0)
         leaving = {1: np.flatnonzero(load + stiffness * half > 0), -1: np.flatnonzero(load - stiffness * half < 0)}
-        numbers = [
-            x.tolist() for x in (load, stiffness, mass, theta["damping"] / mass, steps)
-        ]  # quicker one at a time than arrays
-        samples = list(zip(*numbers, strict=True))
+        numbers = (load, stiffness, mass, theta["damping"] / mass, steps)
+        samples = list(zip(*(x.tolist() for x in numbers), strict=True))  # floats are quicker than numpy scalars
         side, k, v = -1 if load[0] > 0 else 1, 0, 0.0
         while True:
             next_ = leaving[side].searchsorted(k)

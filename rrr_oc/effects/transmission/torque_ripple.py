@@ -1,7 +1,6 @@
 """Torque that is periodic in the joint's angle: cogging, gear mesh, a harmonic drive's wave."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,23 +8,16 @@ from rrr_oc.effects.base import Effect, Trial, View
 from rrr_oc.numerics.smooth import sin
 from rrr_oc.robot.parameters import Parameter
 
-LEAST_CYCLES = (
-    2  # that recordings must see of a trial; with fewer, a ripple may be any smooth torque, and a series is tried first
-)
+LEAST_CYCLES = 2  # that recordings must see of a trial; with fewer, it may be any smooth torque, and a series is tried first
 MOST_CYCLES = 64  # per turn of a joint, of the trials; twice as many double their number
 
 
-@dataclass(frozen=True)
 class TorqueRipple(Effect):
     """tau = amplitude sin(order q + phase); one effect an order."""
 
     name = "torque_ripple"
     equation = "tau = amplitude sin(order q + phase)"
-    parameters = (
-        Parameter("amplitude", "Nm", 0.0),
-        Parameter("order", "1", 1.0, lower=0.0),
-        Parameter("phase", "rad", 0.0),
-    )
+    parameters = (Parameter("amplitude", "Nm"), Parameter("order", "1", 1.0, lower=0.0), Parameter("phase", "rad"))
     amplitudes = ("amplitude",)
     side = "drive"
     placement = "many"
