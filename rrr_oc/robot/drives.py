@@ -65,8 +65,8 @@ class Actuators:
         for i in range(len(self.joints)):
             t = tau_load[i]
             size = t if self.form == "printed" else ramp(t, LOAD_WIDTH) + ramp(-t, LOAD_WIDTH)
-            friction = self._friction(i, dq[i]) + self.c_12[i] * (size * ca.tanh(STEEPNESS * dq[i]))
-            currents.append(self.inertia[i] * ddq[i] + self.c_1[i] * t + friction)
+            by_load = self.c_1[i] * t, self.c_12[i] * (size * ca.tanh(STEEPNESS * dq[i]))
+            currents.append(self.inertia[i] * ddq[i] + self._friction(i, dq[i]) + by_load[0] + by_load[1])
         return ca.vertcat(*currents)
 
     def load_torque(self, dq, ddq, current) -> ca.SX:
