@@ -162,7 +162,8 @@ class Effect:
         resembles: What other description its torque may be taken for. "friction_over_speed": another course of plain dry friction
             over the speed. "position_harmonic", "constant": a harmonic and the mean of a series over the joint's position. Or "".
         alters: The field of `Body` that it changes, for the side "body".
-        options: Names of its dataclass fields that a report shows beside the parameters.
+        options: Dataclass fields beside the parameters that users choose and reports show, with the values allowed; of a field that
+            is a tuple, the values of each element.
         composed: Where parameters are the components of vectors or matrices: shown name to parameters' names, nested.
         listing: How it stands in the header of a recording set; None where recordings cannot list it.
         design: Its form in a co-design; None where it is no part of one.
@@ -185,7 +186,7 @@ class Effect:
     dynamics: ClassVar[Dynamics] = "instantaneous"
     resembles: ClassVar[Literal["", "friction_over_speed", "position_harmonic", "constant"]] = ""
     alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
-    options: ClassVar[tuple[str, ...]] = ()
+    options: ClassVar[Mapping[str, tuple[Any, ...]]] = {}
     composed: ClassVar[Mapping[str, Any]] = {}
     listing: ClassVar[Listing | None] = None
     design: ClassVar[DesignForm | None] = None
@@ -286,21 +287,20 @@ class Effect:
 
     @classmethod
     def from_entry(cls, joints: tuple[int, ...], entry: Mapping[str, Any]) -> tuple["Effect", dict[str, float]]:
-        """The spring on its joints, and its parameters, from the quantities and options of its `listing`.
+        """The spring on its joints, and its parameters, from the quantities of its `listing` and its options.
 
-        By default the quantities are the parameters in their order, and the options fields of these names.
+        By default the quantities are the parameters in their order.
         """
         assert cls.listing is not None
         names = (parameter.name for parameter in cls.parameters)
-        options = {key: entry[key] for key in cls.listing.options if key in entry}
+        options = {key: entry[key] for key in cls.options if key in entry}
         return cls(joints, **options), dict(zip(names, (entry[key] for key in cls.listing.quantities), strict=True))
 
     def entry(self, theta: Mapping[str, float]) -> dict[str, Any]:
         """The inverse of `from_entry`: quantities and options of the spring with these parameters."""
         assert self.listing is not None
         values = (theta[parameter.name] for parameter in self.parameters)
-        options = {key: getattr(self, key) for key in self.listing.options}
-        return dict(zip(self.listing.quantities, values, strict=True)) | options
+        return dict(zip(self.listing.quantities, values, strict=True)) | {key: getattr(self, key) for key in self.options}
 
     # in fits
 

@@ -38,14 +38,12 @@ class DesignForm:
     Attributes:
         label: Name of the configuration that has these springs alone.
         quantities: What a task bounds.
-        options: Keys of a task's entry that are options of the effect.
         shop: Key of these springs in a catalogue of purchasable hardware, or "". If one quantity is bought, the catalogue has a list
             for each joint; if several are, a list for each quantity.
     """
 
     label: str
     quantities: tuple[Quantity, ...]
-    options: tuple[str, ...] = ()
     shop: str = ""
 
     limits = ()  # for each inequality of `exists`, the bounds that are active where it is

@@ -44,9 +44,9 @@ def _entries(kind: type[Effect]) -> Any:
     keys: list[Any] = [(key, _quantity(key, key in listing.zero)) for key in listing.quantities]
     if kind.placement == "pair":
         keys.append(("joints", tuple[str, str] | None, None))
-    for key, allowed in listing.options.items():
-        count = listing.counts.get(key)
-        values: Any = Literal[allowed] if count is None else tuple[(float,) * count]
+    for key, allowed in kind.options.items():
+        default = getattr(kind, key)
+        values: Any = tuple[(float,) * len(default)] if isinstance(default, tuple) else Literal[allowed]
         keys.append((key, values | None, None))
     entry = msgspec.defstruct(kind.__name__, keys, bases=(Schema,))
     return entry | list[entry] if kind.placement == "pair" else dict[str, entry | list[entry]]
@@ -73,12 +73,11 @@ def _of_kind(where: str, kind: type[Effect], given: Any, joints: tuple[str, ...]
 
 
 def _spring(where: str, kind: type[Effect], joints: tuple[int, ...], entry: dict[str, Any]) -> Spring:
-    assert kind.listing is not None
-    for key, count in kind.listing.counts.items():
-        allowed = kind.listing.options[key]
-        if any(value not in allowed for value in entry.get(key, ())):
-            wanted = f"{count} numbers, each {' or '.join(map(str, allowed))}, are required"
-            raise UserError(f"{where}.{key}: found {list(entry[key])}; {wanted}")
+    for key, allowed in kind.options.items():
+        values = entry.get(key)
+        if isinstance(values, tuple) and not set(values) <= set(allowed):
+            wanted = f"{len(values)} numbers, each {' or '.join(map(str, allowed))}, are required"
+            raise UserError(f"{where}.{key}: found {list(values)}; {wanted}")
     try:
         return kind.from_entry(joints, entry)
     except UserError as error:

@@ -14,6 +14,7 @@ from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
 
 WIDER = 1.05  # factor by which the parameters' box is wider than the hardware allows, so that `exists` binds, not the box
+RADII = ("radius1_m", "radius2_m", "radius3_m")  # keys in the header of a recording set
 HARDWARE_LIMITS = (
     "r_3 at its largest, r_2 at its smallest",
     "r_3 at its smallest, r_2 at its largest",
@@ -99,14 +100,8 @@ class BiarticularSpring(Effect):
     provides = "springs"
     scope = "mounted"
     placement = "pair"
-    options = ("winding",)
-    listing = Listing(
-        "bpea",
-        ("stiffness_Nm_per_rad", "equilibrium_rad", "radius1_m", "radius2_m", "radius3_m"),
-        zero=("radius3_m",),
-        options={"winding": (1, -1)},
-        counts={"winding": 2},
-    )
+    options = {"winding": (1, -1)}  # noqa: RUF012
+    listing = Listing("bpea", ("stiffness_Nm_per_rad", "equilibrium_rad", *RADII), zero=RADII[2:])
     design = BiarticularForm(
         "BPEA",
         (
@@ -114,7 +109,6 @@ class BiarticularSpring(Effect):
             Quantity("q_0", "q_0_deg", "rad", np.pi / 180, free=True),
             *(Quantity(r, f"{r}_mm", "m", 1e-3) for r in ("r_1", "r_2", "r_3")),
         ),
-        options=("winding",),
         shop="biarticular_spring",
     )
 
@@ -147,7 +141,7 @@ class BiarticularSpring(Effect):
     @classmethod
     def from_entry(cls, joints, entry):
         """Raises `UserError` where the radii give no finite torque."""
-        radii = [entry[f"radius{k}_m"] for k in (1, 2, 3)]
+        radii = [entry[key] for key in RADII]
         kappa, rho, phi = reduced(entry["stiffness_Nm_per_rad"], entry["equilibrium_rad"], *radii)
         if not all(math.isfinite(value) for value in (kappa, rho, phi)):
             raise UserError(f"radii {radii} m give no finite torque; check the unit")
@@ -157,7 +151,7 @@ class BiarticularSpring(Effect):
     def entry(self, theta):
         """With r_2 = 1 m: Eq. 5 decides kappa, rho and phi only, and a change of q_0 the ratio r_1/r_2."""
         r = self.pulleys
-        radii = {"radius1_m": r, "radius2_m": 1.0, "radius3_m": theta["rho"]}
+        radii = dict(zip(RADII, (r, 1.0, theta["rho"]), strict=True))
         numbers = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
         return {**numbers, "winding": list(self.winding)}
 

@@ -31,15 +31,14 @@ class ParallelSpring(Effect):
     width = Parameter("width", "rad", 1e-3, lower=0.0)
     provides = "springs"
     scope = "mounted"
-    options = ("active",)
-    listing = Listing("pea", ("stiffness_Nm_per_rad", "equilibrium_rad"), options={"active": SIDES})
+    options = {"active": SIDES}  # noqa: RUF012
+    listing = Listing("pea", ("stiffness_Nm_per_rad", "equilibrium_rad"))
     design = DesignForm(
         "PEA",
         (
             Quantity("k_p", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
             Quantity("q_eq", "equilibrium_deg", "rad", np.pi / 180, free=True),
         ),
-        options=("active",),
         shop="parallel_springs_Nm_per_rad",
     )
 

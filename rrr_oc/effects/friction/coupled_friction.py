@@ -23,7 +23,7 @@ class CoupledFriction(Effect):
     width = SIGN_WIDTH
     side = "drive"
     placement = "pair"
-    options = ("form",)
+    options = {"form": ("sum", "difference", "other")}  # noqa: RUF012
 
     form: Literal["sum", "difference", "other"] = field(default="sum")
 
@@ -39,5 +39,5 @@ class CoupledFriction(Effect):
         for a in range(view.n):
             for b in range(view.n):
                 for form in ("sum", "difference", "other"):
-                    if a != b and (form == "other" or a < b):
+                    if a < b or (a > b and form == "other"):
                         yield cls((a, b), form).trial(view)
