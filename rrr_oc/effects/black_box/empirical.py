@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -45,14 +45,14 @@ class Empirical(Effect):
     side = "drive"
     role = "black_box"
 
-    variables: tuple[tuple[str, int], ...] = field(default=())
-    low: tuple[float, ...] = field(default=())
-    high: tuple[float, ...] = field(default=())
-    orders: tuple[int, ...] = field(default=())
-    direction: Direction = field(default="either")
-    edges: tuple[tuple[int, float, int], ...] = field(default=())
-    largest: float = field(default=1e6)
-    on_link: bool = field(default=False)
+    variables: tuple[tuple[str, int], ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    orders: tuple[int, ...] = ()
+    direction: Direction = "either"
+    edges: tuple[tuple[int, float, int], ...] = ()
+    largest: float = 1e6
+    on_link: bool = False
 
     def __post_init__(self) -> None:
         if self.on_link:

@@ -1,7 +1,7 @@
 """Spring across two joints, wound over pulleys (BPEA)."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -64,7 +64,7 @@ class BiarticularForm(DesignForm):
         return np.array(reduced(*numbers))
 
     def exists(self, theta, bounds):
-        return hardware_exists(*theta, bounds)
+        return hardware_exists(theta[0], theta[1], theta[2], bounds)
 
     def named(self, joints, theta, bounds, fixed):
         if fixed:
@@ -112,8 +112,8 @@ class BiarticularSpring(Effect):
         shop="biarticular_spring",
     )
 
-    winding: tuple[int, int] = field(default=(1, 1))
-    pulleys: float = field(default=1.0)  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
+    winding: tuple[int, int] = (1, 1)
+    pulleys: float = 1.0  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
 
     def __post_init__(self) -> None:
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
@@ -145,8 +145,8 @@ class BiarticularSpring(Effect):
         kappa, rho, phi = reduced(entry["stiffness_Nm_per_rad"], entry["equilibrium_rad"], *radii)
         if not all(math.isfinite(value) for value in (kappa, rho, phi)):
             raise UserError(f"radii {radii} m give no finite torque; check the unit")
-        winding = tuple(int(w) for w in entry.get("winding", (1, 1)))
-        return cls(joints, winding, pulleys=radii[0] / radii[1]), {"kappa": kappa, "rho": rho, "phi": phi}
+        a, b = map(int, entry.get("winding", (1, 1)))
+        return cls(joints, (a, b), pulleys=radii[0] / radii[1]), {"kappa": kappa, "rho": rho, "phi": phi}
 
     def entry(self, theta):
         """With r_2 = 1 m: Eq. 5 decides kappa, rho and phi only, and a change of q_0 the ratio r_1/r_2."""

@@ -1,6 +1,6 @@
 """Spring in parallel with one joint's drive (PEA)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -42,7 +42,7 @@ class ParallelSpring(Effect):
         shop="parallel_springs_Nm_per_rad",
     )
 
-    active: Literal["below", "above"] = field(default="below")
+    active: Literal["below", "above"] = "below"
 
     def __post_init__(self) -> None:
         if self.active not in SIDES:

@@ -1,6 +1,6 @@
 """Friction that depends on another joint's motion, as in a coupled wrist."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 from rrr_oc.effects.base import SIGN_WIDTH, Effect
@@ -25,7 +25,7 @@ class CoupledFriction(Effect):
     placement = "pair"
     options = {"form": ("sum", "difference", "other")}  # noqa: RUF012
 
-    form: Literal["sum", "difference", "other"] = field(default="sum")
+    form: Literal["sum", "difference", "other"] = "sum"
 
     def torque(self, signals, theta, width):
         a, b = self.joints

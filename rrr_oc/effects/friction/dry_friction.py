@@ -1,6 +1,6 @@
 """Dry friction of one joint's drive: bearings, seals and gears, independent of load and speed."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.errors import UserError
@@ -24,7 +24,7 @@ class DryFriction(Effect):
     provides = "friction"
     role = "plain"
 
-    turn: str = field(default="tanh")
+    turn: str = "tanh"
 
     def __post_init__(self) -> None:
         if self.turn not in TURNS:

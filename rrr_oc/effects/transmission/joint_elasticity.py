@@ -1,7 +1,7 @@
 """A transmission that twists under load."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class JointElasticity(Effect):
     side = "motion"
     dynamics = "link"
 
-    smoothed: float = field(default=0.2)
+    smoothed: float = 0.2
 
     @property
     def window(self):
