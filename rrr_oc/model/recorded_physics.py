@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
-from typing import Any
+from functools import cache, partial, wraps
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,12 +14,28 @@ from rrr_oc.numerics.along import along
 from rrr_oc.numerics.oscillator import substituted
 
 DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
-PARTS = 4  # substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
+PARTS = (
+    4  # substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
+)
 SWEEPS = 2  # iterations over coupled and nonlinear links behind elastic gears; doubled, it takes twice the time
 # Of joint j: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
 Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
+Result = TypeVar("Result")
 # By the index of an effect: its displacement of the links as a function of its parameters, and at their present values (3 n, K)
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
+
+
+def _kept(find: Callable[["Physics", Motion], Result]) -> Callable[["Physics", Motion], Result]:
+    """A method of `Physics` whose result is kept until it is called with another motion."""
+
+    @wraps(find)
+    def kept(self: "Physics", motion: Motion) -> Result:
+        name = find.__name__
+        if name not in self._cache or self._cache[name][0] is not motion:
+            self._cache[name] = motion, find(self, motion)
+        return self._cache[name][1]
+
+    return kept
 
 
 @dataclass(frozen=True)
@@ -44,22 +60,14 @@ class Physics:
         """q, dq, ddq, time and payload, the first arguments of `Model.motor_inverse`."""
         return motion.q, motion.dq, motion.ddq, motion.clock[None], motion.payload[None]
 
-    def _once(self, name: str, find: Callable[[Motion], Any], motion: Motion) -> Any:
-        """What `find` returns for a motion, kept by name until it is called with another motion."""
-        if name not in self._cache or self._cache[name][0] is not motion:
-            self._cache[name] = motion, find(motion)
-        return self._cache[name][1]
-
     @property
     def built(self) -> Model:
         """The model with `inertial` as its robot's own parameters, as the engine needs it."""
         return replace(self.model, robot=replace(self.model.robot, inertial=self.inertial))
 
+    @_kept
     def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the motion needs, each (n, K) [Nm]."""
-        return self._once("torques", self._find_torques, motion)
-
-    def _find_torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         states = self.states(motion)
         if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
             values = (self.theta, self.widths, self.inertial)
@@ -82,11 +90,9 @@ class Physics:
         effects, shifts = self.model.effects, self._moved(motion)[0]
         return _summed({i: shift for i, shift in shifts.items() if effects[i].moves_link}, motion)
 
+    @_kept
     def _moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
         """Displacements of the links by effect, and the reaction of the links behind elastic gears if there are any."""
-        return self._once("moved", self._find_moved, motion)
-
-    def _find_moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
         found: Shifts = {}
         reaction = None
         displacing = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
@@ -189,11 +195,9 @@ class Physics:
             return change
         return self.recorded(motion, change) - self.recorded(motion, np.zeros_like(change))
 
+    @_kept
     def states(self, motion: Motion) -> np.ndarray:
         """Internal states of the effects along the motion, (number of states, K)."""
-        return self._once("states", self._find_states, motion)
-
-    def _find_states(self, motion: Motion) -> np.ndarray:
         named = [one for one in self.named() if one[0].states]
         load = self._load(motion, self.shift(motion)) if any(effect.dynamics == "load_states" for effect, *_ in named) else None
         found = [states_along(motion, *one, load) for one in named]
