@@ -1,7 +1,7 @@
 """The catalogue of effects: one piece of physics a file, in a folder for each place where physics acts.
 
-`CATALOGUE` holds every concrete `Effect` of the files below this folder and of installed packages that name a module in the entry
-point group `rrr_oc.effects`, and what `register` adds, in the order of the names. Imports `numerics` and `robot`.
+`CATALOGUE` holds, by name, every concrete `Effect` of this folder, of installed packages with a module in the entry point group
+`rrr_oc.effects`, and those that `register` adds. Imports `numerics` and `robot`.
 """
 
 import importlib
@@ -20,8 +20,7 @@ Kind = TypeVar("Kind", bound=type[Effect])
 def register(kind: Kind) -> Kind:
     """Add an effect to the catalogue; usable as a decorator of its class.
 
-    Other processes have it only if they import its module, as they do with an entry point. Raises `UserError` where another effect
-    has its name.
+    Other processes know it only if they import its module, as from an entry point. Raises `UserError` for a name that is taken.
     """
     if CATALOGUE.get(kind.name, kind) is not kind:
         raise UserError(f"there are two effects of the name {kind.name!r}: {CATALOGUE[kind.name]} and {kind}")

@@ -26,8 +26,7 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
         robot: Bundled model or URDF that takes the place of the one in the file.
 
     Raises:
-        UserError: Something is missing or wrong; the message names the file, the line or key, what was found and what is
-            allowed.
+        UserError: Something is missing or wrong; the message names the file, the line or key, what was found and what is allowed.
     """
     path = Path(path)
     file = path if path.suffix == ".json" else path / HEADER

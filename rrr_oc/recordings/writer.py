@@ -47,9 +47,7 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
 def write_set(
     folder: str | Path, source: str | Path, header: Mapping[str, Any], tables: Mapping[str, Mapping[str, np.ndarray]]
 ) -> RecordingSet:
-    """Write a new set and read it again.
-
-    A URDF is copied into the folder. Nothing is left behind where the set could not be read.
+    """Write a new set, with a copy of its URDF, and read it again; nothing is written where it could not be read.
 
     Args:
         folder: Folder to make.

@@ -172,4 +172,4 @@ def _guess(reach: np.ndarray, length: float) -> np.ndarray:
     """1 kg about the middle of the link, with a radius of gyration of 0.3 lengths about every axis."""
     centre = reach / 2
     inertia = (0.3 * length) ** 2 * np.eye(3) + centre @ centre * np.eye(3) - np.outer(centre, centre)
-    return np.array([1.0, *centre, *(inertia[a, b] for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))])
+    return np.array([1.0, *centre, *inertia[np.tril_indices(3)]])

@@ -79,16 +79,9 @@ def upwards(gravity: np.ndarray) -> np.ndarray:
 
 
 def with_payload(inertial, joint: int, mass, position):
-    """Add a point mass to one link's dynamic parameters.
+    """Inertial parameters (10, n), numpy or casadi, with a point mass [kg] on one joint's link, at a position [m] in its frame.
 
-    Args:
-        inertial: (10, n) numpy array or casadi matrix.
-        joint: Joint whose link carries the payload.
-        mass: Payload [kg].
-        position: Its point in the joint's frame [m], (3,).
-
-    Returns:
-        (10, n) of the casadi type of the arguments.
+    The result has the casadi type of the arguments.
     """
     x, y, z = position[0], position[1], position[2]
     point = ca.vertcat(1, x, y, z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)

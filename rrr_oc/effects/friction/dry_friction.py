@@ -12,8 +12,8 @@ from rrr_oc.robot.parameters import Parameter
 class DryFriction(Effect):
     """tau = −level sgn(dq): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
 
-    `turn` is the function by which the sign changes over its width, one of `smooth.TURNS`.
-    A joint at rest may carry any torque between −level and level; the law gives 0 there, so calibration leaves samples at rest out.
+    `turn` is the function by which the sign changes over its width, one of `smooth.TURNS`. At rest the friction may have any value
+    between −level and level; the law gives 0 there, so calibration leaves out samples at rest.
     """
 
     name = "dry_friction"
