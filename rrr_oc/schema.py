@@ -37,17 +37,13 @@ def read_json(path: str | Path, schema: type[T]) -> T:
 
 
 def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schema: type[T]) -> tuple[str, T]:
-    """Read a bundled file, by the name of a preset, or a file of the user's; also how to name it in messages.
+    """Read a bundled file, by the name of a preset, or a file of the user's; returns its name in messages, too.
 
-    Args:
-        what: What the file describes, as in "task".
-        presets: File in `rrr_oc/data` of each preset.
+    `what` says what the file describes, as in "task"; `presets` names the file in `rrr_oc/data` of each preset.
     """
     if str(source) in presets:
-        where, text = (
-            f"{what} {str(source)!r}",
-            importlib.resources.files("rrr_oc.data").joinpath(presets[str(source)]).read_text(),
-        )
+        where = f"{what} {str(source)!r}"
+        text = importlib.resources.files("rrr_oc.data").joinpath(presets[str(source)]).read_text()
     elif Path(source).is_file():
         where, text = str(source), read_utf8(source).decode()
     else:
@@ -78,12 +74,7 @@ def parsed(where: str | Path, text: str) -> Any:
 
 
 def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> T:
-    """Plain data as `schema` describes it; raises `UserError` that says what was found and what is allowed.
-
-    Args:
-        where: The file.
-        path: Place of the data in it.
-    """
+    """Plain data, from `path` in the file `where`, as `schema` describes it; raises `UserError` that names what is allowed."""
     try:
         return msgspec.convert(data, schema)
     except msgspec.ValidationError:
@@ -132,9 +123,9 @@ def _fault(path: str, data: Any, schema: Any) -> tuple[str, str]:
             if key not in fields:
                 return path, f"unknown key {key!r}; allowed are {', '.join(fields)}"
         required = [key for key, field in fields.items() if field.required]
-        for key in required:
-            if key not in data:
-                return path, f"key {key!r} is missing; required are {', '.join(required)}"
+        missing = [key for key in required if key not in data]
+        if missing:
+            return path, f"key {missing[0]!r} is missing; required are {', '.join(required)}"
         try:
             msgspec.convert(data, schema)
         except msgspec.ValidationError as error:  # from `__post_init__`; what begins with a key belongs to that key

@@ -56,12 +56,11 @@ def number(value: float | None) -> float | None:
 
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays, compressed; an array of objects, which would need pickle, raises ValueError."""
-    named: dict[str, Any] = dict(arrays)
-    objects = [name for name, array in named.items() if np.asarray(array).dtype.hasobject]
+    objects = [name for name, array in arrays.items() if np.asarray(array).dtype.hasobject]
     if objects:  # before numpy 2.3, `savez_compressed` has no `allow_pickle` that would refuse them
         raise ValueError(f"{', '.join(objects)}: arrays of objects need pickle, which is not used")
     with new_file(path) as file:
-        np.savez_compressed(file, **named)
+        np.savez_compressed(file, **dict[str, Any](arrays))
 
 
 def check_file(path: str | Path) -> None:
@@ -92,7 +91,7 @@ def _check_place(folder: Path) -> None:
 
 @contextmanager
 def new_file(path: str | Path) -> Iterator[BinaryIO]:
-    """A file to fill, which takes its name when the block ends without an error and vanishes otherwise."""
+    """A file to fill, which gets its name when the block ends without an error and is removed after an error."""
     path = Path(path)
     temporary = _beside(path)
     try:
@@ -108,7 +107,7 @@ def new_file(path: str | Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def new_folder(folder: str | Path) -> Iterator[Path]:
-    """A folder to fill, which takes its name when the block ends without an error and vanishes otherwise.
+    """A folder to fill, which gets its name when the block ends without an error and is removed after an error.
 
     Raises `UserError` where `folder` is a file or a folder with something in it.
     """

@@ -43,8 +43,6 @@ from rrr_oc.simulation.engine_model import twin
 BAND = '''
 """A rubber band that gets stiffer as it is stretched."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rrr_oc.effects import Effect, register
@@ -54,7 +52,6 @@ from rrr_oc.robot.parameters import Parameter
 
 
 @register
-@dataclass(frozen=True)
 class RubberBand(Effect):
     """tau = -stiffness (q - rest)^3."""
 
@@ -81,29 +78,18 @@ class RubberBand(Effect):
         return {**theta, "rest": theta["rest"] + offset}
 
     @classmethod
-    def from_entry(cls, joints, entry):
-        return cls(joints), {"stiffness": entry["stiffness_Nm_per_rad3"], "rest": entry["rest_rad"]}
-
-    def entry(self, theta):
-        return {"stiffness_Nm_per_rad3": theta["stiffness"], "rest_rad": theta["rest"]}
-
-    @classmethod
-    def trials(cls, view):
-        for j in range(view.n):
-            for share in (0.2, 0.4, 0.6, 0.8):
-                yield cls((j,)).trial(view, rest=float(view.low[j] + share * (view.high[j] - view.low[j])))
+    def shapes(cls, view, joints):
+        low, high = view.low[joints[0]], view.high[joints[0]]
+        return [{"rest": float(low + share * (high - low))} for share in (0.2, 0.4, 0.6, 0.8)]
 '''
 TAR = '''
 """Friction in proportion to the cube of speed, in every drive."""
-
-from dataclasses import dataclass
 
 from rrr_oc.effects import Effect, register
 from rrr_oc.robot.parameters import Parameter
 
 
 @register
-@dataclass(frozen=True)
 class Tar(Effect):
     """tau = -thickness dq^3."""
 

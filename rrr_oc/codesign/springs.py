@@ -101,11 +101,11 @@ def _spring(task: Task, entry: Mapping) -> SpringBounds:
     kind = next(kind for kind in design_forms().values() if kind.name == entry["effect"])
     form, place = kind.design, "joints" if kind.placement == "pair" else "joint"
     assert form is not None
-    check_names(entry, ("effect", place, *form.options, *(q.key for q in form.quantities)), where)
+    check_names(entry, ("effect", place, *kind.options, *(q.key for q in form.quantities)), where)
     if place not in entry:
         raise UserError(f"{where} lacks the key {place!r}")
     names = entry[place] if place == "joints" else [entry[place]]
-    options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in form.options if key in entry}
+    options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in kind.options if key in entry}
     effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
     bounds = {q.symbol: _bounds(where, entry, q.key, q.unit) for q in form.quantities}
     if (wrong := form.wrong(bounds)) is not None:

@@ -1,7 +1,7 @@
 """The catalogue of effects: one piece of physics a file, in a folder for each place where physics acts.
 
-`CATALOGUE` holds every concrete `Effect` of the files below this folder and of installed packages that name a module in the entry
-point group `rrr_oc.effects`, and what `register` adds, in the order of the names. Imports `numerics` and `robot`.
+`CATALOGUE` holds, by name, every concrete `Effect` of this folder, of installed packages with a module in the entry point group
+`rrr_oc.effects`, and those that `register` adds. Imports `numerics` and `robot`.
 """
 
 import importlib
@@ -20,15 +20,13 @@ Kind = TypeVar("Kind", bound=type[Effect])
 def register(kind: Kind) -> Kind:
     """Add an effect to the catalogue; usable as a decorator of its class.
 
-    Other processes have it only if they import its module, as they do with an entry point. Raises `UserError` where another effect
-    has its name.
+    Other processes know it only if they import its module, as from an entry point. Raises `UserError` for a name that is taken.
     """
     if CATALOGUE.get(kind.name, kind) is not kind:
         raise UserError(f"there are two effects of the name {kind.name!r}: {CATALOGUE[kind.name]} and {kind}")
     CATALOGUE[kind.name] = kind
-    every = sorted(CATALOGUE.items())
-    CATALOGUE.clear()
-    CATALOGUE.update(every)
+    for name in sorted(CATALOGUE):
+        CATALOGUE[name] = CATALOGUE.pop(name)
     return kind
 
 
@@ -39,18 +37,20 @@ def plain_effects() -> tuple[type[Effect], ...]:
 
 def listed_springs() -> dict[str, type[Effect]]:
     """The springs that a recording set may list, by their key in its header, those of one joint first."""
-    listed = sorted((k for k in CATALOGUE.values() if k.listing is not None), key=lambda k: (k.placement == "pair", k.name))
-    return {kind.listing.key: kind for kind in listed if kind.listing is not None}
+    return {kind.listing.key: kind for kind in _one_joint_first() if kind.listing is not None}
 
 
 def design_forms() -> dict[str, type[Effect]]:
     """The springs that a co-design may use, by the label of the configuration that has them alone, those of one joint first."""
-    drawn = sorted((k for k in CATALOGUE.values() if k.design is not None), key=lambda k: (k.placement == "pair", k.name))
-    return {kind.design.label: kind for kind in drawn if kind.design is not None}
+    return {kind.design.label: kind for kind in _one_joint_first() if kind.design is not None}
+
+
+def _one_joint_first() -> list[type[Effect]]:
+    return sorted(CATALOGUE.values(), key=lambda kind: (kind.placement == "pair", kind.name))
 
 
 def _concrete(kind: type[Effect]) -> Iterator[type[Effect]]:
-    """All subclasses of a kind that have a name, however far below it; a family of effects may share a base without one."""
+    """All subclasses of a kind, direct or not, that have a name; a family of effects may share a base without one."""
     for below in kind.__subclasses__():
         yield from _concrete(below)
         if hasattr(below, "name"):

@@ -31,6 +31,9 @@ Input = Literal["load", "friction", "springs"]
 Role = Literal["plain", "law", "black_box"]
 Scope = Literal["everywhere", "set_up", "some", "mounted"]
 Dynamics = Literal["instantaneous", "states", "load_states", "link", "impact", "delay"]
+SIGN_WIDTH = Parameter(
+    "width", "rad/s", 0.05, lower=0.0
+)  # of friction that changes sign with a speed; fits and solvers replace it
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,7 @@ class Signals:
 
     Attributes:
         q, dq, ddq: Joint positions [rad], speeds [rad/s], accelerations [rad/s²].
-        load: Torque that the drives pass to the links (the load torque of Eq. 1) [Nm]. Inverse dynamics computes it before the
-            effects in the drives; forward dynamics solves for it.
+        load: Torque that the drives pass to the links (the load torque of Eq. 1) [Nm].
         time: Time since the start of the motion [s], scalar.
         payload: Mass at the tool [kg], scalar.
         states: The effect's own internal states, (number of states,).
@@ -131,15 +133,17 @@ class Effect:
     """One piece of physics, placed on its joints.
 
     A subclass in a file of its own under `rrr_oc/effects/` appears in the catalogue by itself; others are added by
-    `effects.register`. All attributes but `joints` are declarations of the class.
+    `effects.register`. All attributes but `joints` are declarations of the class; a subclass with further fields (`options`) is
+    a frozen dataclass as well.
 
     Attributes:
         name: Key in files.
         equation: The law in a line, for people.
         parameters: Its parameters.
         amplitudes: Those parameters in which it is linear and with which it vanishes.
-        width: Smoothing width of what is not smooth in it; None where all is smooth. The nominal value is used unless a solver
-            drives it down.
+        step: Amplitude at which trials compute the change of the prediction: 1, or the step of a finite difference where the
+            prediction is not linear in the amplitudes.
+        width: Smoothing width of what is not smooth in it; None where all is smooth.
         states: Internal states, nominal = initial value.
         side: Where on the way from links to motor it acts, see `SIDES`.
         inputs: Which of the signals beside the motion its torque depends on: "load", so that forward dynamics must solve for the
@@ -152,13 +156,14 @@ class Effect:
             recordings, so that it is more probable where only some have it.
         placement: See `PLACEMENTS`.
         dynamics: "instantaneous": its torque follows from the signals of the instant. "states": its internal states follow from the
-            motion by `rate`. "load_states": they follow from the recorded load by `course`. "link": the link moves otherwise than
+            motion by `rate`. "load_states": they follow from the recorded load by `course`. "link": the link moves relative to
             its drive, by `motion`. "impact": as "link", and it strikes stops, so that predictions are no smooth function of the
             parameters. "delay": it shifts what is recorded in time, by `delay`.
         resembles: What other description its torque may be taken for. "friction_over_speed": another course of plain dry friction
             over the speed. "position_harmonic", "constant": a harmonic and the mean of a series over the joint's position. Or "".
         alters: The field of `Body` that it changes, for the side "body".
-        options: Names of its dataclass fields that a report shows beside the parameters.
+        options: Dataclass fields beside the parameters that users choose and reports show, with the values allowed; of a field that
+            is a tuple, the values of each element.
         composed: Where parameters are the components of vectors or matrices: shown name to parameters' names, nested.
         listing: How it stands in the header of a recording set; None where recordings cannot list it.
         design: Its form in a co-design; None where it is no part of one.
@@ -169,6 +174,7 @@ class Effect:
     equation: ClassVar[str] = ""
     parameters: ClassVar[tuple[Parameter, ...]]
     amplitudes: ClassVar[tuple[str, ...]] = ()
+    step: ClassVar[float] = 1.0
     width: ClassVar[Parameter | None] = None
     states: ClassVar[tuple[Parameter, ...]] = ()
     side: ClassVar[str] = "link"
@@ -180,7 +186,7 @@ class Effect:
     dynamics: ClassVar[Dynamics] = "instantaneous"
     resembles: ClassVar[Literal["", "friction_over_speed", "position_harmonic", "constant"]] = ""
     alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
-    options: ClassVar[tuple[str, ...]] = ()
+    options: ClassVar[Mapping[str, tuple[Any, ...]]] = {}
     composed: ClassVar[Mapping[str, Any]] = {}
     listing: ClassVar[Listing | None] = None
     design: ClassVar[DesignForm | None] = None
@@ -191,7 +197,7 @@ class Effect:
         """Torque on each of `joints` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`.
 
         Without `Signals.states` the arm has been at rest. For the side "sensor": the error of the recorded torque; the true one is
-        `signals.load`. An effect that changes the motion, the body or the time of the signals adds none.
+        `signals.load`. By default none, for an effect that changes the motion, the body or the time of the signals.
         """
         if self.side not in ("motion", "body") and self.dynamics != "delay":
             raise NotImplementedError(f"{self.name} acts on the side {self.side!r} and needs a torque")
@@ -227,11 +233,11 @@ class Effect:
         """Internal states (number, K) at times t (K,) [s] under the joint's load torque (K,) [Nm], for `dynamics` "load_states"."""
         raise NotImplementedError
 
-    # a link that moves otherwise than its drive
+    # a link that moves relative to its drive
 
     @property
     def moves_link(self) -> bool:
-        """Whether the link moves otherwise than its drive, by `motion`."""
+        """Whether the link moves relative to its drive, by `motion`."""
         return self.dynamics in ("link", "impact")
 
     def motion(
@@ -242,7 +248,7 @@ class Effect:
         Args:
             t: Times [s], (K,).
             load: Torque that the recorded motion would need if it were the link's [Nm], (K,).
-            stiffness, inertia: By how much that torque grows with the joint's position [Nm/rad] and acceleration [kg m²], (K,).
+            stiffness, inertia: Derivatives of that torque by the joint's position [Nm/rad] and acceleration [kg m²], (K,).
         """
         raise NotImplementedError
 
@@ -252,11 +258,11 @@ class Effect:
         return 0.0
 
     def sharper(self) -> "Effect | None":
-        """The effect with the next sharper form of its law, among which the residual of a last fit decides; None beyond the last."""
+        """The effect with the next sharper form of its law, tried while it lowers the residual; None beyond the last."""
         return None
 
     def free(self, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
-        """What adds to `motion` when a segment begins 1 rad or 1 rad/s off, (2, 3, K), to first order; empty where that is known."""
+        """Change of `motion` by an initial deviation of 1 rad and of 1 rad/s, (2, 3, K), to first order; empty where it is known."""
         return np.zeros((0, 3, len(t)))
 
     # in MuJoCo
@@ -266,11 +272,7 @@ class Effect:
         return False
 
     def gear(self, twist: Any, theta: Mapping[str, float], stiffest: float) -> None:
-        """Set up the `mujoco.MjsJoint` by which the link moves otherwise than its drive, if it does.
-
-        Args:
-            stiffest: What the engine's step can follow [Nm/rad].
-        """
+        """Set up the `mujoco.MjsJoint` by which the link moves relative to its drive; the engine's step can follow `stiffest` [Nm/rad]."""
         raise NotImplementedError
 
     # as a spring that a recording lists
@@ -285,12 +287,20 @@ class Effect:
 
     @classmethod
     def from_entry(cls, joints: tuple[int, ...], entry: Mapping[str, Any]) -> tuple["Effect", dict[str, float]]:
-        """The spring on its joints, and its parameters, from the quantities and options of its `listing`."""
-        raise NotImplementedError
+        """The spring on its joints, and its parameters, from the quantities of its `listing` and its options.
+
+        By default the quantities are the parameters in their order.
+        """
+        assert cls.listing is not None
+        names = (parameter.name for parameter in cls.parameters)
+        options = {key: entry[key] for key in cls.options if key in entry}
+        return cls(joints, **options), dict(zip(names, (entry[key] for key in cls.listing.quantities), strict=True))
 
     def entry(self, theta: Mapping[str, float]) -> dict[str, Any]:
-        """The reverse: quantities and options of the spring with these parameters."""
-        raise NotImplementedError
+        """The inverse of `from_entry`: quantities and options of the spring with these parameters."""
+        assert self.listing is not None
+        values = (theta[parameter.name] for parameter in self.parameters)
+        return dict(zip(self.listing.quantities, values, strict=True)) | {key: getattr(self, key) for key in self.options}
 
     # in fits
 
@@ -304,7 +314,7 @@ class Effect:
         return all(p.lower <= theta[p.name] <= p.upper for p in self.parameters)
 
     def canonical(self, theta: Mapping[str, float]) -> dict[str, float]:
-        """The same law in the parameters that people expect, where several stand for it."""
+        """The parameters in their usual range, where several sets of values give the same law."""
         return dict(theta)
 
     def starts(self, theta: dict[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
@@ -326,19 +336,19 @@ class Effect:
     # beside other effects
 
     def equivalents(self, theta: Mapping[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
-        """Other effects, with parameters, that are the same law over part of its range and are more probable in some recordings only."""
+        """Effects, with parameters, of the same law over part of the range, more probable where only some recordings have it."""
         yield from ()
 
     @property
     def precedence(self) -> tuple["Effect", ...]:
-        """Laws that go before this one where noise hides most of the difference."""
+        """Laws that are preferred to this one where noise hides most of the difference."""
         return ()
 
-    # a term that stands for no law
+    # black-box terms, which represent a torque that no law explains
 
     @property
     def black_box(self) -> bool:
-        """Whether it is no law of the catalogue but stands for a torque that none explains."""
+        """Whether `role` is "black_box"."""
         return self.role == "black_box"
 
     @property
@@ -348,12 +358,12 @@ class Effect:
 
     @property
     def validity(self) -> tuple[tuple[tuple[str, int], float, float], ...]:
-        """What it depends on with the range (least, greatest) beyond which nothing is known of it."""
+        """What it depends on, with the range of validity (least, greatest)."""
         return ()
 
     @property
     def has_edges(self) -> bool:
-        """Whether it begins at an edge within its range, rather than being a series over it."""
+        """Whether it begins at an edge within its range; else it is a series over the range."""
         return False
 
     def near(self, step: float) -> Iterator["Effect"]:
@@ -361,7 +371,7 @@ class Effect:
         yield from ()
 
     def renewed(self, ranges: Mapping[tuple[str, int], tuple[float, float]]) -> "Effect | None":
-        """A series over the ranges that other recordings show; None for what keeps its range."""
+        """A series over the ranges that other recordings show; None for an effect that keeps its range."""
         return None
 
     def without_range(self) -> "Effect":
@@ -369,11 +379,11 @@ class Effect:
         return self
 
     def basis(self, signals: Signals, width: Any) -> list | None:
-        """Torque on its joint for each amplitude being 1 [Nm], where that is all there is to its law and quicker; else None."""
+        """Torque on its joint for each amplitude being 1 [Nm], where the law is linear in all parameters and this is quicker; else None."""
         return None
 
     def words(self, theta: Mapping[str, float]) -> str:
-        """What a black-box term carries, in words."""
+        """What a black-box term has found, in words."""
         raise NotImplementedError
 
     # trials: the ways in which recordings might hold the effect
@@ -382,20 +392,26 @@ class Effect:
     def trials(cls, view: View) -> Iterator[Trial]:
         """The ways in which recordings might hold the effect; none for what a diagnosis does not look for.
 
-        By default one for each joint, linear in the only parameter; none of black-box terms: the catalogue goes first, and what is
-        left over asks for those by `black_box_trials`.
+        By default one for each of `shapes` on every joint, every listed spring or the arm, as `placement` says; none for black-box
+        terms, which are tried by `black_box_trials` on what the catalogue does not explain.
         """
         if cls.amplitudes and cls.role != "black_box":
-            for j in range(view.n):
-                yield cls((j,)).trial(view)
+            for joints in {"arm": [()], "spring": view.springs}.get(cls.placement, [(j,) for j in range(view.n)]):
+                for shape in cls.shapes(view, joints):
+                    yield cls(joints).trial(view, **shape)
+
+    @classmethod
+    def shapes(cls, view: View, joints: tuple[int, ...]) -> Sequence[Mapping[str, float]]:
+        """Values of the parameters that are no amplitudes, one mapping for each of the default `trials`."""
+        return ({},)
 
     @classmethod
     def sparse_trials(cls, view: View, j: int) -> Iterator[Trial]:
-        """Further ways for a joint, of which recordings see too little to look for them before any smooth function."""
+        """Further ways for a joint, tried after smooth functions as the recordings show too little of them."""
         yield from ()
 
     def is_sparse(self, view: View, theta: Mapping[str, float]) -> bool:
-        """Whether the recordings see so little of it that it may be any smooth function."""
+        """Whether the recordings show so little of it that any smooth function may explain it as well."""
         return False
 
     @classmethod
@@ -412,10 +428,8 @@ class Effect:
 
     def trial(self, view: View, **shape: float) -> Trial:
         """A trial with these values of the parameters in which the effect is not linear."""
-        points = tuple(
-            {p.name: shape.get(p.name, 0.0) for p in self.parameters} | {amplitude: 1.0} for amplitude in self.amplitudes
-        )
-        return Trial(self, points, width=self.sign_width(view))
+        base = {p.name: shape.get(p.name, 0.0) for p in self.parameters}
+        return Trial(self, tuple(base | {a: self.step} for a in self.amplitudes), self.step, self.sign_width(view))
 
     def sign_width(self, view: View) -> float | None:
         """Smoothing width that suits the recordings: that of the joint's dry friction where it is one of speed."""

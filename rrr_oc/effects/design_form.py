@@ -15,11 +15,11 @@ class Quantity:
     """A number that a task bounds.
 
     Attributes:
-        symbol: As a designer names it.
-        key: In a task's file, with the unit there.
+        symbol: Its name in designs.
+        key: Its key in a task's file, which ends with the unit there.
         si: SI unit.
-        unit: The file's unit in that.
-        lowest: What its lower bound must not be below, in the file's unit.
+        unit: The file's unit in SI units.
+        lowest: Least value of its lower bound, in the file's unit.
         free: Whether it is adjusted, not bought.
     """
 
@@ -33,23 +33,23 @@ class Quantity:
 
 @dataclass(frozen=True)
 class DesignForm:
-    """A spring whose parameters are what a task bounds, in their order, and what a designer names after its joint.
+    """A spring whose parameters are the quantities that a task bounds, in their order.
 
     Attributes:
-        label: Of the configuration that has these springs alone.
+        label: Name of the configuration that has these springs alone.
         quantities: What a task bounds.
-        options: Keys of a task's entry that are options of the effect.
-        shop: Key of these springs in a catalogue of purchasable hardware; "" where none lists them. Of one quantity that is bought
-            the catalogue has a list for each joint, of several a list for each quantity.
+        shop: Key of these springs in a catalogue of purchasable hardware, or "". If one quantity is bought, the catalogue has a list
+            for each joint; if several are, a list for each quantity.
     """
 
     label: str
     quantities: tuple[Quantity, ...]
-    options: tuple[str, ...] = ()
     shop: str = ""
 
-    limits = ()  # in words, what each inequality of `exists` runs into
-    derived = False  # whether the effect's parameters are functions of the quantities, whose bounds a design then keeps
+    limits = ()  # for each inequality of `exists`, the bounds that are active where it is
+    derived = (
+        False  # whether the effect's parameters are functions of the quantities; a design then keeps the quantities' bounds
+    )
 
     @property
     def bought(self) -> tuple[Quantity, ...]:
@@ -82,17 +82,13 @@ class DesignForm:
         return np.asarray(numbers, float)
 
     def exists(self, theta: Sequence[Any], bounds: Mapping[str, tuple[Any, Any]]) -> ca.SX:
-        """Inequalities ≤ 0 on the parameters that hold exactly where quantities within bounds exist, for what is `derived`."""
+        """Inequalities ≤ 0 on the parameters that hold exactly where quantities within bounds exist, if they are `derived`."""
         return ca.SX(0, 1)
 
     def named(
         self, joints: tuple[int, ...], theta: Mapping[str, float], bounds: Bounds, fixed: Mapping[str, float]
     ) -> dict[str, float]:
-        """The quantities by the names that a designer uses, from the effect's parameters.
-
-        Args:
-            bounds, fixed: Of what is `derived`, the quantities' bounds, or those that are fixed.
-        """
+        """The quantities by `name`, from the effect's parameters; if `derived`, within bounds or with some fixed."""
         return {self.name(q, joints): value for q, value in zip(self.quantities, theta.values(), strict=True)}
 
     def held(
@@ -103,7 +99,7 @@ class DesignForm:
         hardware: Mapping[str, float],
         keep_free,
     ) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
-        """Bounds of the parameters, and the quantities fixed, with all fixed to `hardware` but the names in `keep_free`."""
+        """Bounds of the parameters with all quantities fixed to `hardware` but those in `keep_free`; if `derived`, those fixed."""
         lower, upper = box[0].copy(), box[1].copy()
         for i, q in enumerate(self.quantities):
             name = self.name(q, joints)

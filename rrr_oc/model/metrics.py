@@ -1,7 +1,7 @@
 """Cost figures of a task's load torques: E1, RMS, peak. Time is the last axis; a task is a sequence of phases.
 
-A phase is a pair (t, tau): times [s], shape (K,), and load torques [Nm], shape (n, K). Each phase has a clock of its own, and
-nothing is integrated across the jump of torque where a payload is gripped or released.
+A phase is a pair (t, tau): times [s], shape (K,), and load torques [Nm], shape (n, K). Nothing is integrated from one phase to the
+next, where the torque jumps as a payload is gripped or released.
 """
 
 from collections.abc import Sequence

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
-from typing import Any
+from functools import cache, partial, wraps
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,28 +14,28 @@ from rrr_oc.numerics.along import along
 from rrr_oc.numerics.oscillator import substituted
 
 DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
-PARTS = 4  # substeps of a sampling interval, over which the rates of internal states are held constant
-SWEEPS = 2  # iterations over the links behind elastic gears, for their coupling and for what is not linear
+PARTS = (
+    4  # substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
+)
+SWEEPS = 2  # iterations over coupled and nonlinear links behind elastic gears; doubled, it takes twice the time
 # Of joint j: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
 Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
-# By the number of an effect: its displacement of the links as a function of its parameters, and at their present values (3 n, K)
+Result = TypeVar("Result")
+# By the index of an effect: its displacement of the links as a function of its parameters, and at their present values (3 n, K)
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
 
 
-class _Memory:
-    """Results for one motion: owned by a `Physics`, by name, until another motion is asked for."""
+def _kept(find: Callable[["Physics", Motion], Result]) -> Callable[["Physics", Motion], Result]:
+    """A method of `Physics` whose result is kept until it is called with another motion."""
 
-    def __init__(self) -> None:
-        self._motion: Motion | None = None
-        self._found: dict[str, Any] = {}
+    @wraps(find)
+    def kept(self: "Physics", motion: Motion) -> Result:
+        name = find.__name__
+        if name not in self._cache or self._cache[name][0] is not motion:
+            self._cache[name] = motion, find(self, motion)
+        return self._cache[name][1]
 
-    def once(self, name: str, find: Callable[[Motion], Any], motion: Motion) -> Any:
-        """What `find` returns for a motion, computed at the first call."""
-        if motion is not self._motion:
-            self._motion, self._found = motion, {}
-        if name not in self._found:
-            self._found[name] = find(motion)
-        return self._found[name]
+    return kept
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Physics:
     theta: np.ndarray
     widths: np.ndarray
     inertial: np.ndarray
-    _memory: _Memory = field(default_factory=_Memory, init=False, compare=False, repr=False)
+    _cache: dict[str, tuple[Motion, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @staticmethod
     def inputs(motion: Motion) -> tuple[np.ndarray, ...]:
@@ -65,20 +65,18 @@ class Physics:
         """The model with `inertial` as its robot's own parameters, as the engine needs it."""
         return replace(self.model, robot=replace(self.model.robot, inertial=self.inertial))
 
+    @_kept
     def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the motion needs, each (n, K) [Nm]."""
-        return self._memory.once("torques", self._find_torques, motion)
-
-    def _find_torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         states = self.states(motion)
         if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
-            inputs = self.inputs(motion)
-            motor, load = along(self.model.motor_inverse, *inputs, self.theta, self.widths, self.inertial)
+            values = (self.theta, self.widths, self.inertial)
+            motor, load = along(self.model.motor_inverse, *self.inputs(motion), *values)
             return motor, load
         return self._moving(motion, self.shift(motion), states)
 
     def _moving(self, motion: Motion, shift: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Motor and load torque with the links displaced by `shift` (3 n, K) and internal states of the effects, each (n, K) [Nm]."""
+        """Motor and load torque with the links displaced by `shift` (3 n, K) and these internal states, each (n, K) [Nm]."""
         values = (self.theta, self.widths, self.inertial)
         motor, load = along(self.model.recorded_inverse, *self.inputs(motion), *values, shift, states)
         return motor, load
@@ -92,15 +90,12 @@ class Physics:
         effects, shifts = self.model.effects, self._moved(motion)[0]
         return _summed({i: shift for i, shift in shifts.items() if effects[i].moves_link}, motion)
 
+    @_kept
     def _moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
         """Displacements of the links by effect, and the reaction of the links behind elastic gears if there are any."""
-        return self._memory.once("moved", self._find_moved, motion)
-
-    def _find_moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
         found: Shifts = {}
-        total = _summed(found, motion)
-        displacing = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
         reaction = None
+        displacing = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
         rigid, elastic = ([one for one in displacing if one[1].moves_link == by_itself] for by_itself in (False, True))
         for i, effect, theta, width in rigid:
             shift = partial(moved, motion, effect, width=width)
@@ -139,7 +134,7 @@ class Physics:
         For effects whose torque is not a function of the instant alone: those of sensors, of motion, and with internal states.
 
         Args:
-            numbers: Of those effects, in the model's order.
+            numbers: Indices of those effects in the model.
             true: The torque that a perfect sensor records, (n, K) [Nm].
             load: Whether that is the load torque, not the motor torque.
         """
@@ -166,16 +161,12 @@ class Physics:
     def starts(self, motion: Motion, load: bool) -> np.ndarray:
         """Change of the recorded torque with the unknown initial states of links behind elastic gears, (number, n, K) [Nm].
 
-        To first order, one row for each initial state of each such joint, for an initial deviation as large as the root mean
-        square displacement of the link.
-
-        Args:
-            load: Whether the load torque is recorded, not the motor torque.
+        To first order, for an initial deviation as large as the root mean square displacement of the link. `load`: whether the load
+        torque is recorded, not the motor torque.
         """
         (shifts, reaction), states, n = self._moved(motion), self.states(motion), len(motion.q)
         total, base, named, found = _summed(shifts, motion), self.torques(motion)[load], self.named(), []
-        for i in [i for i in shifts if named[i][0].moves_link]:
-            effect, theta, _ = named[i]
+        for i, (effect, theta, _) in ((i, named[i]) for i in shifts if named[i][0].moves_link):
             (j,) = effect.joints
             assert reaction is not None
             stiffness, inertia = reaction(j)
@@ -204,11 +195,9 @@ class Physics:
             return change
         return self.recorded(motion, change) - self.recorded(motion, np.zeros_like(change))
 
+    @_kept
     def states(self, motion: Motion) -> np.ndarray:
         """Internal states of the effects along the motion, (number of states, K)."""
-        return self._memory.once("states", self._find_states, motion)
-
-    def _find_states(self, motion: Motion) -> np.ndarray:
         named = [one for one in self.named() if one[0].states]
         load = self._load(motion, self.shift(motion)) if any(effect.dynamics == "load_states" for effect, *_ in named) else None
         found = [states_along(motion, *one, load) for one in named]
@@ -239,8 +228,7 @@ def moved(
 
     Args:
         load: Load torque of links that move with their drives (n, K) [Nm].
-        reaction: Derivatives of each joint's load torque by its own position and acceleration. Both are required where the
-            link moves by itself.
+        reaction: As `Reaction`. Both are required where the link moves relative to its drive.
     """
     n = len(motion.q)
     result = np.zeros((3 * n, len(motion.t)))
@@ -273,9 +261,8 @@ def states_along(
 ) -> np.ndarray:
     """Internal states (number, K) of an effect along a motion.
 
-    Driven by the load torque (n, K) [Nm] where the effect says so; else by rates that are affine in the states, each in its own:
-    the motion is linear between samples, and the rates are constant over each of `PARTS` substeps, so that a bristle follows
-    the joint where it reverses between two samples.
+    By the load torque (n, K) [Nm] if `dynamics` is "load_states"; else from rates that are affine, each in its own state: the motion
+    is linear between samples and the rates constant over each of `PARTS` substeps, so that reversals between samples count.
     """
     states = np.zeros((len(effect.states), len(motion.t)))
     for s in motion.segments:
@@ -286,18 +273,14 @@ def states_along(
         signals = Signals(*(_finely(x[:, s]) for x in (motion.q, motion.dq, motion.ddq)))
         count = signals.q.shape[1]
         h = np.repeat(np.diff(motion.t[s]) / PARTS, PARTS)
-        constant, unit = (
-            [
-                np.broadcast_to(np.array(v).reshape(-1), (count,))
-                for v in effect.rate(replace(signals, states=np.full((len(states), count), z)), theta, width)
-            ]
-            for z in (0.0, 1.0)
-        )
+        at = [effect.rate(replace(signals, states=np.full((len(states), count), z)), theta, width) for z in (0.0, 1.0)]
+        constant, unit = ([np.broadcast_to(np.array(rate).reshape(-1), (count,)) for rate in rates] for rates in at)
         for i, state in enumerate(effect.states):
             slope = unit[i] - constant[i]
             a, b = (((x[1:] + x[:-1]) / 2) * h for x in (constant[i], slope))
-            keep = np.exp(np.clip(b, -700, 50))
-            gain = np.where(np.abs(b) > 1e-8, np.expm1(np.clip(b, -700, 50)) / np.where(b == 0, 1, b), 1.0) * a
+            bounded = np.clip(b, -700, 50)
+            keep = np.exp(bounded)
+            gain = np.where(np.abs(b) > 1e-8, np.expm1(bounded) / np.where(b == 0, 1, b), 1.0) * a
             steps = np.array([np.ones(count), np.append(-keep, 0.0)])  # z_k+1 − keep_k z_k = gain_k
             states[i, s] = substituted(steps, np.append(state.nominal, gain))[::PARTS]
     return states

@@ -21,8 +21,8 @@ CHAIN = ("q", "dq", "ddq", "time", "payload", "theta", "widths", "inertial")  # 
 class Model:
     """A robot, where it holds its payload, and the effects at work in it.
 
-    The parameters of all effects stand in one vector `theta`, effect by effect; `widths` holds one smoothing width an
-    effect that has one.
+    The parameters of all effects are one vector `theta`, effect by effect; `widths` has one smoothing width for each effect that
+    declares one.
     """
 
     robot: Robot
@@ -52,7 +52,7 @@ class Model:
 
     @property
     def widths(self) -> np.ndarray:
-        """Nominal smoothing widths, one an effect that has one."""
+        """Nominal smoothing widths, one for each effect that has one."""
         return np.array([e.width.nominal for e in self.effects if e.width is not None])
 
     def label(self, effect: Effect) -> str:
@@ -65,13 +65,8 @@ class Model:
         unknown = set(values) - set(labels)
         if unknown:
             raise UserError(f"the model has no effect {min(unknown)!r}; it has {', '.join(labels) or 'none'}")
-        return np.array(
-            [
-                values.get(label, {}).get(p.name, p.nominal)
-                for label, e in zip(labels, self.effects, strict=True)
-                for p in e.parameters
-            ]
-        )
+        pairs = [(label, p) for label, effect in zip(labels, self.effects, strict=True) for p in effect.parameters]
+        return np.array([values.get(label, {}).get(p.name, p.nominal) for label, p in pairs])
 
     def values(self, theta: Sequence[float] | np.ndarray) -> dict[str, dict[str, float]]:
         """The parameters by label and name; the inverse of `theta`."""
@@ -79,17 +74,13 @@ class Model:
         return {self.label(e): {p.name: next(numbers) for p in e.parameters} for e in self.effects}
 
     def effect_torques(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> list[ca.SX]:
-        """For each effect its torque on all joints [Nm], each (n,); `signals` must hold what the effects depend on."""
+        """Torque of each effect on all joints [Nm], each (n,); `signals` must hold what the effects depend on."""
         return [self._on_joints(*one) for one in self.with_signals(signals, theta, widths)]
 
     def side_torque(self, side: str, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
         """Torque of all effects that act on one side, of `effects.base.SIDES`, on all joints (n,) [Nm]."""
         torques = [self._on_joints(*one) for one in self.with_signals(signals, theta, widths) if one[0].side == side]
         return sum(torques, ca.SX.zeros(self.robot.n))
-
-    def stored_energy(self, signals: Signals, theta: ca.SX, widths: ca.SX) -> ca.SX:
-        """Energy stored by all effects [J]."""
-        return sum((e.energy(signals, named, width) for e, named, width in self._unpacked(theta, widths)), ca.SX(0))
 
     @cached_property
     def inverse(self) -> ca.Function:
@@ -108,8 +99,7 @@ class Model:
         """(q, dq, ddq, time, payload, theta, widths, inertial) -> (tau_motor, tau_load), each (n,) [Nm].
 
         Eq. 6, tau_load = M ddq + C dq + G − (torque of the effects on the links); then tau_motor = tau_load − (torque of the effects
-        in the drives), which may depend on tau_load. `inertial` is (10, n), without payload; `time` [s] is since the start of the
-        motion. Call it on whole (n, K) arrays.
+        in the drives), which may depend on tau_load. `inertial` (10, n) excludes the payload; `time` [s] is since the motion's start.
         """
         arguments, motor, load = self._motor_chain()
         return ca.Function("motor_inverse", arguments, [motor, load], list(CHAIN), ["tau_motor", "tau_load"])
@@ -122,17 +112,16 @@ class Model:
         if (signal, by) not in self._sensitivities:
             arguments, motor, load = self._motor_chain()
             jacobian = ca.jacobian({"motor": motor, "load": load}[signal], arguments[CHAIN.index(by)])
-            self._sensitivities[signal, by] = ca.Function(
-                f"{signal}_by_{by}", arguments, [ca.densify(jacobian)], list(CHAIN), ["jacobian"]
-            )
+            name, dense = f"{signal}_by_{by}", ca.densify(jacobian)
+            self._sensitivities[signal, by] = ca.Function(name, arguments, [dense], list(CHAIN), ["jacobian"])
         return self._sensitivities[signal, by]
 
     @cached_property
     def load_partials(self) -> ca.Function:
         """(q, dq, ddq, carried, gravity, theta, widths) -> load torque and its derivatives by the first five, exact.
 
-        `carried` (10, n) holds the links with their payload, as `rigid` gives it. Called on (n, K) arrays, each derivative's K
-        Jacobians stand side by side; `carried` must then be repeated K times.
+        `carried` (10, n) holds the links with their payload, as `rigid` gives it. Called on (n, K) arrays, with `carried` repeated
+        K times, it returns each derivative's K Jacobians side by side.
         """
         q, dq, ddq, _, theta, widths = self._symbols("q", "dq", "ddq")
         carried, gravity = ca.SX.sym("carried", 10, self.robot.n), ca.SX.sym("gravity", 3)
@@ -158,20 +147,19 @@ class Model:
     def energy(self) -> ca.Function:
         """(q, dq, payload, theta, widths) -> (kinetic, potential, stored by effects) [J]; potential is zero at the base."""
         q, dq, _, payload, theta, widths = self._symbols("q", "dq", "unused")
-        robot = self.robot
-        inertial, gravity = self.rigid(robot.inertial, payload, theta, widths)
+        inertial, gravity = self.rigid(self.robot.inertial, payload, theta, widths)
         kinetic = dq.T @ self.body.mass_matrix(q, inertial) @ dq / 2
-        frames = self.body.joint_frames(q)
-        potential = ca.SX(0)
-        for i in range(robot.n):
+        frames, potential = self.body.joint_frames(q), ca.SX(0)
+        for i in range(self.robot.n):
             rotation, origin = ca.reshape(frames[:9, i], 3, 3), frames[9:, i]
             potential -= ca.dot(gravity, inertial[0, i] * origin + rotation @ inertial[1:4, i])
-        stored = self.stored_energy(Signals(q, dq, payload=payload), theta, widths)
+        signals = Signals(q, dq, payload=payload)
+        stored = sum((e.energy(signals, named, width) for e, named, width in self._unpacked(theta, widths)), ca.SX(0))
         return ca.Function("energy", [q, dq, payload, theta, widths], [kinetic, potential, stored])
 
     @cached_property
     def recorded_inverse(self) -> ca.Function:
-        """As `motor_inverse`, with two more arguments: shift (3 n,) and states; sensors are left out.
+        """As `motor_inverse`, with two more arguments: shift (3 n,) and states.
 
         `shift` is the motion of the links less that of the drives: positions, speeds, accelerations, one below the other; `states`
         are those of all effects, in their order.
@@ -181,7 +169,7 @@ class Model:
 
     @cached_property
     def recorded_load(self) -> ca.Function:
-        """Arguments of `recorded_inverse` -> tau_load alone, which is quicker where the drives do not matter."""
+        """Arguments of `recorded_inverse` -> tau_load alone, which is quicker."""
         arguments, _, load = self._motor_chain(moved=True)
         return ca.Function("recorded_load", arguments, [load], [*CHAIN, "shift", "states"], ["tau_load"])
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -46,17 +47,17 @@ class Table:
         """
         indices = [self.names.index(name) for name in names]
         values = self._parsed(indices)
-        if values is None:
-            rows = [self._row(number, content, indices) for number, content in self._rows()]
-            values = np.array(rows, float).reshape(-1, len(indices)).T
-        return values
+        if values is not None:
+            return values
+        rows = [self._row(number, content, indices) for number, content in self._rows()]
+        return np.array(rows, float).reshape(-1, len(indices)).T
 
     def line(self, row: int) -> int:
         """Number of the line that holds a row of `columns`."""
-        return next(number for i, (number, _) in enumerate(self._rows()) if i == row)
+        return next(itertools.islice(self._rows(), row, None))[0]
 
     def _parsed(self, indices: list[int]) -> np.ndarray | None:
-        """Values as pandas reads them; None where it refuses the file or would accept what is no row of numbers."""
+        """Values as pandas reads them; None where it refuses the file or would accept a wrong row."""
         import pandas  # takes half a second, so only where a recording is read
 
         body = self.data[self.start :]
@@ -110,13 +111,9 @@ def read_table(path: Path) -> Table:
         if content.startswith("#"):
             comment = number, line.end(), content.lstrip("# ")
         elif content:
-            header = number, line.end(), content
-            if _all_numbers(content):
-                if comment is None:
-                    raise UserError(
-                        f"{path}, line {number}: found numbers; a header line that names the columns must come first"
-                    )
-                header = comment
+            header = comment if _all_numbers(content) else (number, line.end(), content)
+            if header is None:
+                raise UserError(f"{path}, line {number}: found numbers; a header line that names the columns must come first")
             return Table(path, data, *_with_names(path, *header))
     raise UserError(f"{path}: the file is empty; a header line and rows of numbers are required")
 

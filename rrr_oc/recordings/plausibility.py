@@ -41,8 +41,7 @@ def check_time(where: str, t: np.ndarray) -> None:
     step = float(np.median(np.diff(t)))
     if step > LONGEST_STEP:
         units = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
-        unit = next((name for name, factor in units if step / factor < SLOW_STEP), None)
-        looks = f"; it looks like {unit}" if unit else ""
+        looks = next((f"; it looks like {name}" for name, factor in units if step / factor < SLOW_STEP), "")
         raise UserError(
             f"{where}: column 't' has a median step of {step:g}; the unit is s, up to {LONGEST_STEP:g} s are allowed{looks}"
         )
@@ -50,10 +49,8 @@ def check_time(where: str, t: np.ndarray) -> None:
 
 def check_slowness(where: str, t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
     """Raise `UserError` where t (K,) in milliseconds explains a slow motion q (n, K) whose speeds dq (n, K) were computed from it."""
-    step = float(np.median(np.diff(t)))
-    travel = float(np.max(np.ptp(q, axis=1)))
-    speed = float(np.max(np.abs(dq)))
-    if step >= SLOW_STEP and travel >= SLOW_TRAVEL and speed < SLOW_SPEED:
+    step, speed = float(np.median(np.diff(t))), float(np.max(np.abs(dq)))
+    if step >= SLOW_STEP and np.max(np.ptp(q, axis=1)) >= SLOW_TRAVEL and speed < SLOW_SPEED:
         raise UserError(
             f"{where}: column 't' has a median step of {step:g}, and no joint is faster than {speed:.2g} rad/s; "
             "the unit is s, it looks like milliseconds"
@@ -88,16 +85,15 @@ def check_derivative(
         return
     covariance = float(np.mean((measured - measured.mean()) * (computed - computed.mean())))
     correlation, ratio = covariance / (scales[0] * scales[1]), scales[0] / scales[1]
-    looks = None
+    column = f"{where}: column '{rate[0]}'"
     if correlation < -CORRELATION:
-        looks = f"is minus the derivative of '{value[0]}'; one of them has the wrong sign"
-    elif correlation > CORRELATION:
-        names = next((text for factor, text in FACTORS if abs(ratio / factor - 1) < TOLERANCE), None)
-        if names is not None:
-            explained = names.format(value=f"'{value[0]}'", rate=f"'{rate[0]}'")
-            looks = f"is {ratio:.4g} times the derivative of '{value[0]}'; units are rad and s, it looks as if {explained}"
-    if looks is not None:
-        raise UserError(f"{where}: column '{rate[0]}' {looks}")
+        raise UserError(f"{column} is minus the derivative of '{value[0]}'; one of them has the wrong sign")
+    explained = next((text for factor, text in FACTORS if abs(ratio / factor - 1) < TOLERANCE), None)
+    if correlation > CORRELATION and explained is not None:
+        looks = explained.format(value=f"'{value[0]}'", rate=f"'{rate[0]}'")
+        raise UserError(
+            f"{column} is {ratio:.4g} times the derivative of '{value[0]}'; units are rad and s, it looks as if {looks}"
+        )
 
 
 def check_torques(where: str, robot: Robot, torque: np.ndarray, columns: tuple[str, ...], unit: str) -> None:

@@ -26,17 +26,16 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
         robot: Bundled model or URDF that takes the place of the one in the file.
 
     Raises:
-        UserError: Something is missing or wrong; the message names the file, the line or key, what was found and what is
-            allowed.
+        UserError: Something is missing or wrong; the message names the file, the line or key, what was found and what is allowed.
     """
     path = Path(path)
-    folder, file = (path.parent, path) if path.suffix == ".json" else (path, path / HEADER)
+    file = path if path.suffix == ".json" else path / HEADER
     if not file.is_file():
         raise UserError(f"{path}: no recording set; a folder with {HEADER} is required")
     header = read_header(file)
-    source = robot if robot is not None else header.robot
-    if robot is None and header.robot not in BUNDLED:
-        source = folder / header.robot
+    folder = file.parent
+    listed = header.robot if header.robot in BUNDLED else folder / header.robot
+    source = listed if robot is None else robot
     arm, tool = _robot(file, source, header)
     loaded = tuple(
         _recording(folder / entry.file, entry, springs, header, arm)
@@ -131,7 +130,7 @@ def _wrong_cell(table: Table, row: int, column: str, found: str, allowed: str) -
 
 
 def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Sequence[slice]) -> tuple[str, ...]:
-    """Make positions go on that jump by a turn from one sample to the next; the names of these columns."""
+    """Unwrap positions that jump by a turn from one sample to the next; returns the names of these columns."""
     names = [f"q_{joint}" for joint in joints]
     turned = [name for name in names if any(np.any(np.abs(np.diff(columns[name][s])) > np.pi) for s in segments)]
     for name in turned:
@@ -143,36 +142,35 @@ def _motion(
     columns: Mapping[str, np.ndarray], joints: Sequence[str], segments: tuple[slice, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
     """q, dq, ddq (n, K) and the names of those computed; ddq comes from a measured dq where there is one."""
-    t, names = columns["t"], {kind: [f"{kind}_{joint}" for joint in joints] for kind in ("q", "dq", "ddq")}
-    q = np.array([columns[name] for name in names["q"]])
-    dq, ddq = (np.array([columns.get(name, np.zeros_like(t)) for name in names[kind]]) for kind in ("dq", "ddq"))
-    no_speed, no_acceleration = (np.array([name not in columns for name in names[kind]]) for kind in ("dq", "ddq"))
+    t = columns["t"]
+    names = [[f"{kind}_{joint}" for joint in joints] for kind in ("q", "dq", "ddq")]
+    q, dq, ddq = (np.array([columns.get(name, np.zeros_like(t)) for name in row]) for row in names)
+    _, no_speed, no_acceleration = (np.array([name not in columns for name in row]) for row in names)
     from_q, from_dq = no_acceleration & no_speed, no_acceleration & ~no_speed
     dq[no_speed] = differentiate(t, q[no_speed], segments)
     ddq[from_dq] = differentiate(t, dq[from_dq], segments)
     ddq[from_q] = differentiate(t, q[from_q], segments, derivative=2)
-    return q, dq, ddq, tuple(name for name in (*names["dq"], *names["ddq"]) if name not in columns)
+    return q, dq, ddq, tuple(name for name in (*names[1], *names[2]) if name not in columns)
 
 
 def _without_short_segments(path: Path, recording: Recording) -> Recording:
-    """Drop the segments in which a derivative is wanted and cannot be computed; raises `UserError` where none is left."""
+    """Drop segments too short for the derivatives that must be computed; raises `UserError` where none is left."""
     if not recording.computed:
         return recording
-    kept = [s for s in recording.segments if s.stop - s.start >= LEAST_ROWS]
+    kept = [np.arange(len(recording.t))[s] for s in recording.segments if s.stop - s.start >= LEAST_ROWS]
     if not kept:
         raise UserError(
             f"{path}: gaps in 't' leave no segment of {LEAST_ROWS} rows, of which derivatives could be computed; "
             "give dq and ddq or longer pieces"
         )
-    rows = np.concatenate([np.arange(s.start, s.stop) for s in kept])
-    ends = np.cumsum([s.stop - s.start for s in kept]).tolist()
+    rows = np.concatenate(kept)
     arrays = {name: getattr(recording, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
     for name in ("dq", "ddq"):
         if not np.all(np.isfinite(arrays[name])):
             raise UserError(
                 f"{path}: {name} computed from the file is not finite; positions are too large or times too close together"
             )
-    segments = tuple(slice(a, b) for a, b in itertools.pairwise([0, *ends]))
+    segments = tuple(slice(a, b) for a, b in itertools.pairwise(np.cumsum([0, *map(len, kept)]).tolist()))
     return replace(recording, **arrays, segments=segments, short=len(recording.t) - len(rows))
 
 
@@ -180,9 +178,8 @@ def _check_units(path: Path, recording: Recording, robot: Robot, header: Header,
     where, r = str(path), recording
     plausibility.check_positions(where, robot, r.q)
     for i, joint in enumerate(robot.joints):
-        names = [f"{kind}_{joint}" for kind in ("q", "dq", "ddq")]
-        pairs = ((names[0], r.q[i]), (names[1], r.dq[i])), ((names[1], r.dq[i]), (names[2], r.ddq[i]))
-        for value, rate in pairs:
+        signals = ((f"q_{joint}", r.q[i]), (f"dq_{joint}", r.dq[i]), (f"ddq_{joint}", r.ddq[i]))
+        for value, rate in itertools.pairwise(signals):
             if rate[0] not in r.computed and value[0] not in r.computed:
                 plausibility.check_derivative(where, r.t, r.segments, value, rate)
     if all(f"dq_{joint}" in r.computed for joint in robot.joints):

@@ -115,8 +115,8 @@ class RecordingSet:
         """Recordings by one of their tuples of columns, where it is not empty."""
         result: dict[tuple[str, ...], list[Recording]] = {}
         for r in self.recordings:
-            if getattr(r, names):
-                result.setdefault(getattr(r, names), []).append(r)
+            result.setdefault(getattr(r, names), []).append(r)
+        result.pop((), None)
         return result
 
     def output_torque(self, recording: Recording) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The springs that a recording set lists: read and written as the effects declare it by their `listing`."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,35 +27,29 @@ PositiveLength = Annotated[float, Meta(ge=SMALLEST_LENGTH, le=LARGEST_LENGTH, de
 
 def read_springs(path: Path, header: Header) -> list[tuple[Spring, ...]]:
     """The springs of each recording as effects with their parameters. Raises `UserError` that names the key in the file."""
-    kinds = listed_springs()
-    keys = []
-    for key, kind in kinds.items():
-        entry = _entry_of(kind)
-        some = entry | list[entry]
-        keys.append((key, (some if kind.placement == "pair" else dict[str, some]) | None, None))
-    schema = msgspec.defstruct("Springs", keys, bases=(Schema,))
-    result = []
+    kinds, result = listed_springs(), []
+    schema = msgspec.defstruct("Springs", [(key, _entries(kind) | None, None) for key, kind in kinds.items()], bases=(Schema,))
     for i, recording in enumerate(header.recordings):
-        place, springs = f"recordings[{i}].springs", []
+        place = f"recordings[{i}].springs"
         given = validated(path, recording.springs, schema, place)
-        for key, kind in kinds.items():
-            springs += _of_kind(f"{path}: {place}.{key}", kind, getattr(given, key), header.joints)
-        result.append(tuple(springs))
+        of_kinds = (_of_kind(f"{path}: {place}.{k}", kind, getattr(given, k), header.joints) for k, kind in kinds.items())
+        result.append(tuple(itertools.chain.from_iterable(of_kinds)))
     return result
 
 
-def _entry_of(kind: type[Effect]) -> Any:
-    """The structure of a spring's entry, from its listing."""
+def _entries(kind: type[Effect]) -> Any:
+    """The type of the springs of one kind in a recording, from the listing."""
     listing = kind.listing
     assert listing is not None
     keys: list[Any] = [(key, _quantity(key, key in listing.zero)) for key in listing.quantities]
     if kind.placement == "pair":
         keys.append(("joints", tuple[str, str] | None, None))
-    for key, allowed in listing.options.items():
-        count = listing.counts.get(key)
-        values: Any = Literal[allowed] if count is None else tuple[(float,) * count]
+    for key, allowed in kind.options.items():
+        default = getattr(kind, key)
+        values: Any = tuple[(float,) * len(default)] if isinstance(default, tuple) else Literal[allowed]
         keys.append((key, values | None, None))
-    return msgspec.defstruct(kind.__name__, keys, bases=(Schema,))
+    entry = msgspec.defstruct(kind.__name__, keys, bases=(Schema,))
+    return entry | list[entry] if kind.placement == "pair" else dict[str, entry | list[entry]]
 
 
 def _quantity(key: str, zero: bool) -> Any:
@@ -78,12 +73,11 @@ def _of_kind(where: str, kind: type[Effect], given: Any, joints: tuple[str, ...]
 
 
 def _spring(where: str, kind: type[Effect], joints: tuple[int, ...], entry: dict[str, Any]) -> Spring:
-    assert kind.listing is not None
-    for key, count in kind.listing.counts.items():
-        allowed = kind.listing.options[key]
-        if any(value not in allowed for value in entry.get(key, ())):
-            wanted = f"{count} numbers, each {' or '.join(map(str, allowed))}, are required"
-            raise UserError(f"{where}.{key}: found {list(entry[key])}; {wanted}")
+    for key, allowed in kind.options.items():
+        values = entry.get(key)
+        if isinstance(values, tuple) and not set(values) <= set(allowed):
+            wanted = f"{len(values)} numbers, each {' or '.join(map(str, allowed))}, are required"
+            raise UserError(f"{where}.{key}: found {list(values)}; {wanted}")
     try:
         return kind.from_entry(joints, entry)
     except UserError as error:
@@ -114,7 +108,6 @@ def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, A
             result.setdefault(key, []).append({**spring, "joints": names})
         else:
             result.setdefault(key, {}).setdefault(names[0], []).append(spring)
-    for key, by_joint in result.items():
-        if isinstance(by_joint, dict):
-            result[key] = {joint: each[0] if len(each) == 1 else each for joint, each in by_joint.items()}
+    for by_joint in (some for some in result.values() if isinstance(some, dict)):
+        by_joint.update({joint: each[0] for joint, each in by_joint.items() if len(each) == 1})
     return result

@@ -36,10 +36,9 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
             if constant is not None
         },
     }
-    tables = {}
+    tables = {r.file: _table(r, robot.joints, recordings.torque) for r in recordings.recordings}
     entries = []
     for r in recordings.recordings:
-        tables[r.file] = _table(r, robot.joints, recordings.torque)
         entry = {"file": r.file, "group": r.group, "springs": spring_json(r.springs, robot.joints)}
         entries.append(entry if "payload" in tables[r.file] else {**entry, "payload": float(r.payload[0])})
     write_set(folder, recordings.source, {**header, "recordings": entries}, tables)
@@ -48,9 +47,7 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
 def write_set(
     folder: str | Path, source: str | Path, header: Mapping[str, Any], tables: Mapping[str, Mapping[str, np.ndarray]]
 ) -> RecordingSet:
-    """Write a new set and read it again.
-
-    A URDF is copied into the folder. Nothing is left behind where the set could not be read.
+    """Write a new set, with a copy of its URDF, and read it again; nothing is written where it could not be read.
 
     Args:
         folder: Folder to make.
@@ -61,8 +58,7 @@ def write_set(
     Raises:
         UserError: `folder` has something in it, the URDF is missing, or the set is not what `load_recordings` accepts.
     """
-    folder = Path(folder)
-    bundled = str(source) in BUNDLED
+    folder, bundled = Path(folder), str(source) in BUNDLED
     robot = str(source) if bundled else f"{Path(source).stem}.urdf"  # never a bundled name
     with new_folder(folder) as temporary:
         if not bundled:
@@ -72,8 +68,7 @@ def write_set(
                 raise UserError(
                     f"{source}: cannot be read: {error.strerror}; a URDF or one of {', '.join(BUNDLED)} is needed"
                 ) from None
-        content = {"format": FORMAT, "robot": robot, **header}
-        write_json(temporary / HEADER, content)
+        write_json(temporary / HEADER, {"format": FORMAT, "robot": robot, **header})
         for file, columns in tables.items():
             write_csv(temporary / file, columns)
         try:

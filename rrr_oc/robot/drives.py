@@ -13,6 +13,9 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp
 from rrr_oc.schema import Schema, read_preset
 
+STEEPNESS = 20.0  # [s/rad], of tanh in place of the sign, as in the authors' code
+LOAD_WIDTH = 0.05  # [Nm] within which |tau_l| is rounded; doubled, friction at small loads is smoother and larger
+
 
 class Drive(Schema, frozen=True):
     """A joint's drive in an actuator file, with the coefficients of `Actuators` in their order."""
@@ -34,8 +37,8 @@ class Actuators:
     Eq. 7 and 9: I = J ddq + nu dq + c_1 tau_l + sgn(dq) (c_0 + c_v2 dq² + c_12 |tau_l|).
 
     Eq. 9 prints c_12 sgn(dq) tau_l, which would drive the joint where tau_l < 0; that form is `form="printed"`. The
-    dissipative |tau_l| is the default. sgn(v) is tanh(20 v), as in the authors' code. With c_v2 < 0 the friction
-    nu v + c_v2 v² would fall beyond its greatest value and turn negative; it is held constant from there on.
+    dissipative |tau_l| is the default. With c_v2 < 0 the friction nu v + c_v2 v² would fall beyond its greatest value and turn
+    negative; it is held constant from there on.
 
     Attributes:
         joints: Names (m).
@@ -58,16 +61,13 @@ class Actuators:
 
     def current(self, dq, ddq, tau_load) -> ca.SX:
         """Currents I (m,) [A] that drive the load torque (Eq. 7 with Eq. 9)."""
-        load = [
-            t * s if self.form == "printed" else _magnitude(t) * s for t, s in zip(_rows(tau_load), _signs(dq), strict=True)
-        ]
-        rows = zip(_rows(dq), _rows(ddq), _rows(tau_load), load, strict=True)
-        return ca.vertcat(
-            *[
-                self.inertia[i] * a + self._friction(i, v) + self.c_1[i] * t + self.c_12[i] * friction
-                for i, (v, a, t, friction) in enumerate(rows)
-            ]
-        )
+        currents = []
+        for i in range(len(self.joints)):
+            t = tau_load[i]
+            size = t if self.form == "printed" else ramp(t, LOAD_WIDTH) + ramp(-t, LOAD_WIDTH)
+            by_load = self.c_1[i] * t, self.c_12[i] * (size * ca.tanh(STEEPNESS * dq[i]))
+            currents.append(self.inertia[i] * ddq[i] + self._friction(i, dq[i]) + by_load[0] + by_load[1])
+        return ca.vertcat(*currents)
 
     def load_torque(self, dq, ddq, current) -> ca.SX:
         """Load torque tau_l (m,) [Nm] from the currents (Eq. 10).
@@ -75,9 +75,9 @@ class Actuators:
         In the dissipative form |tau_l| has the sign of what is left of the current, which decides between the two cases.
         """
         torques = []
-        for i, (v, a, amperes, s) in enumerate(zip(_rows(dq), _rows(ddq), _rows(current), _signs(dq), strict=True)):
-            left = amperes - self.inertia[i] * a - self._friction(i, v)
-            direction = s if self.form == "printed" else s * ca.sign(left)
+        for i in range(len(self.joints)):
+            left = current[i] - self.inertia[i] * ddq[i] - self._friction(i, dq[i])
+            direction = ca.tanh(STEEPNESS * dq[i]) * (1 if self.form == "printed" else ca.sign(left))
             torques.append(left / (self.c_1[i] + self.c_12[i] * direction))
         return ca.vertcat(*torques)
 
@@ -94,12 +94,9 @@ class Actuators:
 
     def power(self, dq, ddq, tau_load) -> ca.SX:
         """Electrical power U I of each drive (m,) [W] (Eq. 8, whose integral is Eq. 11)."""
-        if not np.all(np.isfinite(self.resistance)):
-            raise UserError(
-                f"electrical energy needs the winding resistances of {', '.join(self.joints)} [Ohm]; some are unknown"
-            )
+        self.check_resistance()
         amperes = self.current(dq, ddq, tau_load)
-        return ca.SX(self.resistance) * amperes**2 + ca.SX(self.torque_constant) * ca.vertcat(*_rows(dq)) * amperes
+        return ca.SX(self.resistance) * amperes**2 + ca.SX(self.torque_constant) * ca.SX(dq) * amperes
 
     def check_resistance(self) -> None:
         """Raise `UserError` where a winding resistance, which electrical power needs, is unknown."""
@@ -109,25 +106,12 @@ class Actuators:
 
     def _friction(self, i: int, v) -> ca.SX:
         """Part that depends on speed alone [A]."""
-        s = ca.tanh(20 * v)
+        s = ca.tanh(STEEPNESS * v)
         speed = v * s  # |v|, smooth
         if self.c_v2[i] < 0:
             peak = -self.viscous[i] / (2 * self.c_v2[i])
             speed = peak - ramp(peak - speed, 0.05)  # 0.05 rad/s: width of the blend
         return s * (self.c_0[i] + self.viscous[i] * speed + self.c_v2[i] * speed**2)
-
-
-def _magnitude(tau) -> ca.SX:
-    width = 0.05  # [Nm] within which |tau| is rounded
-    return ramp(tau, width) + ramp(-tau, width)
-
-
-def _rows(vector) -> list:
-    return [vector[i] for i in range(vector.shape[0])]
-
-
-def _signs(dq) -> list:
-    return [ca.tanh(20 * v) for v in _rows(dq)]
 
 
 def load_actuators(joints: Sequence[str], source: str = "prototype", form: str = "dissipative") -> Actuators:

@@ -12,10 +12,8 @@ from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import Robot
 
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # the rows of `Robot.inertial`
-UNITS = ("kg", "kg m", "kg m", "kg m", "kg m²", "kg m²", "kg m²", "kg m²", "kg m²", "kg m²")
-SMALLEST_LENGTH = (
-    0.05  # [m], length assumed of a link whose next joint lies at its own origin; doubled, its prior is twice as wide
-)
+UNITS = ("kg", *["kg m"] * 3, *["kg m²"] * 6)
+SMALLEST_LENGTH = 0.05  # [m], assumed of a link whose next joint lies at its own origin; doubled, its prior is twice as wide
 
 
 @dataclass(frozen=True)
@@ -44,20 +42,20 @@ class BaseParameters:
         return matrix
 
 
-def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
+def base_parameters(robot: Robot) -> BaseParameters:
     """The base parameters of a chain under its gravity (Gautier & Khalil 1990), from QR of torques at random states.
 
-    A column that depends on those before it is regrouped into them: links further out into those nearer to the base.
+    A column that depends on those before it is regrouped into them: outer links into those nearer to the base.
     """
-    n, count, rng = robot.n, 40 * robot.n, np.random.default_rng(seed)
+    n, count, rng = robot.n, 40 * robot.n, np.random.default_rng(0)
     inertial = ca.SX.sym("inertial", 10, n)
     q, dq, ddq = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
     torque = rigid_body(robot).inverse_dynamics(q, dq, ddq, inertial, robot.gravity)
     regressor = ca.Function("regressor", [q, dq, ddq, inertial], [ca.densify(ca.jacobian(torque, inertial))])
     states = rng.uniform(-np.pi, np.pi, (n, count)), rng.normal(0, 2, (n, count)), rng.normal(0, 5, (n, count))
     body = np.tile(
-        [[1.0], [0.0], [0.0], [0.0], [1.0], [0.0], [1.0], [0.0], [0.0], [1.0]], n
-    )  # the regressor does not depend on it; its expression divides by the mass
+        np.array([[1.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]]).T, n
+    )  # any body; the regressor's expression divides by the mass
     matrix = np.array(regressor(*states, body)).reshape(n * count, 10 * n)
     upper = np.asarray(np.linalg.qr(matrix / np.sqrt(n * count), mode="r"))
     chosen = independent_columns(upper)  # the diagonal of R alone is unreliable after a dependent column
@@ -69,15 +67,13 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
 
 
 def _name(robot: Robot, column: int, mixing: np.ndarray, dependent: np.ndarray) -> str:
-    def one(c: int) -> str:
-        return f"{NAMES[c % 10]}[{robot.links[c // 10]}]"
-
-    parts = [one(column)]
+    every = [f"{name}[{link}]" for link in robot.links for name in NAMES]
+    result = every[column]
     for coefficient, other in zip(mixing, dependent, strict=True):
         if coefficient != 0:
             size = "" if abs(abs(coefficient) - 1) < 1e-9 else f"{abs(coefficient):.4g} "
-            parts.append(f"{'-' if coefficient < 0 else '+'} {size}{one(int(other))}")
-    return " ".join(parts)
+            result += f" {'-' if coefficient < 0 else '+'} {size}{every[other]}"
+    return result
 
 
 def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
@@ -113,7 +109,7 @@ def from_log_cholesky() -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     )
     p = ca.exp(2 * alpha) * upper @ upper.T
     xx, yy, zz = p[1, 1] + p[2, 2], p[0, 0] + p[2, 2], p[0, 0] + p[1, 1]
-    parameters = ca.vertcat(p[3, 3], p[0, 3], p[1, 3], p[2, 3], xx, -p[0, 1], yy, -p[0, 2], -p[1, 2], zz)
+    parameters = ca.vertcat(p[3, 3], p[:3, 3], xx, -p[0, 1], yy, -p[0, 2], -p[1, 2], zz)
     function = ca.Function("from_log_cholesky", [xi], [parameters, ca.densify(ca.jacobian(parameters, xi))])
 
     def evaluate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -131,11 +127,9 @@ def links_from_log_cholesky(xi: np.ndarray) -> tuple[np.ndarray, list[np.ndarray
 
 def to_log_cholesky(parameters: np.ndarray) -> np.ndarray:
     """xi (10,) of a physical body; the inverse of `from_log_cholesky`."""
-    flipped = np.linalg.cholesky(pseudo_inertia(parameters)[::-1, ::-1])
-    upper = flipped[::-1, ::-1]  # U Uᵀ with U upper triangular
-    alpha = np.log(upper[3, 3])
+    upper = np.linalg.cholesky(pseudo_inertia(parameters)[::-1, ::-1])[::-1, ::-1]  # U Uᵀ with U upper triangular
     u = upper / upper[3, 3]
-    return np.array([alpha, *np.log(np.diag(u)[:3]), u[0, 1], u[1, 2], u[0, 2], *u[:3, 3]])
+    return np.array([np.log(upper[3, 3]), *np.log(np.diag(u)[:3]), u[0, 1], u[1, 2], u[0, 2], *u[:3, 3]])
 
 
 @dataclass(frozen=True)
@@ -165,7 +159,8 @@ def prior(robot: Robot) -> Prior:
     """Prior centred at the URDF's values where they are physical, else at 1 kg about the middle of the link."""
     centres, stds = [], []
     for i in range(robot.n):
-        reach = robot.placements[i + 1, :3, 3] if i + 1 < robot.n else _tip(robot)
+        tip = robot.tool.position if robot.tool.joint == robot.n - 1 else np.zeros(3)
+        reach = robot.placements[i + 1, :3, 3] if i + 1 < robot.n else tip
         length = max(float(np.linalg.norm(reach)), SMALLEST_LENGTH)
         parameters = robot.inertial[:, i]
         centres.append(to_log_cholesky(parameters if is_physical(parameters) else _guess(reach, length)))
@@ -173,12 +168,8 @@ def prior(robot: Robot) -> Prior:
     return Prior(np.concatenate(centres), np.concatenate(stds))
 
 
-def _tip(robot: Robot) -> np.ndarray:
-    return robot.tool.position if robot.tool.joint == robot.n - 1 else np.zeros(3)
-
-
 def _guess(reach: np.ndarray, length: float) -> np.ndarray:
     """1 kg about the middle of the link, with a radius of gyration of 0.3 lengths about every axis."""
     centre = reach / 2
     inertia = (0.3 * length) ** 2 * np.eye(3) + centre @ centre * np.eye(3) - np.outer(centre, centre)
-    return np.array([1.0, *centre, *(inertia[a, b] for a, b in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))])
+    return np.array([1.0, *centre, *inertia[np.tril_indices(3)]])

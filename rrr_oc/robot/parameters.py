@@ -1,7 +1,7 @@
 """Parameters: names with units, bounds and a nominal value."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from rrr_oc.errors import UserError
 
@@ -30,11 +30,3 @@ class Parameter:
             raise UserError(f"{self.name}: lower bound {self.lower:g} is above upper bound {self.upper:g} [{self.unit}]")
         if not self.lower <= self.nominal <= self.upper:
             object.__setattr__(self, "nominal", min(max(self.nominal, self.lower), self.upper))
-
-    def bounded(self, lower: float, upper: float) -> "Parameter":
-        """This parameter within narrower bounds; raises `UserError` if they are crossed or leave its own."""
-        if lower < self.lower or upper > self.upper:
-            raise UserError(
-                f"{self.name}: bounds {lower:g} … {upper:g} reach outside {self.lower:g} … {self.upper:g} [{self.unit}]"
-            )
-        return replace(self, lower=lower, upper=upper)

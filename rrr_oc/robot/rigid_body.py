@@ -79,16 +79,9 @@ def upwards(gravity: np.ndarray) -> np.ndarray:
 
 
 def with_payload(inertial, joint: int, mass, position):
-    """Add a point mass to one link's dynamic parameters.
+    """Inertial parameters (10, n), numpy or casadi, with a point mass [kg] on one joint's link, at a position [m] in its frame.
 
-    Args:
-        inertial: (10, n) numpy array or casadi matrix.
-        joint: Joint whose link carries the payload.
-        mass: Payload [kg].
-        position: Its point in the joint's frame [m], (3,).
-
-    Returns:
-        (10, n) of the casadi type of the arguments.
+    The result has the casadi type of the arguments.
     """
     x, y, z = position[0], position[1], position[2]
     point = ca.vertcat(1, x, y, z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
@@ -107,38 +100,30 @@ def _from_extension(robot: Robot) -> dict[str, ca.Function]:
 def _from_pinocchio(robot: Robot, symbolic) -> dict[str, ca.Function]:
     """The same Functions from `pinocchio.casadi`, the twin of `_rigid_body.cpp`."""
     n = robot.n
-    q, dq, ddq, tau = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq", "tau"))
-    inertial, gravity = ca.SX.sym("inertial", 10, n), ca.SX.sym("gravity", 3)
+    symbols = {name: ca.SX.sym(name, n) for name in ("q", "dq", "ddq", "tau")}
+    q, dq, ddq, tau = symbols.values()
+    symbols |= {"inertial": ca.SX.sym("inertial", 10, n), "gravity": ca.SX.sym("gravity", 3)}
     model = symbolic.Model()
     for i in range(n):
         placement = symbolic.SE3(ca.SX(robot.placements[i, :3, :3]), ca.SX(robot.placements[i, :3, 3]))
         joint = symbolic.JointModelRevoluteUnaligned(ca.SX(robot.axes[i]))
         model.addJoint(i, joint, placement, f"joint{i}")
-        model.inertias[i + 1] = symbolic.Inertia.FromDynamicParameters(inertial[:, i])
-    model.gravity.linear = gravity
+        model.inertias[i + 1] = symbolic.Inertia.FromDynamicParameters(symbols["inertial"][:, i])
+    model.gravity.linear = symbols["gravity"]
     data = model.createData()
     mass = symbolic.crba(model, data, q)
     mass = ca.triu(mass) + ca.triu(mass, False).T
-    inverse = symbolic.rnea(model, model.createData(), q, dq, ddq)
     symbolic.forwardKinematics(model, data, q)
     frames = [ca.vertcat(ca.vec(data.oMi[i + 1].rotation), data.oMi[i + 1].translation) for i in range(n)]
     outputs = {
-        "mass_matrix": ({"q": q, "inertial": inertial}, mass),
-        "coriolis_matrix": (
-            {"q": q, "dq": dq, "inertial": inertial},
-            symbolic.computeCoriolisMatrix(model, model.createData(), q, dq),
-        ),
-        "gravity_torque": (
-            {"q": q, "inertial": inertial, "gravity": gravity},
-            symbolic.computeGeneralizedGravity(model, model.createData(), q),
-        ),
-        "inverse_dynamics": ({"q": q, "dq": dq, "ddq": ddq, "inertial": inertial, "gravity": gravity}, inverse),
-        "forward_dynamics": (
-            {"q": q, "dq": dq, "tau": tau, "inertial": inertial, "gravity": gravity},
-            symbolic.aba(model, model.createData(), q, dq, tau),
-        ),
-        "joint_frames": ({"q": q}, ca.horzcat(*frames)),
+        "mass_matrix": ("q inertial", mass),
+        "coriolis_matrix": ("q dq inertial", symbolic.computeCoriolisMatrix(model, model.createData(), q, dq)),
+        "gravity_torque": ("q inertial gravity", symbolic.computeGeneralizedGravity(model, model.createData(), q)),
+        "inverse_dynamics": ("q dq ddq inertial gravity", symbolic.rnea(model, model.createData(), q, dq, ddq)),
+        "forward_dynamics": ("q dq tau inertial gravity", symbolic.aba(model, model.createData(), q, dq, tau)),
+        "joint_frames": ("q", ca.horzcat(*frames)),
     }
     return {
-        name: ca.Function(name, list(inputs.values()), [out], list(inputs), ["out"]) for name, (inputs, out) in outputs.items()
+        name: ca.Function(name, [symbols[key] for key in inputs.split()], [out], inputs.split(), ["out"])
+        for name, (inputs, out) in outputs.items()
     }

@@ -123,12 +123,11 @@ def load_robot(
     if inertial:
         _check_inertial(name, model, parameters)
     frames = {f.name: (f.parentJoint - 1, f.placement.homogeneous) for f in model.frames if f.type == pin.FrameType.BODY}
-    links = tuple(_moved_link(model, i) for i in range(1, model.njoints))
     last = model.njoints - 2
     return Robot(
         name=name,
         joints=tuple(model.names)[1:],
-        links=links,
+        links=tuple(_moved_link(model, i) for i in range(1, model.njoints)),
         placements=np.array([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]),
         axes=np.array([_axis(model.joints[i]) for i in range(1, model.njoints)]),
         inertial=parameters,
@@ -172,8 +171,7 @@ def _parse(name: str, text: str, joints: Sequence[str] | None) -> pin.Model:
             continue  # <joint> of a <transmission>
         turns, mimic = kind in ("fixed", "revolute", "continuous"), joint.find("mimic")
         if joints is not None and joint.get("name") not in joints and not (turns and mimic is None):
-            kind = "fixed"  # locked at zero, as a gripper's fingers
-            joint.set("type", kind)
+            joint.set("type", "fixed")  # locked at zero, as a gripper's fingers
             joint[:] = [part for part in joint if part.tag in ("parent", "child", "origin")]
             continue
         if not turns:
@@ -189,13 +187,8 @@ def _parse(name: str, text: str, joints: Sequence[str] | None) -> pin.Model:
             joint.set("type", "revolute")
             limit = joint.find("limit")
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-            limit.attrib = {
-                "effort": _ENDLESS,
-                "velocity": _ENDLESS,
-                **limit.attrib,
-                "lower": f"-{_ENDLESS}",
-                "upper": _ENDLESS,
-            }
+            unlimited = dict.fromkeys(("effort", "velocity"), _ENDLESS)
+            limit.attrib = {**unlimited, **limit.attrib, "lower": f"-{_ENDLESS}", "upper": _ENDLESS}
         elif kind == "revolute" and joint.find("limit") is None:
             raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
     said: list[str] = []

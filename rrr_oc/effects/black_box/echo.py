@@ -1,7 +1,5 @@
 """A torque that no law of the catalogue explains and that follows from the past of the load, not from the instant."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Trial
@@ -12,7 +10,6 @@ FREQUENCIES = (1.5, 2.0, 2.7, 3.7, 5.0, 6.7, 9.0, 12.0, 16.0, 22.0, 30.0)  # [ra
 DAMPINGS = (0.1, 0.6)  # damping ratios of the trials
 
 
-@dataclass(frozen=True)
 class Echo(Effect):
     """tau = lag (x − tau_l) + swing x'/frequency, x'' + 2 damping frequency x' + frequency² x = frequency² tau_l.
 

@@ -2,13 +2,13 @@
 
 import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.numerics.smooth import cos, fmax, fmin, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -23,11 +23,9 @@ ONE_WAY: tuple[Direction, ...] = ("upwards", "downwards")
 class Empirical(Effect):
     """tau = d Σ c_kl cos(k π x) cos(l π y) of one or two variables x, y, scaled from their range to [0, 1].
 
-    Or, of one variable, a torque that begins at an edge: tau = d Σ c (±(x − edge))₊^p. The factor d of the joint's own direction of
-    motion is 1, or sgn(dq) if the torque changes sign with it, or (1 ± sgn(dq))/2 if it acts in one direction only. Beyond its range
-    of validity a variable is held at the range's end. Cosines on an interval are smooth everywhere and converge fast for smooth
-    functions; edges stand for end stops and saturation, two of them at the ends of the range for a straight line. The torque is
-    linear in the coefficients.
+    Or, of one variable, a torque that begins at an edge, as of an end stop or saturation: tau = d Σ c (±(x − edge))₊^p; two edges
+    at the ends of the range make a straight line. The factor d depends on the joint's direction of motion, see `direction`. Beyond
+    its range of validity a variable is held at the range's end. The torque is linear in the coefficients.
 
     Attributes:
         variables: What it depends on: ("q", joint), ("dq", joint), ("ddq", joint), ("load", joint), ("motor", joint) for the load
@@ -36,25 +34,25 @@ class Empirical(Effect):
         orders: Highest k (and l).
         direction: Factor d: "either" 1, "turned" sgn(dq), "upwards" and "downwards" (1 ± sgn(dq))/2.
         edges: (±1, edge in [0, 1], power) of a torque that begins at an edge, above or below it.
-        largest: Bound of a series' coefficients [Nm], so that large terms that cancel within the recorded range cannot arise.
-        on_link: Whether it acts on the link, not in the drive: where the load torque was recorded. It may depend on positions and
-            speeds then.
+        largest: Bound of a series' coefficients [Nm], against large terms that cancel within the recorded range.
+        on_link: Whether it acts on the link, not in the drive, as where the load torque was recorded; it then depends on positions
+            and speeds only.
     """
 
     name = "empirical"
     equation = "tau = sum of c_kl cos(k pi x) cos(l pi y)"
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
     role = "black_box"
 
-    variables: tuple[tuple[str, int], ...] = field(default=())
-    low: tuple[float, ...] = field(default=())
-    high: tuple[float, ...] = field(default=())
-    orders: tuple[int, ...] = field(default=())
-    direction: Direction = field(default="either")
-    edges: tuple[tuple[int, float, int], ...] = field(default=())
-    largest: float = field(default=1e6)
-    on_link: bool = field(default=False)
+    variables: tuple[tuple[str, int], ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    orders: tuple[int, ...] = ()
+    direction: Direction = "either"
+    edges: tuple[tuple[int, float, int], ...] = ()
+    largest: float = 1e6
+    on_link: bool = False
 
     def __post_init__(self) -> None:
         if self.on_link:
@@ -78,11 +76,8 @@ class Empirical(Effect):
         return tuple(p.name for p in self.parameters)
 
     def torque(self, signals, theta, width):
-        total = 0.0
-        for name, value in zip(self.amplitudes, self.basis(signals, width), strict=True):
-            if not (isinstance(theta[name], float) and theta[name] == 0.0):
-                total = total + theta[name] * value
-        return (total,)
+        pairs = zip((theta[name] for name in self.amplitudes), self.basis(signals, width), strict=True)
+        return (sum((c * value for c, value in pairs if not (isinstance(c, float) and c == 0.0)), 0.0),)
 
     def basis(self, signals, width) -> list:
         """Torque for each coefficient being 1 [Nm]."""
@@ -105,8 +100,7 @@ class Empirical(Effect):
     @cached_property
     def inputs(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         kinds = [kind for kind, _ in self.variables]
-        of_friction = ("friction",) if "motor" in kinds else ()
-        return ("load", *of_friction) if of_friction or "load" in kinds else ()
+        return ("load", "friction") if "motor" in kinds else ("load",) if "load" in kinds else ()
 
     @property
     def resembles(self):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -172,12 +166,11 @@ class Empirical(Effect):
             return cls((j,), tuple(variables), low, high, tuple(orders), direction, tuple(edges), largest, on_link)
 
         for v in ranges:
-            if v[0] == "motor" and v[1] == j:
+            if v == ("motor", j):
                 continue  # its own gain is in the catalogue; what is not linear, edges find
             for order in (3, 8, 20, 45) if v == ("q", j) else (3, 8):
-                for direction in EITHER:
-                    if direction == "either" or v not in (("dq", j), ("motor", v[1])):
-                        yield one([v], [order], direction)
+                for direction in EITHER if v[0] != "motor" and v != ("dq", j) else EITHER[:1]:
+                    yield one([v], [order], direction)
         for direction in ONE_WAY:
             yield one([("q", j)], edges=STRAIGHT, direction=direction)
             yield one([("q", j)], [3], direction)

@@ -1,13 +1,10 @@
 """Plain friction that differs in some recordings from the rest, as after a cold start or new grease."""
 
-from dataclasses import dataclass
-
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class FrictionChange(Effect):
     """tau = −dry sgn(dq) − viscous dq, in some recordings only; in all of them it would be the plain friction itself.
 
@@ -18,7 +15,7 @@ class FrictionChange(Effect):
     equation = "tau = -dry sgn(dq) - viscous dq"
     parameters = (Parameter("dry", "Nm", 0.0), Parameter("viscous", "Nm s/rad", 0.0))
     amplitudes = ("dry", "viscous")
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
     role = "black_box"
     scope = "some"

@@ -1,16 +1,13 @@
 """A base that is not level."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect
 from rrr_oc.numerics.smooth import cos, sin
 from rrr_oc.robot.parameters import Parameter
 
-STEP = 1e-4  # [rad], of the difference that stands for a derivative
 
-
-@dataclass(frozen=True)
 class GravityTilt(Effect):
     """gravity in the base frame = (R_y(about_y) R_x(about_x))ᵀ g."""
 
@@ -22,14 +19,10 @@ class GravityTilt(Effect):
     scope = "set_up"
     placement = "arm"
     alters = "gravity"
+    step = 1e-4
 
     def change(self, body, theta):
         (cx, sx), (cy, sy) = ((cos(theta[k]), sin(theta[k])) for k in self.amplitudes)
         x, y, z = body.gravity[0], body.gravity[1], body.gravity[2]
         x, z = cy * x - sy * z, sy * x + cy * z  # R_yᵀ
         return replace(body, gravity=[x, cx * y + sx * z, -sx * y + cx * z])  # R_xᵀ
-
-    @classmethod
-    def trials(cls, view):
-        zero = dict.fromkeys(cls.amplitudes, 0.0)
-        yield Trial(cls(()), tuple(zero | {k: STEP} for k in cls.amplitudes), STEP)

@@ -1,6 +1,6 @@
 """A link whose mass, centre or inertia is not the URDF's."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 
@@ -8,16 +8,15 @@ from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class LinkInertial(Effect):
     """The link's ten inertial parameters are the URDF's plus these, which stand as in `Robot.inertial`."""
 
     name = "link_inertial"
     equation = "inertial parameters of the link = URDF's + these"
     parameters = (
-        Parameter("mass", "kg", 0.0),
-        *(Parameter(f"first_moment_{k}", "kg m", 0.0) for k in "xyz"),
-        *(Parameter(f"inertia_{k}", "kg m²", 0.0) for k in ("xx", "xy", "yy", "xz", "yz", "zz")),
+        Parameter("mass", "kg"),
+        *(Parameter(f"first_moment_{k}", "kg m") for k in "xyz"),
+        *(Parameter(f"inertia_{k}", "kg m²") for k in ("xx", "xy", "yy", "xz", "yz", "zz")),
     )
     amplitudes = tuple(p.name for p in parameters)
     side = "body"
@@ -30,5 +29,5 @@ class LinkInertial(Effect):
 
     def change(self, body, theta):
         more = ca.vertcat(*(theta[k] for k in self.amplitudes))
-        columns = ca.horzsplit(ca.SX(body.inertial) if not isinstance(body.inertial, ca.SX) else body.inertial)
+        columns = ca.horzsplit(ca.SX(body.inertial))
         return replace(body, inertial=ca.horzcat(*[c + more if i == self.joints[0] else c for i, c in enumerate(columns)]))

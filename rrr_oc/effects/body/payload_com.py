@@ -1,14 +1,11 @@
 """A payload whose centre is off the tool point."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
-STEP = 1e-4  # [m], of the difference that stands for a derivative
 
-
-@dataclass(frozen=True)
 class PayloadCom(Effect):
     """centre of the payload = tool point + (x, y, z), in the frame of the link that carries it."""
 
@@ -20,6 +17,7 @@ class PayloadCom(Effect):
     scope = "set_up"
     placement = "arm"
     alters = "position"
+    step = 1e-4
 
     def change(self, body, theta):
         return replace(body, position=[p + theta[k] for p, k in zip(body.position, "xyz", strict=True)])
@@ -27,5 +25,4 @@ class PayloadCom(Effect):
     @classmethod
     def trials(cls, view):
         if view.payload:
-            zero = dict.fromkeys("xyz", 0.0)
-            yield Trial(cls(()), tuple(zero | {k: STEP} for k in "xyz"), STEP)
+            yield from super().trials(view)

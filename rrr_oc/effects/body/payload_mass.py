@@ -1,16 +1,15 @@
 """A payload that is heavier or lighter than listed."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
 TOLERANCE = (
-    0.05  # of the listed payload, by which the total may be negative: a payload that was not mounted is estimated with errors
+    0.05  # share of the listed payload by which the total may be negative, as an unmounted payload is estimated with errors
 )
 
 
-@dataclass(frozen=True)
 class PayloadMass(Effect):
     """mass at the tool = listed + mass."""
 
@@ -28,7 +27,3 @@ class PayloadMass(Effect):
 
     def possible(self, theta, payload):
         return payload + theta["mass"] >= -TOLERANCE * payload
-
-    @classmethod
-    def trials(cls, view):
-        yield cls(()).trial(view)

@@ -1,7 +1,7 @@
 """Spring across two joints, wound over pulleys (BPEA)."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,8 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
 
-WIDER = 1.05  # by which the box of the parameters is wider than it must be: the hardware's inequalities bind, not the box
+WIDER = 1.05  # factor by which the parameters' box is wider than the hardware allows, so that `exists` binds, not the box
+RADII = ("radius1_m", "radius2_m", "radius3_m")  # keys in the header of a recording set
 HARDWARE_LIMITS = (
     "r_3 at its largest, r_2 at its smallest",
     "r_3 at its smallest, r_2 at its largest",
@@ -33,7 +34,6 @@ def reduced(k_b, q_0, r_1, r_2, r_3):
     return k_b * (r_2 / r_1) ** 2, r_3 / r_2, r_1 * q_0 / r_2
 
 
-@dataclass(frozen=True)
 class BiarticularForm(DesignForm):
     """Five quantities of hardware, of which the effect's three parameters are functions (`reduced`); the spring has their names."""
 
@@ -64,13 +64,12 @@ class BiarticularForm(DesignForm):
         return np.array(reduced(*numbers))
 
     def exists(self, theta, bounds):
-        kappa, rho, phi = theta
-        return hardware_exists(kappa, rho, phi, bounds)
+        return hardware_exists(theta[0], theta[1], theta[2], bounds)
 
     def named(self, joints, theta, bounds, fixed):
         if fixed:
             return {**fixed, "q_0": theta["phi"] * fixed["r_2"] / fixed["r_1"]}
-        return pick_hardware(theta["kappa"], theta["rho"], theta["phi"], bounds) if bounds else {}
+        return pick_hardware(**theta, bounds=bounds) if bounds else {}
 
     def held(self, joints, box, bounds, hardware, keep_free):
         """kappa and rho are fixed by k_b and the radii; q_0 free leaves phi free within its bounds."""
@@ -95,39 +94,26 @@ class BiarticularSpring(Effect):
 
     name = "biarticular_spring"
     equation = "tau_a = kappa max(-q_a - rho q_b - phi, 0), tau_b = rho tau_a"
-    parameters = (
-        Parameter("kappa", "Nm/rad", 10.0, lower=0.0),
-        Parameter("rho", "1", 1.0, lower=0.0),
-        Parameter("phi", "rad", 0.0),
-    )
+    parameters = (Parameter("kappa", "Nm/rad", 10.0, lower=0.0), Parameter("rho", "1", 1.0, lower=0.0), Parameter("phi", "rad"))
     amplitudes = ("kappa",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
     provides = "springs"
     scope = "mounted"
     placement = "pair"
-    options = ("winding",)
-    listing = Listing(
-        "bpea",
-        ("stiffness_Nm_per_rad", "equilibrium_rad", "radius1_m", "radius2_m", "radius3_m"),
-        zero=("radius3_m",),
-        options={"winding": (1, -1)},
-        counts={"winding": 2},
-    )
+    options = {"winding": (1, -1)}  # noqa: RUF012
+    listing = Listing("bpea", ("stiffness_Nm_per_rad", "equilibrium_rad", *RADII), zero=RADII[2:])
     design = BiarticularForm(
         "BPEA",
         (
             Quantity("k_b", "k_b_Nm_per_rad", "Nm/rad"),
             Quantity("q_0", "q_0_deg", "rad", np.pi / 180, free=True),
-            Quantity("r_1", "r_1_mm", "m", 1e-3),
-            Quantity("r_2", "r_2_mm", "m", 1e-3),
-            Quantity("r_3", "r_3_mm", "m", 1e-3),
+            *(Quantity(r, f"{r}_mm", "m", 1e-3) for r in ("r_1", "r_2", "r_3")),
         ),
-        options=("winding",),
         shop="biarticular_spring",
     )
 
-    winding: tuple[int, int] = field(default=(1, 1))
-    pulleys: float = field(default=1.0)  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
+    winding: tuple[int, int] = (1, 1)
+    pulleys: float = 1.0  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
 
     def __post_init__(self) -> None:
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
@@ -155,17 +141,17 @@ class BiarticularSpring(Effect):
     @classmethod
     def from_entry(cls, joints, entry):
         """Raises `UserError` where the radii give no finite torque."""
-        radii = [entry[f"radius{k}_m"] for k in (1, 2, 3)]
+        radii = [entry[key] for key in RADII]
         kappa, rho, phi = reduced(entry["stiffness_Nm_per_rad"], entry["equilibrium_rad"], *radii)
         if not all(math.isfinite(value) for value in (kappa, rho, phi)):
             raise UserError(f"radii {radii} m give no finite torque; check the unit")
-        wa, wb = (int(w) for w in entry.get("winding", (1, 1)))
-        return cls(joints, winding=(wa, wb), pulleys=radii[0] / radii[1]), {"kappa": kappa, "rho": rho, "phi": phi}
+        a, b = map(int, entry.get("winding", (1, 1)))
+        return cls(joints, (a, b), pulleys=radii[0] / radii[1]), {"kappa": kappa, "rho": rho, "phi": phi}
 
     def entry(self, theta):
         """With r_2 = 1 m: Eq. 5 decides kappa, rho and phi only, and a change of q_0 the ratio r_1/r_2."""
         r = self.pulleys
-        radii = {"radius1_m": r, "radius2_m": 1.0, "radius3_m": theta["rho"]}
+        radii = dict(zip(RADII, (r, 1.0, theta["rho"]), strict=True))
         numbers = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
         return {**numbers, "winding": list(self.winding)}
 
@@ -224,11 +210,9 @@ def pick_hardware(kappa: float, rho: float, phi: float, bounds) -> dict[str, flo
 
     Raises `UserError` where there is none (by more than a relative 1e-6, which solvers leave).
     """
-    slack = 1 + 1e-6
-    k_max, q_bounds = bounds["k_b"][1], bounds["q_0"]
-    r2_low = max(bounds["r_2"][0], bounds["r_3"][0] / rho)
-    r2_high = min(bounds["r_2"][1], bounds["r_3"][1] / rho)
-    q_max = q_bounds[1] if phi > 0 else -q_bounds[0]
+    slack, k_max = 1 + 1e-6, bounds["k_b"][1]
+    r2_low, r2_high = max(bounds["r_2"][0], bounds["r_3"][0] / rho), min(bounds["r_2"][1], bounds["r_3"][1] / rho)
+    q_max = bounds["q_0"][1] if phi > 0 else -bounds["q_0"][0]
     ratio_low = max(bounds["r_1"][0] / r2_high, abs(phi) / q_max)
     ratio_high = min(bounds["r_1"][1] / r2_low, (k_max / kappa) ** 0.5 if kappa > 0 else float("inf"))
     if r2_low > r2_high * slack or ratio_low > ratio_high * slack:
@@ -236,5 +220,4 @@ def pick_hardware(kappa: float, rho: float, phi: float, bounds) -> dict[str, flo
     ratio = (ratio_low + min(ratio_high, 2 * ratio_low + 1)) / 2
     r2_low, r2_high = max(r2_low, bounds["r_1"][0] / ratio), min(r2_high, bounds["r_1"][1] / ratio)
     r_2 = (r2_low + r2_high) / 2
-    r_1 = ratio * r_2
-    return {"k_b": kappa * ratio**2, "q_0": phi / ratio, "r_1": r_1, "r_2": r_2, "r_3": rho * r_2}
+    return {"k_b": kappa * ratio**2, "q_0": phi / ratio, "r_1": ratio * r_2, "r_2": r_2, "r_3": rho * r_2}

@@ -1,7 +1,5 @@
 """An elastic torque of a dress pack, cable or hose that is led along a joint."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Trial
@@ -9,7 +7,6 @@ from rrr_oc.effects.elastic.parallel_spring import SIDES, ParallelSpring
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class CableHarness(Effect):
     """tau = −stiffness (q − rest)."""
 

@@ -1,6 +1,6 @@
 """Spring in parallel with one joint's drive (PEA)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -26,27 +26,23 @@ class ParallelSpring(Effect):
 
     name = "parallel_spring"
     equation = "tau = stiffness (equilibrium - q) on the active side of the equilibrium, else 0"
-    parameters = (
-        Parameter("stiffness", "Nm/rad", 5.0, lower=0.0),
-        Parameter("equilibrium", "rad", 0.0),
-    )
+    parameters = (Parameter("stiffness", "Nm/rad", 5.0, lower=0.0), Parameter("equilibrium", "rad"))
     amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
     provides = "springs"
     scope = "mounted"
-    options = ("active",)
-    listing = Listing("pea", ("stiffness_Nm_per_rad", "equilibrium_rad"), options={"active": SIDES})
+    options = {"active": SIDES}  # noqa: RUF012
+    listing = Listing("pea", ("stiffness_Nm_per_rad", "equilibrium_rad"))
     design = DesignForm(
         "PEA",
         (
             Quantity("k_p", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
             Quantity("q_eq", "equilibrium_deg", "rad", np.pi / 180, free=True),
         ),
-        options=("active",),
         shop="parallel_springs_Nm_per_rad",
     )
 
-    active: Literal["below", "above"] = field(default="below")
+    active: Literal["below", "above"] = "below"
 
     def __post_init__(self) -> None:
         if self.active not in SIDES:
@@ -78,18 +74,6 @@ class ParallelSpring(Effect):
 
     def moved(self, theta, offset):
         return {**theta, "equilibrium": theta["equilibrium"] + offset}
-
-    @classmethod
-    def from_entry(cls, joints, entry):
-        theta = {"stiffness": entry["stiffness_Nm_per_rad"], "equilibrium": entry["equilibrium_rad"]}
-        return cls(joints, active=entry.get("active", "below")), theta
-
-    def entry(self, theta):
-        return {
-            "stiffness_Nm_per_rad": theta["stiffness"],
-            "equilibrium_rad": theta["equilibrium"],
-            "active": self.active,
-        }
 
     @classmethod
     def trials(cls, view):

@@ -1,13 +1,10 @@
 """A listed spring, or its cable, that loses energy in a cycle."""
 
-from dataclasses import dataclass
-
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.numerics.smooth import fabs, sign
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class SpringHysteresis(Effect):
     """tau = −loss |torque of the listed spring| sgn(rate of its stretch), on each joint."""
 
@@ -15,7 +12,7 @@ class SpringHysteresis(Effect):
     equation = "tau = -loss |tau_spring| sgn(stretch rate)"
     parameters = (Parameter("loss", "1", 0.0, lower=0.0),)
     amplitudes = ("loss",)
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     inputs = ("springs",)
     scope = "set_up"
     placement = "spring"
@@ -24,11 +21,5 @@ class SpringHysteresis(Effect):
         spring, values, own = signals.springs[self.joints]
         torques, lever = spring.torque(signals, values, own), spring.lever(values)
         rate = sum(r * signals.dq[j] for r, j in zip(lever, self.joints, strict=True))
-        turn = sign(rate, width)
-        size = fabs(torques[0])
-        return tuple(-theta["loss"] * r * size * turn for r in lever)
-
-    @classmethod
-    def trials(cls, view):
-        for joints in view.springs:
-            yield cls(joints).trial(view)
+        size, direction = fabs(torques[0]), sign(rate, width)
+        return tuple(-theta["loss"] * r * size * direction for r in lever)

@@ -1,14 +1,9 @@
 """A listed spring whose equilibrium is not where it is listed."""
 
-from dataclasses import dataclass
-
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
-STEP = 1e-3  # [rad], of the difference that stands for a derivative
 
-
-@dataclass(frozen=True)
 class SpringPreload(Effect):
     """tau = torque of the listed spring with its equilibrium moved by the offset − its torque as listed."""
 
@@ -19,6 +14,7 @@ class SpringPreload(Effect):
     inputs = ("springs",)
     scope = "set_up"
     placement = "spring"
+    step = 1e-3
 
     @property
     def linear(self):
@@ -29,8 +25,3 @@ class SpringPreload(Effect):
         moved = spring.moved(values, theta["offset"])
         pairs = zip(spring.torque(signals, moved, own), spring.torque(signals, values, own), strict=True)
         return tuple(a - b for a, b in pairs)
-
-    @classmethod
-    def trials(cls, view):
-        for joints in view.springs:
-            yield Trial(cls(joints), ({"offset": STEP},), STEP)

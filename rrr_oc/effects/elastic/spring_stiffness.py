@@ -1,12 +1,9 @@
 """A listed spring that is stiffer or softer than listed."""
 
-from dataclasses import dataclass
-
 from rrr_oc.effects.base import Effect, Trial
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class SpringStiffness(Effect):
     """tau = (scale − 1) × torque of the listed spring across the same joints."""
 
@@ -22,10 +19,8 @@ class SpringStiffness(Effect):
         spring, values, own = signals.springs[self.joints]
         return tuple((theta["scale"] - 1) * tau for tau in spring.torque(signals, values, own))
 
-    @classmethod
-    def trials(cls, view):
-        for joints in view.springs:
-            yield Trial(cls(joints), ({"scale": 2.0},))
+    def trial(self, view, **shape):
+        return Trial(self, ({"scale": 2.0},))
 
     def combined(self, points, coefficients):
         return {"scale": 1 + float(coefficients[0])}

@@ -1,13 +1,10 @@
 """Dry friction that differs between the directions of motion."""
 
-from dataclasses import dataclass
-
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class CoulombAsymmetry(Effect):
     """tau = −(asymmetry/2) sgn²(dq): the level for dq > 0 minus that for dq < 0, half of it on either side of the plain level."""
 
@@ -15,7 +12,7 @@ class CoulombAsymmetry(Effect):
     equation = "tau = -(asymmetry/2) sgn(dq)^2"
     parameters = (Parameter("asymmetry", "Nm", 0.0),)
     amplitudes = ("asymmetry",)
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
 
     def torque(self, signals, theta, width):

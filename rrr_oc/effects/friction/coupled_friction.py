@@ -1,9 +1,9 @@
 """Friction that depends on another joint's motion, as in a coupled wrist."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -20,12 +20,12 @@ class CoupledFriction(Effect):
     equation = "tau_a = -(coulomb sgn(r) + viscous r), r = dq_a + dq_b, dq_a - dq_b or dq_b"
     parameters = (Parameter("coulomb", "Nm", 0.0, lower=0.0), Parameter("viscous", "Nm s/rad", 0.0, lower=0.0))
     amplitudes = ("coulomb", "viscous")
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
     placement = "pair"
-    options = ("form",)
+    options = {"form": ("sum", "difference", "other")}  # noqa: RUF012
 
-    form: Literal["sum", "difference", "other"] = field(default="sum")
+    form: Literal["sum", "difference", "other"] = "sum"
 
     def torque(self, signals, theta, width):
         a, b = self.joints
@@ -39,5 +39,5 @@ class CoupledFriction(Effect):
         for a in range(view.n):
             for b in range(view.n):
                 for form in ("sum", "difference", "other"):
-                    if a != b and (form == "other" or a < b):
+                    if a < b or (a > b and form == "other"):
                         yield cls((a, b), form).trial(view)

@@ -1,8 +1,8 @@
 """Dry friction of one joint's drive: bearings, seals and gears, independent of load and speed."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import TURNS, sign
 from rrr_oc.robot.parameters import Parameter
@@ -12,19 +12,19 @@ from rrr_oc.robot.parameters import Parameter
 class DryFriction(Effect):
     """tau = −level sgn(dq): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
 
-    `turn` is the function by which the sign changes over its width, one of `smooth.TURNS`.
-    A joint at rest may carry any torque between −level and level; the law gives 0 there, so calibration leaves samples at rest out.
+    `turn` is the function by which the sign changes over its width, one of `smooth.TURNS`. At rest the friction may have any value
+    between −level and level; the law gives 0 there, so calibration leaves out samples at rest.
     """
 
     name = "dry_friction"
     equation = "tau = -level sgn(dq)"
     parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
     provides = "friction"
     role = "plain"
 
-    turn: str = field(default="tanh")
+    turn: str = "tanh"
 
     def __post_init__(self) -> None:
         if self.turn not in TURNS:

@@ -1,13 +1,10 @@
 """Friction that changes with time since the start, as grease warms up."""
 
-from dataclasses import dataclass
-
 from rrr_oc.effects.base import Effect
 from rrr_oc.numerics.smooth import exp
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class FrictionDrift(Effect):
     """tau = ratio exp(−t/time_constant) × (plain dry and viscous friction of the joint)."""
 
@@ -22,7 +19,5 @@ class FrictionDrift(Effect):
         return (theta["ratio"] * exp(-signals.time / theta["time_constant"]) * signals.friction[self.joints[0]],)
 
     @classmethod
-    def trials(cls, view):
-        for j in range(view.n):
-            for share in (0.06, 0.12, 0.25, 0.5, 1.5):
-                yield cls((j,)).trial(view, time_constant=share * view.duration)
+    def shapes(cls, view, joints):
+        return [{"time_constant": share * view.duration} for share in (0.06, 0.12, 0.25, 0.5, 1.5)]

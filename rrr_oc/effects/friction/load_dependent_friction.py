@@ -1,13 +1,10 @@
 """Friction that changes with the torque that the gear transmits."""
 
-from dataclasses import dataclass
-
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect
 from rrr_oc.numerics.smooth import fabs, sign
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class LoadDependentFriction(Effect):
     """tau = −mu |tau_l| sgn(dq): the dissipative form of c_12 in Eq. 9, which prints mu sgn(dq) tau_l; of either sign.
 
@@ -18,7 +15,7 @@ class LoadDependentFriction(Effect):
     equation = "tau = -mu |tau_l| sgn(dq)"
     parameters = (Parameter("mu", "1", 0.0, lower=-1.0),)
     amplitudes = ("mu",)
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
     inputs = ("load",)
     scope = "set_up"

@@ -1,28 +1,21 @@
 """Dry friction that depends on the joint's own angle, as of a bent shaft or a worn seal."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Trial
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.numerics.smooth import cos, sign
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class PositionDependentFriction(Effect):
     """tau = −amplitude cos(order q − phase) sgn(dq), beside the plain level."""
 
     name = "position_dependent_friction"
     equation = "tau = -amplitude cos(order q - phase) sgn(dq)"
-    parameters = (
-        Parameter("amplitude", "Nm", 0.0),
-        Parameter("order", "1", 1.0, lower=0.0),
-        Parameter("phase", "rad", 0.0),
-    )
+    parameters = (Parameter("amplitude", "Nm"), Parameter("order", "1", 1.0, lower=0.0), Parameter("phase", "rad"))
     amplitudes = ("amplitude",)
-    width = Parameter("width", "rad/s", 0.05, lower=0.0)
+    width = SIGN_WIDTH
     side = "drive"
 
     def torque(self, signals, theta, width):
@@ -40,8 +33,7 @@ class PositionDependentFriction(Effect):
         for j in range(view.n):
             turn = 2 * np.pi / (view.high[j] - view.low[j])
             for cycles in (0.5, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2):
-                shape = {"order": cycles * turn}
-                points = tuple({"amplitude": 1.0, "phase": phase, **shape} for phase in (0.0, np.pi / 2))
+                points = tuple({"amplitude": 1.0, "order": cycles * turn, "phase": phase} for phase in (0.0, np.pi / 2))
                 effect = cls((j,))
                 yield Trial(effect, points, width=effect.sign_width(view))
 

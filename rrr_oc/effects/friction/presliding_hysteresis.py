@@ -1,13 +1,12 @@
 """Friction that builds up over a small travel, as of bristles that bend before they slip."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from rrr_oc.effects.base import Effect
 from rrr_oc.numerics.smooth import fabs, fmax, sign
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class PreslidingHysteresis(Effect):
     """tau = −level z with dz/dt = |dq| (sgn(dq) − z) stiffness/level (Dahl 1968), beside the plain level.
 

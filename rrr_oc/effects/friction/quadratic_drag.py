@@ -1,13 +1,10 @@
 """Friction with a part in the square of speed."""
 
-from dataclasses import dataclass
-
 from rrr_oc.effects.base import Effect
 from rrr_oc.numerics.smooth import fabs
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class QuadraticDrag(Effect):
     """tau = −coefficient dq |dq|: c_v2 of Eq. 9, of either sign.
 

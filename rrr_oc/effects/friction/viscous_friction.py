@@ -1,12 +1,9 @@
 """Viscous friction of one joint's drive: grease, and losses of the motor in proportion to speed."""
 
-from dataclasses import dataclass
-
 from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class ViscousFriction(Effect):
     """tau = −coefficient dq: nu of Eq. 9."""
 

@@ -1,12 +1,9 @@
 """An encoder with a wrong zero."""
 
-from dataclasses import dataclass
-
 from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class EncoderOffset(Effect):
     """recorded position = true + offset."""
 

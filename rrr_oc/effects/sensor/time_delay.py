@@ -1,14 +1,9 @@
 """A torque channel that lags the position channel."""
 
-from dataclasses import dataclass
-
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
-STEP = 1e-3  # [s], of the difference that stands for a derivative
 
-
-@dataclass(frozen=True)
 class TimeDelay(Effect):
     """recorded torque(t) = true torque(t − delay), for all joints."""
 
@@ -20,10 +15,7 @@ class TimeDelay(Effect):
     scope = "set_up"
     placement = "arm"
     dynamics = "delay"
+    step = 1e-3
 
     def delay(self, theta):
         return theta["delay"]
-
-    @classmethod
-    def trials(cls, view):
-        yield Trial(cls(()), ({"delay": STEP},), STEP)

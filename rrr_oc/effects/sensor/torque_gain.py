@@ -1,12 +1,9 @@
 """A torque channel with a wrong scale."""
 
-from dataclasses import dataclass
-
 from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class TorqueGain(Effect):
     """recorded = (1 + gain) true."""
 

@@ -1,12 +1,9 @@
 """Inertia of one joint's motor and gear, reflected to the joint."""
 
-from dataclasses import dataclass
-
 from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
 
-@dataclass(frozen=True)
 class Armature(Effect):
     """tau = −inertia ddq: J_m of Eq. 7, the rotor's inertia times the gear ratio squared.
 

@@ -1,6 +1,6 @@
 """Play between motor and link."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,8 +21,8 @@ class Backlash(Effect):
     stays without a rebound.
 
     Attributes:
-        impacts: Whether the link's speed and acceleration within the gap count. In a wide gap the moment of the
-            impact cannot be predicted, and a fit may be better without.
+        impacts: Whether the link's speed and acceleration within the gap count; the moment of an impact in a wide gap cannot be
+            predicted, and a fit may be better without.
     """
 
     name = "backlash"
@@ -32,7 +32,7 @@ class Backlash(Effect):
     side = "motion"
     dynamics = "impact"
 
-    impacts: bool = field(default=True)
+    impacts: bool = True
 
     def motion(self, t, load, stiffness, inertia, theta):
         half, count = float(theta["gap"]) / 2, len(t)
@@ -42,14 +42,12 @@ class Backlash(Effect):
         mass = np.maximum(inertia, 1e-9)
         steps = np.append(np.diff(t), t[-1] - t[-2] if count > 1 else 1.0)
         leaving = {1: np.flatnonzero(load + stiffness * half > 0), -1: np.flatnonzero(load - stiffness * half < 0)}
-        numbers = [
-            x.tolist() for x in (load, stiffness, mass, theta["damping"] / mass, steps)
-        ]  # quicker one at a time than arrays
-        samples = list(zip(*numbers, strict=True))
+        numbers = (load, stiffness, mass, theta["damping"] / mass, steps)
+        samples = list(zip(*(x.tolist() for x in numbers), strict=True))  # floats are quicker than numpy scalars
         side, k, v = -1 if load[0] > 0 else 1, 0, 0.0
         while True:
-            next_ = leaving[side].searchsorted(k)
-            end = int(leaving[side][next_]) if next_ < len(leaving[side]) else count
+            later = leaving[side][leaving[side].searchsorted(k) :]
+            end = int(later[0]) if len(later) else count
             result[0, k:end] = x = side * half
             motion = []
             for k in range(end, count):  # in the gap

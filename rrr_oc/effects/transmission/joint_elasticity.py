@@ -1,7 +1,7 @@
 """A transmission that twists under load."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,20 +10,11 @@ from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
 TIME = 0.002  # [s], damping time of a gear so stiff that its damping does not show
-RINGING = (
-    1e5,
-    60.0,
-    36.0,
-    22.0,
-    13.0,
-    8.0,
-)  # [rad/s], resonances of the trials; the first is a gear that only twists with the load
+RINGING = (1e5, 60.0, 36.0, 22.0, 13.0, 8.0)  # [rad/s], resonances of the trials; the first only twists with the load
 DAMPED = 0.3  # damping ratio from which a fit starts; with less it converges to the right resonance only from near by
 LIGHT = 0.01  # least inertia of a link over its largest along a motion: below, the estimate is wrong and would make the link diverge
 FURTHEST = 1.0  # [rad], largest twist; beyond, something else in the model is wrong, and the motion is scaled down
-SHARPEST = (
-    0.06  # [s], shortest window by which the load is smoothed; a longer one hides stiff gears, a shorter one passes noise
-)
+SHARPEST = 0.06  # [s], shortest window over which the load is smoothed; doubled, stiff gears are hidden; halved, noise passes
 SHARPER = 0.7  # ratio of each window to the one before
 STABLE = 0.05  # least total stiffness of a link over its gear's, so that gravity does not make it fall
 
@@ -49,7 +40,7 @@ class JointElasticity(Effect):
     side = "motion"
     dynamics = "link"
 
-    smoothed: float = field(default=0.2)
+    smoothed: float = 0.2
 
     @property
     def window(self):

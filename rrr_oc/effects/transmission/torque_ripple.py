@@ -1,31 +1,21 @@
 """Torque that is periodic in the joint's angle: cogging, gear mesh, a harmonic drive's wave."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Trial, View
 from rrr_oc.numerics.smooth import sin
 from rrr_oc.robot.parameters import Parameter
 
-LEAST_CYCLES = (
-    2  # that recordings must see of a trial; with fewer, a ripple may be any smooth torque, and a series is tried first
-)
+LEAST_CYCLES = 2  # that recordings must see of a trial; with fewer, it may be any smooth torque, and a series is tried first
 MOST_CYCLES = 64  # per turn of a joint, of the trials; twice as many double their number
 
 
-@dataclass(frozen=True)
 class TorqueRipple(Effect):
     """tau = amplitude sin(order q + phase); one effect an order."""
 
     name = "torque_ripple"
     equation = "tau = amplitude sin(order q + phase)"
-    parameters = (
-        Parameter("amplitude", "Nm", 0.0),
-        Parameter("order", "1", 1.0, lower=0.0),
-        Parameter("phase", "rad", 0.0),
-    )
+    parameters = (Parameter("amplitude", "Nm"), Parameter("order", "1", 1.0, lower=0.0), Parameter("phase", "rad"))
     amplitudes = ("amplitude",)
     side = "drive"
     placement = "many"
@@ -39,21 +29,20 @@ class TorqueRipple(Effect):
         """Whole orders of which the recordings see at least two cycles."""
         for j in range(view.n):
             least = _order(view, j, LEAST_CYCLES)
-            yield from cls._whole(j, max(least, 1), max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
+            yield from cls._whole(j, least, max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
 
     @classmethod
-    def sparse_trials(cls, view: View, j: int) -> Iterator[Trial]:
+    def sparse_trials(cls, view, j):
         """Whole orders of which the recordings see one cycle and less than two."""
         least = _order(view, j, 1)
-        yield from cls._whole(j, max(least, 1), _order(view, j, LEAST_CYCLES) if least <= MOST_CYCLES else 0)
+        yield from cls._whole(j, least, _order(view, j, LEAST_CYCLES) if least <= MOST_CYCLES else 0)
 
-    def is_sparse(self, view: View, theta: Mapping[str, float]) -> bool:
-        """Whether the recordings see less than two cycles of it."""
+    def is_sparse(self, view, theta):
         return theta["order"] < _order(view, self.joints[0], LEAST_CYCLES)
 
     @classmethod
     def _whole(cls, j, least, most):
-        for order in range(least, most):
+        for order in range(max(least, 1), most):
             yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
 
     def canonical(self, theta):

@@ -49,9 +49,7 @@ def import_mcap(
     if not files:
         raise UserError("no MCAP file given; at least one is required")
     states = states or JointStates()
-    names = states.joints
-    if names is None:
-        names = load_robot(robot, None, states.inertial == "nominal").joints
+    names = load_robot(robot, None, states.inertial == "nominal").joints if states.joints is None else states.joints
     effort = "current" if states.torque == "current" else "tau"
     tables = {}
     for file in map(Path, files):
@@ -149,11 +147,8 @@ def _messages(file: Path, topic: str | None) -> Iterator[Any]:
 
 def _only_topic(file: Path, reader: Any) -> str:
     topics = sorted({c.topic for schema, c, _ in reader.iter_messages() if schema is not None and schema.name in SCHEMAS})
-    if len(topics) != 1:
-        found = (
-            f"{len(topics)} topics carry joint states: {', '.join(topics)}; name one"
-            if topics
-            else "no topic carries joint states"
-        )
-        raise UserError(f"{file}: {found} ({SCHEMAS[0]})")
+    if not topics:
+        raise UserError(f"{file}: no topic carries joint states ({SCHEMAS[0]})")
+    if len(topics) > 1:
+        raise UserError(f"{file}: {len(topics)} topics carry joint states: {', '.join(topics)}; name one ({SCHEMAS[0]})")
     return topics[0]

@@ -11,6 +11,7 @@ from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.recordings.writer import write_set
 
 PATTERN = re.compile(r"data_file_([123])_Exp(\d+)\.txt")
+NAME = "experiment_{:02d}.csv"
 JOINTS = ("joint1", "joint2", "joint3")
 SIGNS = (1.0, 1.0, -1.0)  # the files' elbow turns the other way
 COLUMNS = 7  # time [s], position [°], speed [°/s], acceleration [°/s²], zero, motor torque [Nm], the controller's own signal
@@ -47,8 +48,8 @@ def import_prototype(folder: str | Path, out: str | Path, payload_at: float = PA
     experiments = _experiments(folder)
     tables = {}
     for number, files in experiments.items():
-        tables[_name(number)] = _columns([_motor(folder / file) for file in files])
-        if not tables[_name(number)]["t"].size:
+        tables[NAME.format(number)] = columns = _columns([_motor(folder / file) for file in files])
+        if not columns["t"].size:
             raise UserError(f"{folder}: the times of {', '.join(files)} have nothing in common; one experiment is required")
     header = {
         "description": "Arm of the authors of the paper, from github.com/Co-Evolve/elastic-actuation-arm",
@@ -95,8 +96,7 @@ def _motor(path: Path) -> np.ndarray:
 def _columns(motors: list[np.ndarray]) -> dict[str, np.ndarray]:
     """Columns of a recording, in our units and signs, at the times of motor 2 that all three motors cover."""
     start, end = max(m[0, 0] for m in motors), min(m[0, -1] for m in motors)
-    t = motors[1][0]
-    t = t[(t >= start) & (t <= end)]
+    t = motors[1][0, (motors[1][0] >= start) & (motors[1][0] <= end)]
     columns = {"t": t}
     for kind, source, unit in (("q", 1, np.pi / 180), ("dq", 2, np.pi / 180), ("tau", 5, 1.0)):
         for joint, sign, motor in zip(JOINTS, SIGNS, motors, strict=True):
@@ -104,14 +104,10 @@ def _columns(motors: list[np.ndarray]) -> dict[str, np.ndarray]:
     return columns
 
 
-def _name(number: int) -> str:
-    return f"experiment_{number:02d}.csv"
-
-
 def _entry(number: int) -> dict:
     """One recording's entry; its group says what is mounted."""
     mounted = [name for name, numbers in (("payload", WITH_PAYLOAD), ("springs", WITH_SPRINGS)) if number in numbers]
-    entry: dict = {"file": _name(number), "group": "+".join(mounted) or "bare"}
+    entry: dict = {"file": NAME.format(number), "group": "+".join(mounted) or "bare"}
     if "payload" in mounted:
         entry["payload"] = PAYLOAD
     if "springs" in mounted:
