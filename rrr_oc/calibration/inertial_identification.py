@@ -5,7 +5,7 @@ Least squares in log-Cholesky coordinates of the pseudo-inertias (Rucker & Wensi
 """
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.covariance import Covariance, covariance, intervals
 from rrr_oc.calibration.friction_width import with_widths_free
 from rrr_oc.calibration.inverse_dynamics import Fit, checked_rows, described, finished, fit_report
-from rrr_oc.calibration.least_squares import LevenbergMarquardt, Problem, Quadratic, minimise, normal_equations
+from rrr_oc.calibration.least_squares import Quadratic, levenberg_marquardt, normal_equations
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, without_spikes
 from rrr_oc.calibration.term_fit import bounds, with_estimates, with_parameter_values
@@ -24,56 +24,12 @@ from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import Prior, base_parameters, links_from_log_cholesky, prior, pseudo_inertia
 from rrr_oc.storage import number
 
-OPTIONS = LevenbergMarquardt(steps=200, gain=2e-6)  # of the squared residual over its variance
+STEPS, GAIN = 200, 2e-6  # most steps, and least fall of the squared residual over its variance; doubled, no change
 ROUNDS = (
     4  # of fit and rows: weights and spikes depend on the residual, and load-dependent effects on the load; doubled, no change
 )
 SHARE_LEFT = 1e-7  # of a column's square that the others do not explain: less, and its parameter is fixed; doubled, no change
 FIXED = 1e12  # precision of a fixed parameter in the covariance; that of the prior is about 1
-
-
-@dataclass(frozen=True)
-class _ConsistentFit(Problem[np.ndarray]):
-    """Least squares in the terms' parameters and log-Cholesky coordinates xi, (size + 10 n,).
-
-    The rows are linear in the terms' and the inertial parameters, so their normal equations hold everywhere.
-
-    Attributes:
-        matrix, right: Normal equations of the rows.
-        origin: Terms' and inertial parameters at which they were made.
-        lower, upper: Bounds of the parameters.
-        guess: Prior of xi.
-    """
-
-    matrix: np.ndarray
-    right: np.ndarray
-    origin: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    guess: Prior
-
-    @property
-    def size(self) -> int:
-        """Number of the terms' parameters."""
-        return len(self.origin) - len(self.guess.centre)
-
-    def cost(self, at: np.ndarray) -> float:
-        """Squared residuals of rows and prior, but for a constant."""
-        moved = np.concatenate([at[: self.size], links_from_log_cholesky(at[self.size :])[0].T.ravel()]) - self.origin
-        believed = np.sum(((at[self.size :] - self.guess.centre) / self.guess.std) ** 2)
-        return float(moved @ self.matrix @ moved - 2 * self.right @ moved + believed)
-
-    def quadratic(self, at: np.ndarray) -> Quadratic:
-        size = self.size
-        inertial, jacobians = links_from_log_cholesky(at[size:])
-        turn, moved = _turn(jacobians, size), np.concatenate([at[:size], inertial.T.ravel()]) - self.origin
-        matrix, right = turn.T @ self.matrix @ turn, turn.T @ (self.right - self.matrix @ moved)
-        matrix[range(size, len(at)), range(size, len(at))] += self.guess.std**-2
-        right[size:] -= (at[size:] - self.guess.centre) / self.guess.std**2
-        return Quadratic(self.cost(at), matrix, right, self.lower - at, self.upper - at)
-
-    def tried(self, at: np.ndarray, steps: Sequence[np.ndarray]) -> Iterable[tuple[np.ndarray, float]]:
-        return [(at + step, self.cost(at + step)) for step in steps]
 
 
 @dataclass(frozen=True)
@@ -103,7 +59,7 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
     fixed = np.zeros(len(start.values), bool)
     for done in range(ROUNDS):
         fixed = _explained(normal_equations(found, np.ones(robot.n))[0], len(fixed))
-        at = minimise(*_problem(found, model, xi, guess, fixed), OPTIONS)
+        at = _minimum(found, model, xi, guess, fixed)
         values, xi = at[: len(fixed)], at[len(fixed) :]
         links = replace(robot, inertial=links_from_log_cholesky(xi)[0])
         model = replace(start, terms=with_parameter_values(start.terms, values), robot=links)
@@ -113,15 +69,32 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
     return _estimated(recordings, prepared, optimum, began)
 
 
-def _problem(found: Rows, model: CalibratedModel, xi: np.ndarray, guess: Prior, fixed: np.ndarray):
-    """The problem of the rows of a model, and the point to start from."""
-    matrix, right = normal_equations(found, _weights(found))
-    origin = np.concatenate([model.values, links_from_log_cholesky(xi)[0].T.ravel()])
-    lower, upper = (np.where(fixed, 0.0, bound) for bound in bounds(model.terms))
-    free = np.full(len(xi), np.inf)
-    lower, upper = np.concatenate([lower, -free]), np.concatenate([upper, free])
-    start = np.clip(np.concatenate([model.values, xi]), lower, upper)
-    return _ConsistentFit(matrix, right, origin, lower, upper, guess), start
+def _minimum(found: Rows, model: CalibratedModel, xi: np.ndarray, guess: Prior, fixed: np.ndarray) -> np.ndarray:
+    """Terms' parameters and log-Cholesky coordinates of least squares, (size + 10 n,), for the rows of a model with xi.
+
+    The rows are linear in the terms' and the inertial parameters, so their normal equations hold everywhere.
+    """
+    whole, target = normal_equations(found, _weights(found))
+    origin, size = np.concatenate([model.values, links_from_log_cholesky(xi)[0].T.ravel()]), len(fixed)
+    free, (low, high) = np.full(len(xi), np.inf), bounds(model.terms)
+    lower = np.concatenate([np.where(fixed, 0.0, low), -free])
+    upper = np.concatenate([np.where(fixed, 0.0, high), free])
+
+    def moved(at: np.ndarray) -> np.ndarray:
+        return np.concatenate([at[:size], links_from_log_cholesky(at[size:])[0].T.ravel()]) - origin
+
+    def cost(at: np.ndarray) -> float:
+        step, believed = moved(at), np.sum(((at[size:] - guess.centre) / guess.std) ** 2)
+        return float(step @ whole @ step - 2 * target @ step + believed)
+
+    def near(at: np.ndarray) -> Quadratic:
+        turn = _turn(links_from_log_cholesky(at[size:])[1], size)
+        matrix, right = turn.T @ whole @ turn, turn.T @ (target - whole @ moved(at))
+        matrix[range(size, len(at)), range(size, len(at))] += guess.std**-2
+        right[size:] -= (at[size:] - guess.centre) / guess.std**2
+        return Quadratic(cost(at), matrix, right, lower - at, upper - at)
+
+    return levenberg_marquardt(np.clip(np.concatenate([model.values, xi]), lower, upper), near, cost, STEPS, GAIN)
 
 
 def _weights(found: Rows) -> np.ndarray:

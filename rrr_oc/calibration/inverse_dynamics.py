@@ -18,7 +18,7 @@ from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, nominal_term
 from rrr_oc.calibration.covariance import Covariance, covariance, intervals
 from rrr_oc.calibration.friction_width import LEAST_GAIN, with_step_of_widths, with_widths_free
-from rrr_oc.calibration.least_squares import GaussNewton, minimise, normal_equations
+from rrr_oc.calibration.least_squares import GaussNewton, normal_equations
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.regression import Rows, is_linear, rows, with_residuals
 from rrr_oc.calibration.samples import CORRELATION, FILTER, STRIDE, Prepared, noise, without_spikes
@@ -108,7 +108,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
 
 def _minimum(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
     """The point with the least weighted squares of the residuals within the parameters' bounds."""
-    return minimise(TermFit(prepared, is_linear(prepared, at.model), fix_undetermined=True), at, OPTIONS)
+    return TermFit(prepared, is_linear(prepared, at.model), fix_undetermined=True).minimum(at, OPTIONS)
 
 
 def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
