@@ -825,10 +825,10 @@ def test_a_payload_that_runs_through_many_values_costs_no_more(planar):
     whole = as_set(plant, [ramp])
     whole = replace(whole, tool=whole.robot.point(whole.robot.links[-1], [0.2, 0.1, 0]))
     model, at = plain_model(whole), [0, 150, 299]
-    moving = Prediction.of(model, prepare(whole)[0].recording)
+    moving = Prediction(model, prepare(whole)[0].recording)
     for k in at:
         held = replace(whole, recordings=(replace(r, payload=np.full(len(r.t), ramp.payload[k])),))
-        alone = Prediction.of(model, prepare(held)[0].recording)
+        alone = Prediction(model, prepare(held)[0].recording)
         for a, b in zip(moving.partials, alone.partials, strict=True):
             assert a[..., k] == pytest.approx(b[..., k], abs=1e-9)
         trial = next(t for t in trials(view(prepare(whole), model), "motor") if t.effect.name == "payload_com")

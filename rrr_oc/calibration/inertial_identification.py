@@ -25,9 +25,7 @@ from rrr_oc.robot.inertial_parameters import Prior, base_parameters, links_from_
 from rrr_oc.storage import number
 
 STEPS, GAIN = 200, 2e-6  # most steps, and least fall of the squared residual over its variance; doubled, no change
-ROUNDS = (
-    4  # of fit and rows: weights and spikes depend on the residual, and load-dependent effects on the load; doubled, no change
-)
+ROUNDS = 4  # of fit and rows, since weights and spikes depend on the residual, and some effects on the load; doubled, no change
 SHARE_LEFT = 1e-7  # of a column's square that the others do not explain: less, and its parameter is fixed; doubled, no change
 FIXED = 1e12  # precision of a fixed parameter in the covariance; that of the prior is about 1
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, nominal_term
-from rrr_oc.calibration.covariance import Covariance, covariance, intervals
+from rrr_oc.calibration.covariance import Covariance, covariance_of_some, intervals
 from rrr_oc.calibration.friction_width import LEAST_GAIN, with_step_of_widths, with_widths_free
 from rrr_oc.calibration.least_squares import GaussNewton, normal_equations
 from rrr_oc.calibration.prediction_error import error
@@ -161,21 +161,13 @@ def _estimates(
     """Estimates with intervals: of parameters inside their bounds, given those at their bounds; of the latter, without bounds."""
     values, (lower, upper), known = model.values, bounds(model.terms), ~undetermined(matrix)
     held = known & ((values <= lower) | (values >= upper))
-    inside, everywhere = (_spread(found, weights, matrix, which) for which in (known & ~held, known))
+    inside, everywhere = (covariance_of_some(found, weights, matrix, which) for which in (known & ~held, known))
     step = np.zeros_like(values)
     step[known] = np.linalg.solve(matrix[np.ix_(known, known)], right[known]) if known.any() else 0.0
     std = np.where(held, everywhere.std, inside.std)
     freedom = np.where(held, everywhere.freedom, inside.freedom)
     shown = Covariance(inside.matrix + np.diag(np.where(held, std**2, 0.0)), freedom)
     return described(model, np.where(held, values + step, values), shown, known), inside
-
-
-def _spread(found: Rows, weights: np.ndarray, matrix: np.ndarray, which: np.ndarray) -> Covariance:
-    """Covariance with the parameters outside `which` fixed; zeros there."""
-    bread = np.zeros_like(matrix)
-    if which.any():
-        bread[np.ix_(which, which)] = np.linalg.inv(matrix[np.ix_(which, which)])
-    return covariance(found, weights, bread, bread)
 
 
 def described(model: CalibratedModel, centres: np.ndarray, spread: Covariance, known: np.ndarray) -> list[Estimate]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrate import fit
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.covariance import covariance
+from rrr_oc.calibration.covariance import covariance_of_some
 from rrr_oc.calibration.friction_width import with_widths
 from rrr_oc.calibration.inverse_dynamics import described, finished, plain_model
 from rrr_oc.calibration.jacobian import Prediction
@@ -41,9 +41,7 @@ from rrr_oc.simulation.replay import SETTINGS, accelerations, as_recorded, follo
 from rrr_oc.storage import number
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
-PATIENCE = (
-    1e-5  # of the objective: Gauss–Newton ends at a smaller gain, CMA-ES at a smaller spread over the first; doubled, no change
-)
+PATIENCE = 1e-5  # of the objective: a smaller gain ends Gauss–Newton, a smaller spread CMA-ES; doubled, no change
 OPTIONS = GaussNewton(steps=10, gain=PATIENCE, fractions=(1.0, 0.5, 0.2))
 
 
@@ -143,7 +141,7 @@ class _Target:
 
     @classmethod
     def make(cls, response: Response, r: Recording) -> "_Target":
-        by_theta = Prediction.of(response.model, r).by_parameters()
+        by_theta = Prediction(response.model, r).by_parameters()
         theta = response.model.values
         base = response.model.torques(r)[0] - by_theta @ theta
         recorded, gain = response.compared(r.dq, r.ddq, response.recordings.output_torque(r))
@@ -299,9 +297,7 @@ def _finished(response: Response, theta: np.ndarray, report: dict[str, Any], beg
     weights = found.deviation() ** -2
     matrix, _ = normal_equations(found, weights)
     known = ~undetermined(matrix)
-    bread = np.zeros_like(matrix)
-    bread[np.ix_(known, known)] = np.linalg.inv(matrix[np.ix_(known, known)])
-    spread = covariance(found, weights, bread, bread)
+    spread = covariance_of_some(found, weights, matrix, known)
     model = replace(response.model, terms=terms)
     model = replace(model, terms=with_estimates(terms, described(model, theta, spread, known)))
     report = report | {
