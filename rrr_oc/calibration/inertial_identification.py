@@ -6,7 +6,7 @@ Least squares in log-Cholesky coordinates of the pseudo-inertias (Rucker & Wensi
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,18 +30,6 @@ SHARE_LEFT = 1e-7  # of a column's square that the others do not explain: less, 
 FIXED = 1e12  # precision of a fixed parameter in the covariance; that of the prior is about 1
 
 
-@dataclass(frozen=True)
-class _Optimum:
-    """A model at the optimum with its rows, weights of the joints, coordinates xi, prior, and which parameters are fixed at 0."""
-
-    model: CalibratedModel
-    rows: Rows
-    weights: np.ndarray
-    xi: np.ndarray
-    guess: Prior
-    fixed: np.ndarray
-
-
 def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:
     """The parameters of a model's terms together with all inertial parameters of the links.
 
@@ -63,8 +51,22 @@ def identify(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cali
         model = replace(start, terms=with_parameter_values(start.terms, values), robot=links)
         prepared = without_spikes(prepared, model) if done == 1 else prepared
         found = rows(prepared, model, inertial=True)
-    optimum = _Optimum(model, found, _weights(found), xi, guess, fixed)
-    return _estimated(recordings, prepared, optimum, began)
+    size, weights = len(fixed), _weights(found)
+    turn = _turn(links_from_log_cholesky(xi)[1], size)
+    known = with_widths_free(found, prepared, model, weights)
+    matrix, _ = normal_equations(known, weights)
+    precision = np.concatenate([np.where(fixed, FIXED, 0.0), guess.std**-2])
+    bread = np.linalg.pinv(turn.T @ matrix @ turn + np.diag(precision), hermitian=True)
+    whole = covariance(known, weights, bread @ turn.T, turn @ bread @ turn.T)
+    whole = replace(whole, matrix=whole.matrix + bread @ np.diag(precision) @ bread)
+    spread = Covariance(whole.matrix[:size, :size], whole.freedom[:size])
+    model = replace(model, terms=with_estimates(model.terms, described(model, model.values, spread, ~fixed)))
+    report = {"way": "inverse dynamics, inertial parameters identified"}
+    report |= fit_report(model, prepared, found, matrix[:size, :size], spread)
+    report |= _inertial_report(
+        model, matrix[size:, size:], turn[size:, size:], replace(whole, matrix=whole.matrix[size:, size:])
+    )
+    return Fit(finished(recordings, prepared, model, report, began), found, weights, spread)
 
 
 def _minimum(found: Rows, model: CalibratedModel, xi: np.ndarray, guess: Prior, fixed: np.ndarray) -> np.ndarray:
@@ -117,26 +119,6 @@ def _turn(jacobians: Sequence[np.ndarray], size: int) -> np.ndarray:
         at = slice(size + 10 * i, size + 10 * i + 10)
         turn[at, at] = jacobian
     return turn
-
-
-def _estimated(recordings: RecordingSet, prepared: Sequence[Prepared], at: _Optimum, began: float) -> Fit:
-    """The model with its estimates and report, at the optimum."""
-    model, size = at.model, len(at.fixed)
-    turn = _turn(links_from_log_cholesky(at.xi)[1], size)
-    known = with_widths_free(at.rows, prepared, model, at.weights)
-    matrix, _ = normal_equations(known, at.weights)
-    precision = np.concatenate([np.where(at.fixed, FIXED, 0.0), at.guess.std**-2])
-    bread = np.linalg.pinv(turn.T @ matrix @ turn + np.diag(precision), hermitian=True)
-    whole = covariance(known, at.weights, bread @ turn.T, turn @ bread @ turn.T)
-    whole = replace(whole, matrix=whole.matrix + bread @ np.diag(precision) @ bread)
-    spread = Covariance(whole.matrix[:size, :size], whole.freedom[:size])
-    model = replace(model, terms=with_estimates(model.terms, described(model, model.values, spread, ~at.fixed)))
-    report = {"way": "inverse dynamics, inertial parameters identified"}
-    report |= fit_report(model, prepared, at.rows, matrix[:size, :size], spread)
-    report |= _inertial_report(
-        model, matrix[size:, size:], turn[size:, size:], replace(whole, matrix=whole.matrix[size:, size:])
-    )
-    return Fit(finished(recordings, prepared, model, report, began), at.rows, at.weights, spread)
 
 
 def _inertial_report(model: CalibratedModel, matrix: np.ndarray, turn: np.ndarray, spread: Covariance) -> dict[str, Any]:

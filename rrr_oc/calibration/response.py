@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import cma
@@ -33,7 +34,7 @@ from rrr_oc.calibration.term_fit import bounds, with_estimates, with_parameter_v
 from rrr_oc.effects import Signals, plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.rank import condition, undetermined
-from rrr_oc.numerics.savitzky_golay import smooth
+from rrr_oc.numerics.savitzky_golay import WINDOW, smooth
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.drives import Actuators
 from rrr_oc.simulation.engine_model import Controller, twin
@@ -51,14 +52,12 @@ class Response:
 
     Attributes:
         drives: Actuators of the joints whose load torque by Eq. 10 is compared; None for the motor torque of all joints.
-        window: Of the smoothing [s].
         timestep: Of the engine [s]; at 2 ms the torque is within 0.1 % of its spread of that at 0.5 ms.
     """
 
     recordings: RecordingSet
     model: CalibratedModel
     drives: Actuators | None = None
-    window: float = 0.15
     timestep: float = 2e-3
 
     @cached_property
@@ -89,11 +88,11 @@ class Response:
 
     def residuals(self, candidates: Sequence[np.ndarray]) -> list[np.ndarray]:
         """(simulated − recorded torque) / spread of the recorded, smoothed and cut, by recording (candidates, joints, K)."""
-        return [target.residuals(self, candidates) for target in self._targets]
+        return [self._residuals(target, candidates) for target in self._targets]
 
     def slopes(self) -> list[np.ndarray]:
         """d residual / d parameters by recording (joints, K, p): of the torque that is fed forward, exact and smoothed."""
-        return [target.slopes(self.window) for target in self._targets]
+        return [target.slopes for target in self._targets]
 
     def objective(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
         """NRMSE summed over joints and recordings, by candidate; infinite where a simulation diverged."""
@@ -116,67 +115,53 @@ class Response:
 
     @cached_property
     def _targets(self) -> list["_Target"]:
-        return [_Target.make(self, r) for r in self.recordings.recordings]
+        return [self._target(r) for r in self.recordings.recordings]
+
+    def _target(self, r: Recording) -> "_Target":
+        by_theta = Prediction(self.model, r).by_parameters()
+        recorded, gain = self.compared(r.dq, r.ddq, self.recordings.output_torque(r))
+        kept = (r.t >= r.t[0] + DROPPED) & (r.t <= r.t[-1] - DROPPED)
+        recorded = smooth(r.t, recorded, r.segments)[:, kept]
+        spread = np.maximum(recorded.std(axis=1), 1e-9)[:, None]
+        slopes = np.moveaxis(by_theta[self.joints] * gain[:, :, None], 2, 1)
+        used = np.any(slopes != 0, axis=2)
+        slopes[used] = smooth(r.t, slopes[used], r.segments)
+        slopes = np.moveaxis(slopes[:, :, kept] / spread[:, :, None], 1, 2)
+        base = self.model.torques(r)[0] - by_theta @ self.model.values
+        return _Target(r, base, by_theta, recorded, spread, kept, slopes)
+
+    def _residuals(self, target: "_Target", candidates: Sequence[np.ndarray]) -> np.ndarray:
+        r, engines, settings = target.recording, [], replace(SETTINGS, timestep=self.timestep)
+        for theta in candidates:
+            physics = replace(self.model, terms=with_parameter_values(self.model.terms, theta)).physics(r)
+            engines.append(twin(physics.built, physics.theta, self.control, settings, physics.widths))
+        expected = np.array([target.base + target.by_theta @ theta for theta in candidates])
+        _, dq, motor = follow(engines, r, expected, as_recorded(self.control, self.timestep))
+        ddq = dq if self.drives is None else accelerations(r, dq)
+        torque = np.array([self.compared(*x)[0] for x in zip(dq, ddq, motor, strict=True)])
+        flat = smooth(r.t, torque.reshape(-1, r.t.size), r.segments).reshape(torque.shape)
+        return (flat[:, :, target.kept] - target.recorded) / target.spread
 
 
-@dataclass(frozen=True)
-class _Target:
+class _Target(NamedTuple):
     """A recording with what does not depend on the candidates.
 
     Attributes:
         base: Motor torque at the recorded motion with all parameters 0, (n, K) [Nm].
         by_theta: Its derivatives by them, which enter linearly, (n, K, p).
-        gain: Derivative of the compared torque by the motor torque (joints, K).
         recorded: The compared torque, smoothed and cut (joints, K').
+        spread: Its standard deviation (joints, 1) [Nm].
         kept: Samples that are not cut off, (K,).
+        slopes: As `Response.slopes` has them, (joints, K', p).
     """
 
     recording: Recording
     base: np.ndarray
     by_theta: np.ndarray
-    gain: np.ndarray
     recorded: np.ndarray
+    spread: np.ndarray
     kept: np.ndarray
-    joints: list[int]
-
-    @classmethod
-    def make(cls, response: Response, r: Recording) -> "_Target":
-        by_theta = Prediction(response.model, r).by_parameters()
-        theta = response.model.values
-        base = response.model.torques(r)[0] - by_theta @ theta
-        recorded, gain = response.compared(r.dq, r.ddq, response.recordings.output_torque(r))
-        kept = (r.t >= r.t[0] + DROPPED) & (r.t <= r.t[-1] - DROPPED)
-        recorded = smooth(r.t, recorded, r.segments, response.window)[:, kept]
-        return cls(r, base, by_theta, gain, recorded, kept, response.joints)
-
-    @property
-    def spread(self) -> np.ndarray:
-        """Standard deviation of the recorded torque (joints, 1) [Nm]."""
-        return np.maximum(self.recorded.std(axis=1), 1e-9)[:, None]
-
-    def residuals(self, response: Response, candidates: Sequence[np.ndarray]) -> np.ndarray:
-        r, engines, settings = self.recording, [], replace(SETTINGS, timestep=response.timestep)
-        for theta in candidates:
-            physics = replace(response.model, terms=with_parameter_values(response.model.terms, theta)).physics(r)
-            engines.append(twin(physics.built, physics.theta, response.control, settings, physics.widths))
-        expected = np.array([self.base + self.by_theta @ theta for theta in candidates])
-        _, dq, motor = follow(engines, r, expected, as_recorded(response.control, response.timestep))
-        shape = (len(candidates), len(self.joints), r.t.size)
-        if response.drives is None:
-            torque = motor[:, self.joints]
-        else:
-            ddq = accelerations(r, dq)
-            torque = np.array([response.compared(*x)[0] for x in zip(dq, ddq, motor, strict=True)])
-        flat = smooth(r.t, torque.reshape(-1, r.t.size), r.segments, response.window).reshape(shape)
-        return (flat[:, :, self.kept] - self.recorded) / self.spread
-
-    def slopes(self, window: float) -> np.ndarray:
-        r, found = self.recording, self.by_theta[self.joints] * self.gain[:, :, None]
-        flat = np.moveaxis(found, 2, 1).reshape(-1, r.t.size)
-        used = np.flatnonzero(np.any(flat != 0, axis=1))
-        flat[used] = smooth(r.t, flat[used], r.segments, window)
-        cut = flat.reshape(found.shape[0], found.shape[2], -1)[:, :, self.kept]
-        return np.moveaxis(cut / self.spread[:, :, None], 1, 2)
+    slopes: np.ndarray
 
 
 def calibrate_evolution(
@@ -255,7 +240,7 @@ def calibrate_response(
 
     def near(at: _Point) -> Quadratic:
         matrix, right = np.zeros((len(lower), len(lower))), np.zeros(len(lower))
-        for residual, slope in ((r, s) for pair in zip(at.residuals, slopes, strict=True) for r, s in zip(*pair, strict=True)):
+        for residual, slope in zip(chain(*at.residuals), chain(*slopes), strict=True):
             weight = 1 / (len(residual) * max(float(np.sqrt(np.mean(residual**2))), 1e-9))
             matrix += weight * slope.T @ slope
             right -= weight * slope.T @ residual
@@ -303,7 +288,7 @@ def _finished(response: Response, theta: np.ndarray, report: dict[str, Any], beg
     report = report | {
         "objective": float(response.objective(here)[0]),
         "objective_of": "motor torque" if response.drives is None else "load torque by Eq. 10",
-        "objective_window_s": response.window,
+        "objective_window_s": WINDOW,
         "condition": number(condition(matrix)),
         "correlation": {"matrix": spread.correlation.tolist()},
     }
@@ -312,13 +297,10 @@ def _finished(response: Response, theta: np.ndarray, report: dict[str, Any], beg
 
 def _rows(recordings: RecordingSet, here: list[np.ndarray], jacobian: list[np.ndarray]) -> Rows:
     """Residuals as rows, one stretch per recording."""
-    residual, slopes, stretches, durations, start = [], [], [], [], 0
-    for r, e, j in zip(recordings.recordings, here, jacobian, strict=True):
-        stride = max(1, round(STRIDE / float(np.median(np.diff(r.t)))))
-        residual.append(-e[0][:, ::stride])
-        slopes.append(j[:, ::stride])
-        stretches.append(slice(start, start + residual[-1].shape[1]))
-        durations.append(float(r.t[-1] - r.t[0] - 2 * DROPPED))
-        start = stretches[-1].stop
+    strides = [max(1, round(STRIDE / float(np.median(np.diff(r.t))))) for r in recordings.recordings]
+    residual = [-x[0][:, ::stride] for x, stride in zip(here, strides, strict=True)]
+    slopes = [x[:, ::stride] for x, stride in zip(jacobian, strides, strict=True)]
+    stretches = tuple(slice(a, b) for a, b in pairwise(np.cumsum([0, *(x.shape[1] for x in residual)]).tolist()))
+    durations = tuple(float(np.ptp(r.t) - 2 * DROPPED) for r in recordings.recordings)
     every = np.concatenate(residual, axis=1)
-    return Rows(every, np.concatenate(slopes, axis=1), np.ones(every.shape, bool), tuple(stretches), tuple(durations))
+    return Rows(every, np.concatenate(slopes, axis=1), np.ones(every.shape, bool), stretches, durations)
