@@ -1,4 +1,4 @@
-"""Calibration of a recording set: the plain model with the parameters that the recordings give it."""
+"""Calibration of a recording set: the parameters of the plain model estimated from the recordings."""
 
 from collections.abc import Sequence
 

@@ -27,7 +27,7 @@ MOST_CHANGE = 1.2  # factor by which one step may change a width; doubled, steps
 def with_widths(
     prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False, least_gain: float = LEAST_GAIN
 ) -> CalibratedModel:
-    """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, that leaves the least residual.
+    """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, of the least residual.
 
     The model's own width stays unless another raises twice the log-likelihood, counted in independent samples, by more than
     `least_gain`. Unknown inertial parameters are free in the comparison. The other friction of a joint gets the same width.

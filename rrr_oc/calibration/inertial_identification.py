@@ -84,8 +84,8 @@ def _minimum(found: Rows, model: CalibratedModel, xi: np.ndarray, guess: Prior, 
         return np.concatenate([at[:size], links_from_log_cholesky(at[size:])[0].T.ravel()]) - origin
 
     def cost(at: np.ndarray) -> float:
-        step, believed = moved(at), np.sum(((at[size:] - guess.centre) / guess.std) ** 2)
-        return float(step @ whole @ step - 2 * target @ step + believed)
+        step, distance = moved(at), np.sum(((at[size:] - guess.centre) / guess.std) ** 2)
+        return float(step @ whole @ step - 2 * target @ step + distance)
 
     def near(at: np.ndarray) -> Quadratic:
         turn = _turn(links_from_log_cholesky(at[size:])[1], size)

@@ -1,7 +1,7 @@
 """Calibration on inverse dynamics: the parameters of a model's terms, with trusted inertial parameters.
 
 The plain model has the effects of the role "plain" in every joint: dry friction, viscous friction and armature. Its residuals
-(`regression`) are linear in the parameters, so that one step solves for them. Other effects take more. Standard errors are those of
+(`regression`) are linear in the parameters, so that one step solves for them; other effects need more steps. Standard errors are those of
 `covariance`.
 """
 
@@ -82,7 +82,7 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
 def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:
     """All parameters of a model's terms, within their bounds, with trusted inertial parameters.
 
-    Fitted, spikes removed from the residual, fitted again; then widths and shapes that laws choose among are improved.
+    A fit, removal of spikes, a second fit; then the best smoothing widths and forms of the smooth sign are chosen.
 
     Raises:
         UserError: Fewer than `LEAST_ROWS` rows are left.
@@ -112,7 +112,7 @@ def _minimum(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
 
 
 def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
-    """The point with each effect in the sharper form that leaves least, where that is significantly better than its own."""
+    """The point with each effect in the sharper form of least residual, where that is significantly better than its own."""
     for i in range(len(at.model.terms)):
         best, model, effect = at, at.model, at.model.terms[i].effect.sharper()
         while effect is not None:
@@ -127,7 +127,7 @@ def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
 
 
 def _better(prepared: Sequence[Prepared], at: TermPoint, tried: CalibratedModel) -> TermPoint | None:
-    """Another model, fitted; None if it leaves no less than the point."""
+    """Another model, fitted; None if its residual is no smaller than that of the point."""
     there = _minimum(prepared, TermPoint(tried, rows(prepared, tried)))
     return there if np.prod(there.rows.deviation()) < np.prod(at.rows.deviation()) else None
 

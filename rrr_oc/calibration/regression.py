@@ -140,7 +140,7 @@ def _cleared(rows: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:
 
 
 def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
-    """Filtered residuals at the rows that are kept, (n, kept), whatever the start of each stretch was."""
+    """Filtered residuals at the rows that are kept, (n, kept), without what unknown starts of the stretches may add."""
     physics = model.physics(prepared.recording)
     residual = residuals(prepared, model, physics)
     return _cleared(prepared.passed(residual, range(len(residual))), _starts(prepared, model, physics))

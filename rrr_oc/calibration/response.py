@@ -178,14 +178,8 @@ def calibrate_evolution(
     load torques, which hold nothing that could be calibrated.
     """
     began, response = time.perf_counter(), _response(recordings, drives, timestep)
-    options = {
-        "bounds": [0, 1],
-        "popsize": population,
-        "seed": seed + 1,
-        "verbose": -9,
-        "maxiter": generations,
-        "tolfunrel": PATIENCE,
-    }
+    options = {"bounds": [0, 1], "popsize": population, "seed": seed + 1, "maxiter": generations}
+    options |= {"verbose": -9, "tolfunrel": PATIENCE}
     theta = response.model.values
     varied = np.flatnonzero([t.effect.joints[0] in response.joints for t in response.model.terms for _ in t.estimates])
 
@@ -201,14 +195,8 @@ def calibrate_evolution(
         costs = response.objective(response.residuals([candidate(x) for x in asked]))
         search.tell(asked, costs.tolist())
         history.append((time.perf_counter() - began, float(search.best.f)))
-    report = {
-        "way": "CMA-ES on the simulated response",
-        "population": population,
-        "sigma": SIGMA,
-        "seed": seed,
-        "evaluations": int(search.countevals),
-        "history": history,
-    }
+    report = {"way": "CMA-ES on the simulated response", "population": population, "sigma": SIGMA, "seed": seed}
+    report |= {"evaluations": int(search.countevals), "history": history}
     return _finished(response, candidate(np.asarray(search.best.x)), report, began)
 
 

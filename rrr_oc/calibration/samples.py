@@ -135,7 +135,16 @@ def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tupl
 
     The residual of a model is judged, not the torque itself, so that the torque's steps at reversals stay.
     """
-    return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
+    result = []
+    for p in prepared:
+        off = residuals(p, model)
+        for s in p.recording.segments:
+            off[:, s] -= median_filter(off[:, s], (1, SPIKE_SAMPLES), mode="nearest")
+        middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
+        spread = np.maximum(1.4826 * middling, rare / RARE[1])
+        spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
+        result.append(replace(p, measured=np.where(spike, p.measured - off, p.measured), spikes=spike.sum(axis=1)))
+    return tuple(result)
 
 
 def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
@@ -235,14 +244,3 @@ def _pieces(t: np.ndarray, segments: Sequence[slice], share: float) -> list[slic
         number = max(1, round(share * size / length))
         pieces += [slice(a, a + length) for a in np.linspace(s.start, s.stop - length, number).astype(int)]
     return pieces
-
-
-def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
-    r, middle = prepared.recording, np.empty_like(residual)
-    for s in r.segments:
-        middle[:, s] = median_filter(residual[:, s], (1, SPIKE_SAMPLES), mode="nearest")
-    off = residual - middle
-    middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
-    spread = np.maximum(1.4826 * middling, rare / RARE[1])
-    spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
-    return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))

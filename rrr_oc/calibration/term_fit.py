@@ -18,15 +18,6 @@ def bounds(terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
     return np.array([p.lower for p in parameters], float), np.array([p.upper for p in parameters], float)
 
 
-def step_limits(terms: Sequence[Term]) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of one step of the terms' parameters, of which some may change by a factor at most, (p,) each."""
-    (lower, upper), values = bounds(terms), np.concatenate([np.zeros(0), *(term.values for term in terms)])
-    factor = np.array([p.factor for term in terms for p in term.effect.parameters], float)
-    k = np.flatnonzero(np.isfinite(factor))
-    lower[k], upper[k] = np.maximum(lower[k], values[k] / factor[k]), np.minimum(upper[k], values[k] * factor[k])
-    return lower - values, upper - values
-
-
 def labels(model: CalibratedModel) -> list[str]:
     """Names of the terms' parameters in their order, such as "dry_friction[joint2].level"."""
     return [
@@ -54,13 +45,13 @@ class TermPoint:
     Attributes:
         model: With the parameters of the point.
         rows: Residuals and derivatives at the model.
-        foreseen: If the derivatives are those of an earlier point: the residuals (n, M) [Nm] that they predicted.
+        predicted: If the derivatives are those of an earlier point: the residuals (n, M) [Nm] that they predicted.
         fixed: Numbers of parameters that the next step does not change.
     """
 
     model: CalibratedModel
     rows: Rows
-    foreseen: np.ndarray | None = None
+    predicted: np.ndarray | None = None
     fixed: tuple[int, ...] = ()
 
 
@@ -107,7 +98,11 @@ class TermFit:
             right[size:] += prior[:-1, -1]
             value += prior[-1, -1]
         lower, upper = np.full(len(right), -np.inf), np.full(len(right), np.inf)
-        lower[:size], upper[:size] = step_limits(at.model.terms)
+        factor = np.array([p.factor for term in at.model.terms for p in term.effect.parameters], float)
+        k = np.flatnonzero(np.isfinite(factor))  # parameters that one step may change by a factor at most
+        low, high = bounds(at.model.terms)
+        low[k], high[k] = np.maximum(low[k], values[k] / factor[k]), np.minimum(high[k], values[k] * factor[k])
+        lower[:size], upper[:size] = low - values, high - values
         held = list(at.fixed) + (np.flatnonzero(undetermined(matrix)).tolist() if self.fix_undetermined else [])
         lower[held] = upper[held] = 0.0
         return Quadratic(value, matrix, right, lower, upper)
@@ -119,25 +114,25 @@ class TermFit:
             if self.inertial:
                 robot = replace(robot, inertial=robot.inertial + step[size:].reshape(robot.n, 10).T)
             terms = with_parameter_values(at.model.terms, at.model.values + step[:size])
-            model, foreseen = replace(at.model, terms=terms, robot=robot), at.rows.residual - at.rows.jacobian @ step
+            model, predicted = replace(at.model, terms=terms, robot=robot), at.rows.residual - at.rows.jacobian @ step
             if self.linear:
-                there = TermPoint(model, replace(at.rows, residual=foreseen))
+                there = TermPoint(model, replace(at.rows, residual=predicted))
             elif self.bend is None:
                 there = self.start(model)
             else:
-                there = TermPoint(model, with_residuals(at.rows, self.prepared, model), foreseen)
+                there = TermPoint(model, with_residuals(at.rows, self.prepared, model), predicted)
             yield there, there.rows.cost(weights) + (0.0 if self.prior is None else self.prior(robot.inertial)[-1, -1])
 
     def _accepted(self, before: TermPoint, there: TermPoint) -> TermPoint:
         """The point, with derivatives renewed where the residuals missed the linear prediction by too much."""
-        if there.foreseen is None or self.bend is None:
+        if there.predicted is None or self.bend is None:
             return there
         weights = before.rows.deviation() ** -2
-        missed, change = (weights @ np.sum((x.rows.residual - there.foreseen) ** 2, axis=1) for x in (there, before))
+        missed, change = (weights @ np.sum((x.rows.residual - there.predicted) ** 2, axis=1) for x in (there, before))
         return self.start(there.model) if missed > self.bend * change else there
 
     def _again(self, at: TermPoint, promising: bool) -> TermPoint | None:
         """The point with fixed parameters set free where no step promises enough, or with old derivatives renewed."""
         if promising:
-            return None if at.foreseen is None else self.start(at.model)
+            return None if at.predicted is None else self.start(at.model)
         return replace(at, fixed=()) if at.fixed else None
