@@ -13,10 +13,9 @@ import pytest
 from recorded import Plant, as_set, multisine, real, record
 from typer.testing import CliRunner
 
-from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.calibrate import calibrate, identify
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.friction_width import widened, with_widths
-from rrr_oc.calibration.inertial_identification import identify
 from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.model_file import load_model, save_model

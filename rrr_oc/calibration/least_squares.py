@@ -1,7 +1,7 @@
 """Bounded nonlinear least squares on normal equations: Gauss–Newton with a line search, and Levenberg–Marquardt.
 
 Every fit of the package ends here: parameters of a model's terms (`term_fit`), the links' inertial parameters
-(`inertial_identification`), the simulated response (`response`).
+(`calibrate`), the simulated response (`response`).
 """
 
 import math
