@@ -14,7 +14,7 @@ from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
-from rrr_oc.calibration.response.calibrate_response import calibrate_evolution, calibrate_response
+from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects import CATALOGUE

@@ -31,7 +31,7 @@ from scipy.interpolate import CubicHermiteSpline
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import error
-from rrr_oc.calibration.response.calibrate_response import calibrate_response
+from rrr_oc.calibration.response import calibrate_response
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.multistart import solve_multistart
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, resimulate, sample_motion

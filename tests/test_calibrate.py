@@ -21,7 +21,7 @@ from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.least_squares import box_step, normal_equations
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.regression import Rows, is_linear, rows, with_residuals
-from rrr_oc.calibration.response.calibrate_response import calibrate_evolution, calibrate_response
+from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.calibration.term_fit import labels, with_parameter_values
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring

@@ -13,10 +13,9 @@ import pytest
 from recorded import Plant, as_set, multisine, real, record
 from typer.testing import CliRunner
 
-from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.calibrate import calibrate, identify
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.friction_width import widened, with_widths
-from rrr_oc.calibration.inertial_identification import identify
 from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.model_file import load_model, save_model
@@ -825,10 +824,10 @@ def test_a_payload_that_runs_through_many_values_costs_no_more(planar):
     whole = as_set(plant, [ramp])
     whole = replace(whole, tool=whole.robot.point(whole.robot.links[-1], [0.2, 0.1, 0]))
     model, at = plain_model(whole), [0, 150, 299]
-    moving = Prediction.of(model, prepare(whole)[0].recording)
+    moving = Prediction(model, prepare(whole)[0].recording)
     for k in at:
         held = replace(whole, recordings=(replace(r, payload=np.full(len(r.t), ramp.payload[k])),))
-        alone = Prediction.of(model, prepare(held)[0].recording)
+        alone = Prediction(model, prepare(held)[0].recording)
         for a, b in zip(moving.partials, alone.partials, strict=True):
             assert a[..., k] == pytest.approx(b[..., k], abs=1e-9)
         trial = next(t for t in trials(view(prepare(whole), model), "motor") if t.effect.name == "payload_com")

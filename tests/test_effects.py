@@ -704,7 +704,7 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
     model, prepared, by_name = arm
-    at = Prediction.of(model, prepared[0].recording)
+    at = Prediction(model, prepared[0].recording)
     recording, rng = prepared[0].recording, np.random.default_rng(20)
     plain = model.output_torque(recording)
     seen = 0

@@ -21,7 +21,7 @@ import rrr_oc
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import nominal_term
 from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
-from rrr_oc.calibration.response.simulated_response import Response
+from rrr_oc.calibration.response import Response
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.cli import app
 from rrr_oc.codesign.catalogue import load_catalogue

@@ -23,8 +23,7 @@ import pinocchio as pin
 from calibration_coverage import record
 
 from rrr_oc.calibration.calibrate import calibrate
-from rrr_oc.calibration.response.calibrate_response import calibrate_evolution, calibrate_response
-from rrr_oc.calibration.response.simulated_response import Response
+from rrr_oc.calibration.response import Response, calibrate_evolution, calibrate_response
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.storage import write_json

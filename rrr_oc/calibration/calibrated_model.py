@@ -13,19 +13,19 @@ from rrr_oc.model.shared_model import shared_model
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import Robot, ToolPoint
 
-KINEMATICS = 1e-3  # [m] and 1: what two descriptions of a robot may differ by
+KINEMATICS = 1e-3  # [m] and 1, by which two descriptions of a robot may differ; doubled, coarser errors of a URDF pass
 Kind = Literal["motor", "load", "current"]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter as recordings tell it, in its own unit.
+    """A parameter estimated from recordings, in its own unit.
 
     Attributes:
         value: The estimate, within the parameter's bounds.
-        std: Standard error; None where the recordings do not decide it.
+        std: Standard error; None where the recordings do not determine it.
         interval: 95 % confidence interval, cut at the bounds; None as `std`.
-        at_bound: Whether the estimate is held by a bound.
+        at_bound: Whether the estimate lies at a bound.
     """
 
     value: float
@@ -81,7 +81,7 @@ def nominal_term(effect: Effect) -> Term:
 
 @dataclass(frozen=True)
 class CalibratedModel:
-    """A robot with the parameters that recordings gave it.
+    """A robot with effects and their estimated parameters.
 
     Attributes:
         robot: The chain, with the inertial parameters in use.
@@ -94,7 +94,7 @@ class CalibratedModel:
         terms: The effects, in the order in which they are added up.
         noise: Standard deviation of the recorded signal's noise, one per joint, at the joint's output [Nm].
         nrmse: Of the predicted torque over the recordings calibrated on, mean over recordings, one per joint [1].
-        report: How it was found: correlations, conditioning, wall time and the like, as plain data.
+        report: Of the fit: correlations, conditioning, wall time and the like, as plain data.
         versions: Of the packages that made it.
     """
 

@@ -80,6 +80,14 @@ def covariance(rows: Rows, weights: np.ndarray, bread: np.ndarray, fitted: np.nd
     return Covariance(total * np.outer(lost, lost), np.maximum(freedom, 1.0))
 
 
+def covariance_of_some(rows: Rows, weights: np.ndarray, matrix: np.ndarray, which: np.ndarray) -> Covariance:
+    """As `covariance`, with the parameters outside `which` (p,) fixed, and zeros there; `matrix`: normal matrix (p, p)."""
+    bread = np.zeros_like(matrix)
+    if which.any():
+        bread[np.ix_(which, which)] = np.linalg.inv(matrix[np.ix_(which, which)])
+    return covariance(rows, weights, bread, bread)
+
+
 def _cosines(count: int, duration: float) -> np.ndarray:
     """Orthogonal cosines without the constant, scaled so that a flat spectrum gives the variance of the sum, (B, count)."""
     number = int(0.4 * (duration / CORRELATION) ** (2 / 3))

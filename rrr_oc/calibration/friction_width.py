@@ -18,11 +18,7 @@ from rrr_oc.recordings.recording import Recording
 
 WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], grid whose best point is refined; its ends bound the width
 FINE = 0.005  # of a width, to which the best is found; doubled, the error looks like friction that varies at low speed
-FALL_OFF = (
-    0.1,
-    0.2,
-    0.4,
-)  # of a joint's highest speed: scales of friction that falls off over speed; doubled, less freedom there
+FALL_OFF = (0.1, 0.2, 0.4)  # of a joint's highest speed, over which friction may fall off; doubled, less freedom at low speed
 LEAST_GAIN = 12.0  # of twice the log-likelihood: below 0.1 % by chance; doubled, more joints keep the nominal width
 DIFFERENCE = 0.01  # of a width, for derivatives by it; doubled, no change within the standard errors
 MOST_CHANGE = 1.2  # factor by which one step may change a width; doubled, steps leave the range where derivatives hold
@@ -31,7 +27,7 @@ MOST_CHANGE = 1.2  # factor by which one step may change a width; doubled, steps
 def with_widths(
     prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False, least_gain: float = LEAST_GAIN
 ) -> CalibratedModel:
-    """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, that leaves the least residual.
+    """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, of the least residual.
 
     The model's own width stays unless another raises twice the log-likelihood, counted in independent samples, by more than
     `least_gain`. Unknown inertial parameters are free in the comparison. The other friction of a joint gets the same width.

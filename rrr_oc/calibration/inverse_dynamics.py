@@ -1,7 +1,7 @@
 """Calibration on inverse dynamics: the parameters of a model's terms, with trusted inertial parameters.
 
 The plain model has the effects of the role "plain" in every joint: dry friction, viscous friction and armature. Its residuals
-(`regression`) are linear in the parameters, so that one step solves for them. Other effects take more. Standard errors are those of
+(`regression`) are linear in the parameters, so that one step solves for them; other effects need more steps. Standard errors are those of
 `covariance`.
 """
 
@@ -16,9 +16,9 @@ import numpy as np
 
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, nominal_term
-from rrr_oc.calibration.covariance import Covariance, covariance, intervals
+from rrr_oc.calibration.covariance import Covariance, covariance_of_some, intervals
 from rrr_oc.calibration.friction_width import LEAST_GAIN, with_step_of_widths, with_widths_free
-from rrr_oc.calibration.least_squares import GaussNewton, minimise, normal_equations
+from rrr_oc.calibration.least_squares import GaussNewton, normal_equations
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.regression import Rows, is_linear, rows, with_residuals
 from rrr_oc.calibration.samples import CORRELATION, FILTER, STRIDE, Prepared, noise, without_spikes
@@ -82,7 +82,7 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
 def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: CalibratedModel) -> Fit:
     """All parameters of a model's terms, within their bounds, with trusted inertial parameters.
 
-    Fitted, spikes removed from the residual, fitted again; then widths and shapes that laws choose among are improved.
+    A fit, removal of spikes, a second fit; then the best smoothing widths and forms of the smooth sign are chosen.
 
     Raises:
         UserError: Fewer than `LEAST_ROWS` rows are left.
@@ -108,11 +108,11 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
 
 def _minimum(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
     """The point with the least weighted squares of the residuals within the parameters' bounds."""
-    return minimise(TermFit(prepared, is_linear(prepared, at.model), fix_undetermined=True), at, OPTIONS)
+    return TermFit(prepared, is_linear(prepared, at.model), fix_undetermined=True).minimum(at, OPTIONS)
 
 
 def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
-    """The point with each effect in the sharper form that leaves least, where that is significantly better than its own."""
+    """The point with each effect in the sharper form of least residual, where that is significantly better than its own."""
     for i in range(len(at.model.terms)):
         best, model, effect = at, at.model, at.model.terms[i].effect.sharper()
         while effect is not None:
@@ -127,7 +127,7 @@ def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
 
 
 def _better(prepared: Sequence[Prepared], at: TermPoint, tried: CalibratedModel) -> TermPoint | None:
-    """Another model, fitted; None if it leaves no less than the point."""
+    """Another model, fitted; None if its residual is no smaller than that of the point."""
     there = _minimum(prepared, TermPoint(tried, rows(prepared, tried)))
     return there if np.prod(there.rows.deviation()) < np.prod(at.rows.deviation()) else None
 
@@ -161,21 +161,13 @@ def _estimates(
     """Estimates with intervals: of parameters inside their bounds, given those at their bounds; of the latter, without bounds."""
     values, (lower, upper), known = model.values, bounds(model.terms), ~undetermined(matrix)
     held = known & ((values <= lower) | (values >= upper))
-    inside, everywhere = (_spread(found, weights, matrix, which) for which in (known & ~held, known))
+    inside, everywhere = (covariance_of_some(found, weights, matrix, which) for which in (known & ~held, known))
     step = np.zeros_like(values)
     step[known] = np.linalg.solve(matrix[np.ix_(known, known)], right[known]) if known.any() else 0.0
     std = np.where(held, everywhere.std, inside.std)
     freedom = np.where(held, everywhere.freedom, inside.freedom)
     shown = Covariance(inside.matrix + np.diag(np.where(held, std**2, 0.0)), freedom)
     return described(model, np.where(held, values + step, values), shown, known), inside
-
-
-def _spread(found: Rows, weights: np.ndarray, matrix: np.ndarray, which: np.ndarray) -> Covariance:
-    """Covariance with the parameters outside `which` fixed; zeros there."""
-    bread = np.zeros_like(matrix)
-    if which.any():
-        bread[np.ix_(which, which)] = np.linalg.inv(matrix[np.ix_(which, which)])
-    return covariance(found, weights, bread, bread)
 
 
 def described(model: CalibratedModel, centres: np.ndarray, spread: Covariance, known: np.ndarray) -> list[Estimate]:

@@ -8,7 +8,6 @@ By an effect that the model lacks, they are those at size 0 in the direction of 
 and with no model built: there are hundreds of such effects, and a model of each would take a thousand times as long.
 """
 
-import itertools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.effects import Body, Effect, Signals, Trial
 from rrr_oc.model.recorded_physics import Physics, later, moved, states_along
 from rrr_oc.numerics.along import along
@@ -34,17 +33,15 @@ class Prediction:
     Attributes:
         model: The model.
         recording: With speeds and accelerations from short windows.
-        physics: `model.physics(recording)`.
     """
 
     model: CalibratedModel
     recording: Recording
-    physics: Physics
 
-    @classmethod
-    def of(cls, model: CalibratedModel, recording: Recording) -> "Prediction":
-        """The prediction of a model for a recording."""
-        return cls(model, recording, model.physics(recording))
+    @cached_property
+    def physics(self) -> Physics:
+        """What is at work in the recording: the springs that it lists, then the model's terms that hold for it."""
+        return self.model.physics(self.recording)
 
     def by_parameters(self, inertial: bool = False, last: bool = False) -> np.ndarray:
         """d `CalibratedModel.output_torque` / d (parameters of the terms, inertial parameters), (n, K, p).
@@ -54,19 +51,23 @@ class Prediction:
             last: Whether only those by the parameters of the last term are wanted.
         """
         terms, physics, r = self.model.terms[-1:] if last else self.model.terms, self.physics, self.recording
-        result = self._by_terms(terms)
+        sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
+        inexact = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in terms]  # no torque of the instant
+        result = np.zeros((self.model.robot.n, len(r.t), sum(sizes)))
+        if not all(inexact):
+            by_theta, columns = self._sensitivity("theta"), np.repeat(holds, sizes)
+            result[:, :, columns] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(columns) :]
         if inertial:
             result = np.concatenate([result, self._sensitivity("inertial")], axis=2)
         if any(t.effect.side == "sensor" for t in self.model.terms):
             for k in range(result.shape[2]):
                 result[:, :, k] = physics.passed_on(r, result[:, :, k])
-        which = [i for i, t in enumerate(terms) if _needs_differences(t) and t.holds_for(r)]
-        if which:
-            numbers, columns = self._places(terms)
-            true = self.model.true_torque(r, physics)
-            found = physics.by_differences(r, [numbers[i] for i in which], true, self.model.torque == "load")
+        if which := [i for i in range(len(terms)) if inexact[i] and holds[i]]:
+            numbers = len(physics.model.effects) - sum(holds) + np.cumsum(holds) - 1  # of the terms among the effects
+            true, ends = self.model.true_torque(r, physics), np.cumsum(sizes)
+            found = physics.by_differences(r, [int(numbers[i]) for i in which], true, self.model.torque == "load")
             for i, part in zip(which, found, strict=True):
-                result[:, :, columns[i]] = part
+                result[:, :, ends[i] - sizes[i] : ends[i]] = part
         return result
 
     def by_trial(self, trial: Trial) -> np.ndarray:
@@ -153,8 +154,7 @@ class Prediction:
         body = Body(ca.DM(self.model.robot.inertial), ca.DM(self.model.robot.gravity), 0.0, list(self.model.tool.position))
         for effect, theta, _ in self.physics.named():
             body = effect.change(body, theta)
-        gravity = ca.vertcat(*body.gravity) if isinstance(body.gravity, list) else body.gravity
-        return replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.evalf(ca.SX(gravity)))
+        return replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.evalf(_gravity(body)))
 
     @cached_property
     def partials(self) -> tuple[np.ndarray, ...]:
@@ -187,27 +187,6 @@ class Prediction:
             "body": load if any(effect.moves_link for effect, *_ in named) else of("body", "motion"),
             "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
         }
-
-    def _places(self, terms: Sequence[Term]) -> tuple[list[int], list[slice]]:
-        """Number of each term's effect in `Physics`, if it holds, and its columns in the Jacobian.
-
-        The effects of a recording are the springs that it lists, then the terms that hold; `terms` are the last of these.
-        """
-        holding = np.cumsum([t.holds_for(self.recording) for t in terms])
-        first = len(self.physics.model.effects) - int(holding[-1])
-        ends = np.cumsum([0, *(len(t.estimates) for t in terms)])
-        return (holding - 1 + first).tolist(), [slice(a, b) for a, b in itertools.pairwise(ends)]
-
-    def _by_terms(self, terms: Sequence[Term]) -> np.ndarray:
-        """Exact derivatives of the true torque by the terms' parameters; 0 for terms that do not hold or have no expression."""
-        sizes = [len(t.estimates) for t in terms]
-        result = np.zeros((self.model.robot.n, len(self.recording.t), sum(sizes)))
-        if all(_needs_differences(t) for t in terms):
-            return result
-        by_theta = self._sensitivity("theta")
-        holding = np.repeat([t.holds_for(self.recording) for t in terms], sizes)
-        result[:, :, holding] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(holding) :]
-        return result
 
     def _sensitivity(self, by: Literal["theta", "inertial"]) -> np.ndarray:
         physics, r = self.physics, self.recording
@@ -254,8 +233,7 @@ class Prediction:
             base = replace(self.body, payload=self.body.payload + mass)
             there = effect.change(base, theta)
             links = [np.array(with_payload(ca.DM(b.inertial), tool, b.payload, b.position)) for b in (base, there)]
-            gravity = ca.vertcat(*there.gravity) if isinstance(there.gravity, list) else there.gravity
-            pull = np.array(ca.evalf(ca.SX(gravity) - ca.SX(base.gravity))).reshape(3)
+            pull = np.array(ca.evalf(_gravity(there) - _gravity(base))).reshape(3)
             return np.concatenate([(links[1] - links[0]).T.reshape(-1), pull])
 
         change, total = _by_payload(r, more), np.zeros(r.q.shape)
@@ -272,9 +250,8 @@ class Prediction:
         return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(self.partials[:3], parts, strict=True)], axis=0)
 
 
-def _needs_differences(term: Term) -> bool:
-    """Whether the term adds no torque of the instant, so that no expression gives its derivatives."""
-    return term.effect.side in ("motion", "sensor") or bool(term.effect.states)
+def _gravity(body: Body) -> ca.SX:
+    return ca.SX(ca.vertcat(*body.gravity) if isinstance(body.gravity, list) else body.gravity)
 
 
 def _by_payload(recording: Recording, affine: Callable[[float], np.ndarray]) -> np.ndarray:

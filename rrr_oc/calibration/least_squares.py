@@ -1,14 +1,13 @@
 """Bounded nonlinear least squares on normal equations: Gauss–Newton with a line search, and Levenberg–Marquardt.
 
-All fits of the package are problems of this module: parameters of a model's terms (`term_fit`), the links' inertial parameters
-(`inertial_identification`), the simulated response (`response`). Their tolerances are data, since they serve different ends.
+Every fit of the package ends here: parameters of a model's terms (`term_fit`), the links' inertial parameters
+(`calibrate`), the simulated response (`response`).
 """
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -16,17 +15,33 @@ from scipy.optimize import lsq_linear
 from rrr_oc.calibration.regression import Rows
 from rrr_oc.numerics.rank import DETERMINED, Directions
 
-Point = TypeVar("Point")
+Point = TypeVar("Point")  # parameters, with whatever was computed at them
+DAMPING = (
+    1e-3,
+    1e-12,
+    1e8,
+)  # at first, least and most, of the diagonal; doubled, no change beyond a hundredth of standard errors
+RAISED, LOWERED = 5.0, 10.0  # factors of the damping after a step that failed or succeeded; doubled, the same
+
+
+class Quadratic(NamedTuple):
+    """The cost near a point, value − 2 rightᵀ d + dᵀ matrix d for a step d (p,), with the bounds of the step."""
+
+    value: float
+    matrix: np.ndarray
+    right: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
 
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Steps to the minimum of the quadratic, shortened until the cost falls.
+    """Options of `gauss_newton`.
 
     Attributes:
         steps: Most steps.
-        promise: Share of the cost that a step must promise to be tried.
-        gain: Share of the cost that a step must gain for another to follow.
+        promise: Least share of the cost by which the quadratic must fall over a step.
+        gain: Least share of the cost by which it must fall for another step to follow.
         fractions: Of a step, in the order in which they are tried.
         rise: Share of the cost by which it may rise, by rounding.
     """
@@ -38,118 +53,72 @@ class GaussNewton:
     rise: float = 0.0
 
 
-@dataclass(frozen=True)
-class LevenbergMarquardt:
-    """Steps damped by a share of the matrix's diagonal, which is raised until the cost falls and lowered after it fell.
+def gauss_newton(
+    at: Point,
+    near: Callable[[Point], Quadratic],
+    tried: Callable[[Point, Sequence[np.ndarray]], Iterable[tuple[Point, float]]],
+    how: GaussNewton,
+    accepted: Callable[[Point, Point], Point] = lambda _, there: there,
+    again: Callable[[Point, bool], Point | None] = lambda *_: None,
+) -> Point:
+    """The point of least cost, from a start: steps to the minimum of the quadratic, shortened until the cost falls.
 
-    Attributes:
-        steps: Most steps.
-        gain: Of the cost: a step that gains no more is not taken, and the last.
-        damping: At first.
-        range: Of the damping.
-        raised, lowered: Factors of the damping.
+    Args:
+        near: The cost near a point; weights that depend on the residual are those of the point.
+        tried: Points after steps from a point, and their costs under its weights, one by one as they are asked for.
+        accepted: The point to go on from after a successful step, from the points before and after it.
+        again: The point to go on from where the search would end: because no step promises enough (False), or because none of
+            those tried lowers the cost (True). None ends it.
     """
-
-    steps: int
-    gain: float
-    damping: float = 1e-3
-    range: tuple[float, float] = (1e-12, 1e8)
-    raised: float = 5.0
-    lowered: float = 10.0
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """The cost near a point, value − 2 rightᵀ d + dᵀ matrix d for a step d (p,), and the box that the step may not leave."""
-
-    value: float
-    matrix: np.ndarray
-    right: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-
-    def step(self) -> np.ndarray:
-        """The minimum within the box."""
-        return box_step(self.matrix, self.right, self.lower, self.upper)
-
-    def damped_step(self, damping: float) -> np.ndarray:
-        """The minimum within the box of the quadratic with a damped, positive definite matrix."""
-        matrix = self.matrix + damping * np.diag(np.maximum(np.diag(self.matrix), 1e-9))
-        free, step = self.lower < self.upper, np.zeros_like(self.right)
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], self.right[free])
-        inside = np.all((step >= self.lower) & (step <= self.upper))
-        return step if inside else box_step(matrix, self.right, self.lower, self.upper)
-
-    def promised(self, step: np.ndarray) -> float:
-        """By how much the quadratic falls over a step."""
-        return float(step @ (2 * self.right - self.matrix @ step))
-
-
-class Problem(ABC, Generic[Point]):
-    """What is to be minimised. A point holds the parameters and whatever was computed at them."""
-
-    @abstractmethod
-    def quadratic(self, at: Point) -> Quadratic:
-        """The cost near a point; weights that depend on the residual are those of the point."""
-
-    @abstractmethod
-    def tried(self, at: Point, steps: Sequence[np.ndarray]) -> Iterable[tuple[Point, float]]:
-        """Points after steps, and their costs under the weights of the point they start from, one by one, as they are asked for."""
-
-    def accepted(self, before: Point, there: Point) -> Point:
-        """The point that the search goes on from; a problem may renew derivatives here."""
-        return there
-
-    def freed(self, at: Point) -> Point | None:
-        """The point with fixed parameters set free, where no step promises enough; None if there are none, which ends the search."""
-        return None
-
-    def renewed(self, at: Point) -> Point | None:
-        """The point with derivatives renewed, where no step from it lowers the cost; None if they are new, which ends the search."""
-        return None
-
-
-def minimise(problem: Problem[Point], at: Point, how: GaussNewton | LevenbergMarquardt) -> Point:
-    """The point at which the cost is least, from a start."""
-    return _levenberg_marquardt(problem, at, how) if isinstance(how, LevenbergMarquardt) else _gauss_newton(problem, at, how)
-
-
-def _gauss_newton(problem: Problem[Point], at: Point, how: GaussNewton) -> Point:
     for _ in range(how.steps):
-        near = problem.quadratic(at)
-        step = near.step()
-        if near.promised(step) < how.promise * near.value:
-            if (free := problem.freed(at)) is None:
-                break
-            at = free
-            continue
-        limit = near.value * (1 + how.rise)
-        tried = problem.tried(at, [fraction * step for fraction in how.fractions])
-        found = next((one for one in tried if one[1] <= limit), None)
+        value, matrix, right, lower, upper = near(at)
+        step = box_step(matrix, right, lower, upper)
+        found, promising = None, not step @ (2 * right - matrix @ step) < how.promise * value
+        if promising:
+            results = tried(at, [fraction * step for fraction in how.fractions])
+            found = next((one for one in results if one[1] <= value * (1 + how.rise)), None)
         if found is not None:
-            at = problem.accepted(at, found[0])
-            if near.value - found[1] < how.gain * near.value:
+            at = accepted(at, found[0])
+            if value - found[1] < how.gain * value:
                 break
-        elif (fresh := problem.renewed(at)) is not None:
-            at = fresh
+        elif (other := again(at, promising)) is not None:
+            at = other
         else:
             break
     return at
 
 
-def _levenberg_marquardt(problem: Problem[Point], at: Point, how: LevenbergMarquardt) -> Point:
-    damping, (least, most) = how.damping, how.range
-    for _ in range(how.steps):
-        near = problem.quadratic(at)
+def levenberg_marquardt(
+    at: np.ndarray, near: Callable[[np.ndarray], Quadratic], cost: Callable[[np.ndarray], float], steps: int, gain: float
+) -> np.ndarray:
+    """The parameters (p,) of least cost, from a start; for normal equations that are nearly singular.
+
+    Args:
+        near: The cost near a point, with the bounds of a step.
+        steps: Most steps.
+        gain: Of the cost: a step that gains no more is not taken, and the last.
+    """
+    damping, least, most = DAMPING
+    for _ in range(steps):
+        value, matrix, *rest = near(at)
+        diagonal = np.diag(np.maximum(np.diag(matrix), 1e-9))
         while True:
-            ((there, cost),) = problem.tried(at, [near.damped_step(damping)])
-            if cost < near.value or damping > most:
+            there = at + _regular_step(matrix + damping * diagonal, *rest)
+            gained = value - cost(there)
+            if gained > 0 or damping > most:
                 break
-            damping *= how.raised
-        if not near.value - cost > how.gain:
+            damping *= RAISED
+        if not gained > gain:
             break
-        at, damping = problem.accepted(at, there), max(damping / how.lowered, least)
+        at, damping = there, max(damping / LOWERED, least)
     return at
+
+
+def _regular_step(matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """As `box_step`, exact where the matrix is positive definite and the minimum lies inside the bounds."""
+    free, step = lower < upper, np.zeros_like(right)
+    step[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free])
+    return step if np.all((step >= lower) & (step <= upper)) else box_step(matrix, right, lower, upper)
 
 
 def normal_equations(rows: Rows, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -141,7 +141,10 @@ def load_model(path: str | Path) -> CalibratedModel:
 
 def _model(data: ModelFile) -> CalibratedModel:
     described, joints = data.robot, tuple(data.joints)
-    robot = _robot(described, joints, data.gravity)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "model.urdf"
+        file.write_text(described.urdf, encoding="utf-8")
+        robot = replace(load_robot(file, joints, inertial=False, gravity=data.gravity), name=described.name)
     inertial = np.array(_by_name("robot.inertial", described.inertial, robot.links), float).T
     constants = tuple(_by_name("torque_constant", data.torque_constant, joints))
     if data.torque == "current" and not all(constants):
@@ -168,14 +171,6 @@ def _by_name(where: str, found: Mapping[str, T], names: Iterable[str]) -> list[T
         if name not in found:
             raise UserError(f"{where}: key {name!r} is missing; required are {', '.join(names)}")
     return [found[name] for name in names]
-
-
-def _robot(described: RobotEntry, joints: tuple[str, ...], gravity: Vector) -> Robot:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "model.urdf"
-        file.write_text(described.urdf, encoding="utf-8")
-        robot = load_robot(file, joints, inertial=False, gravity=gravity)
-    return replace(robot, name=described.name)
 
 
 def _term(where: str, entry: TermEntry, robot: Robot) -> Term:

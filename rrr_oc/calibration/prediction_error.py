@@ -82,11 +82,8 @@ def recorded_controller(model: CalibratedModel, recordings: RecordingSet | None 
 
 def summary(inverse: Errors, simulated: Errors | None = None) -> dict[str, Any]:
     """What `rrr-oc evaluate` prints: the errors and their means over the recordings, of each joint."""
-    result: dict[str, Any] = {"inverse": inverse, "simulated": {} if simulated is None else simulated, "mean": {}}
-    for way in ("inverse", "simulated"):
-        if result[way]:
-            result["mean"][way] = _mean(list(result[way].values()))
-    return result
+    ways = {"inverse": inverse, "simulated": simulated or {}}
+    return ways | {"mean": {way: _mean(list(errors.values())) for way, errors in ways.items() if errors}}
 
 
 def write_predictions(model: CalibratedModel, recordings: RecordingSet, folder: str | Path) -> None:

@@ -118,60 +118,45 @@ def variance(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray
     return square / np.maximum(white, 1e-300)
 
 
-@dataclass(frozen=True)
-class _Starts:
-    """What the unknown starts of the stretches may add to filtered torques: an orthonormal basis (kept, number) for each joint."""
-
-    bases: tuple[np.ndarray, ...]
-
-    @classmethod
-    def of(cls, prepared: Prepared, model: CalibratedModel, physics: Physics) -> "_Starts":
-        r, n = prepared.recording, len(prepared.measured)
-        found = physics.starts(r, model.torque == "load")
-        if not len(found):
-            return cls(())
-        passed = prepared.passed(found.reshape(-1, len(r.t)), np.tile(np.arange(n), len(found))).reshape(len(found), n, -1)
-        columns = [_only(x, s) for x in passed for s in kept_rows(r)[1]]
-        whole = np.linalg.norm(prepared.passed(prepared.measured, range(n)), axis=1)
-        return cls(tuple(_basis(np.array([x[j] for x in columns]).T, START_EFFECT * whole[j]) for j in range(n)))
-
-    def cleared(self, rows: np.ndarray) -> np.ndarray:
-        """Rows (n, kept) or (n, kept, p) less what a start may explain."""
-        if not self.bases:
-            return rows
-        return np.array([x - basis @ (basis.T @ x) for basis, x in zip(self.bases, rows, strict=True)])
+def _starts(prepared: Prepared, model: CalibratedModel, physics: Physics) -> list[np.ndarray]:
+    """Orthonormal bases (kept, m) of what the unknown starts of the stretches may add to the filtered torque of each joint."""
+    r, n = prepared.recording, len(prepared.measured)
+    found = physics.starts(r, model.torque == "load")
+    if not len(found):
+        return []
+    passed = prepared.passed(found.reshape(-1, len(r.t)), np.tile(np.arange(n), len(found))).reshape(len(found), n, -1)
+    inside = np.zeros((len(kept_rows(r)[1]), passed.shape[2]))
+    for row, stretch in zip(inside, kept_rows(r)[1], strict=True):
+        row[stretch] = 1.0
+    columns = (passed[:, None] * inside[:, None]).reshape(-1, n, passed.shape[2])  # of each start, in one stretch each
+    least = START_EFFECT * np.linalg.norm(prepared.passed(prepared.measured, range(n)), axis=1)
+    found = [np.linalg.svd(columns[:, j].T, full_matrices=False)[:2] for j in range(n)]
+    return [u[:, size > least[j]] for j, (u, size) in enumerate(found)]  # others have died away
 
 
-def _only(rows: np.ndarray, stretch: slice) -> np.ndarray:
-    result = np.zeros_like(rows)
-    result[:, stretch] = rows[:, stretch]
-    return result
-
-
-def _basis(columns: np.ndarray, least: float) -> np.ndarray:
-    """Orthonormal columns that span these, without directions smaller than `least`, which have died away."""
-    u, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return u[:, size > least]
+def _cleared(rows: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:
+    """Rows (n, kept) or (n, kept, p) less their projection on what the starts may add."""
+    return np.array([x - basis @ (basis.T @ x) for basis, x in zip(starts, rows, strict=True)]) if starts else rows
 
 
 def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarray:
-    """Filtered residuals at the rows that are kept, (n, kept), whatever the start of each stretch was."""
+    """Filtered residuals at the rows that are kept, (n, kept), without what unknown starts of the stretches may add."""
     physics = model.physics(prepared.recording)
     residual = residuals(prepared, model, physics)
-    return _Starts.of(prepared, model, physics).cleared(prepared.passed(residual, range(len(residual))))
+    return _cleared(prepared.passed(residual, range(len(residual))), _starts(prepared, model, physics))
 
 
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
-    at = Prediction.of(model, prepared.recording)
+    at = Prediction(model, prepared.recording)
     residual = residuals(prepared, model, at.physics)
     where, passed = prepared.nonzero_passed(np.moveaxis(at.by_parameters(inertial and not last, last), 2, 1), 0)
     kept, stretches, durations = kept_rows(prepared.recording)
     columns = np.zeros((*where.shape, len(kept)))
     columns[where] = passed
-    starts = _Starts.of(prepared, model, at.physics)
+    starts = _starts(prepared, model, at.physics)
     return Rows(
-        residual=starts.cleared(prepared.passed(residual, range(len(residual)))),
-        jacobian=starts.cleared(np.moveaxis(columns, 1, 2)),
+        residual=_cleared(prepared.passed(residual, range(len(residual))), starts),
+        jacobian=_cleared(np.moveaxis(columns, 1, 2), starts),
         moving=prepared.counted,
         stretches=stretches,
         durations=durations,

@@ -8,6 +8,7 @@ removes the noise of short windows. `validation/calibration_coverage.py` measure
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -19,21 +20,14 @@ from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
-FILTER = (
-    0.2  # window of the common filter [s], applied twice; doubled, less noise, and less of fast motion to estimate inertia from
-)
+FILTER = 0.2  # [s], window of the common filter, applied twice; doubled, less noise, and less of fast motion is left
 CORRELATION = 0.2  # time over which filtered noise is correlated [s]; doubled, half as many rows count as independent
-SPEED_WINDOW, ACCELERATION_WINDOW = (
-    0.07,
-    0.09,
-)  # of the motion in the regressors [s]; doubled, estimates are biased where it is fast
+SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # [s], of the regressors; doubled, fast motion biases the estimates
 STRIDE = 0.04  # [s] between the rows that are kept; doubled, half as many rows, which lose what the filter lets through
 ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
 SHORTEST = 0.6  # [s], least length of a segment: three times the common filter; doubled, short segments are lost
 REST_SPEED, REST_TIME = 0.01, 0.25  # below this speed [rad/s] for this long [s] a joint rests; doubled, slow motion is lost
-THIN = (
-    0.012  # [s] between samples where many models are compared; doubled, it takes half the time, and the filter has 8 samples
-)
+THIN = 0.012  # [s] between samples where many models are compared; doubled, half the time, and 8 samples in the filter
 LONGEST, PIECE = 1200.0, 20.0  # [s]: the most data on which many models are compared, and the pieces that they are made of
 SPIKE = 6.0  # standard deviations off the running median that make a spike; doubled, small spikes stay in the torque
 RARE = (0.99, 2.576)  # quantile of the residual, and that of normal noise: its ratio bounds the deviation from below
@@ -102,7 +96,9 @@ class Prepared:
 
 def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared, ...]:
     """All recordings of a set made ready for `regression.rows`."""
-    return tuple(_prepare(recordings, r, window) for r in recordings.recordings)
+    sharp = [_with_sharp_motion(r, recordings.joints) for r in recordings.recordings]
+    spikes = np.zeros(recordings.robot.n, int)
+    return tuple(Prepared(r, recordings.output_torque(r), _moving(r), window, spikes) for r in sharp)
 
 
 def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared, ...]:
@@ -139,7 +135,16 @@ def without_spikes(prepared: Sequence[Prepared], model: CalibratedModel) -> tupl
 
     The residual of a model is judged, not the torque itself, so that the torque's steps at reversals stay.
     """
-    return tuple(_without_spikes(p, residuals(p, model)) for p in prepared)
+    result = []
+    for p in prepared:
+        off = residuals(p, model)
+        for s in p.recording.segments:
+            off[:, s] -= median_filter(off[:, s], (1, SPIKE_SAMPLES), mode="nearest")
+        middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
+        spread = np.maximum(1.4826 * middling, rare / RARE[1])
+        spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
+        result.append(replace(p, measured=np.where(spike, p.measured - off, p.measured), spikes=spike.sum(axis=1)))
+    return tuple(result)
 
 
 def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
@@ -160,7 +165,7 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
 
     Segments shorter than `SHORTEST` are left out, unless there are no others.
     """
-    kept, stretches, durations, count = [], [], [], 0
+    kept, durations = [], []
     long = [s for s in recording.segments if np.ptp(recording.t[s]) > SHORTEST]
     for s in long or recording.segments:
         t = recording.t[s]
@@ -169,15 +174,10 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
         inside = np.flatnonzero((t >= t[0] + ends) & (t <= t[-1] - ends))[::stride]
         if len(inside) > 1:
             kept.append(inside + s.start)
-            stretches.append(slice(count, count + len(inside)))
             durations.append(float(t[inside[-1]] - t[inside[0]]) * len(inside) / (len(inside) - 1))
-            count += len(inside)
-    return np.concatenate([*kept, np.zeros(0, int)]).astype(int), tuple(stretches), tuple(durations)
-
-
-def _prepare(recordings: RecordingSet, recording: Recording, window: float) -> Prepared:
-    sharp = _with_sharp_motion(recording, recordings.joints)
-    return Prepared(sharp, recordings.output_torque(recording), _moving(sharp), window, np.zeros(recordings.robot.n, int))
+    ends = np.cumsum([0, *map(len, kept)]).tolist()
+    stretches = tuple(slice(a, b) for a, b in pairwise(ends))
+    return np.concatenate([*kept, np.zeros(0, int)]).astype(int), stretches, tuple(durations)
 
 
 def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording:
@@ -185,7 +185,7 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
     r, dq, ddq = recording, recording.dq.copy(), recording.ddq.copy()
     given = np.array([f"dq_{joint}" not in r.computed for joint in joints])
     derived = np.array([f"ddq_{joint}" in r.computed for joint in joints])
-    speed, acceleration = _speed_samples(r.t), window_samples(r.t, ACCELERATION_WINDOW, 9)
+    speed, acceleration = window_samples(r.t, SPEED_WINDOW, 7), window_samples(r.t, ACCELERATION_WINDOW, 9)
     for s in r.segments:
         if s.stop - s.start < acceleration:
             continue  # the derivatives of the reader stay
@@ -195,10 +195,6 @@ def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording
         dq[~given, s] = local_polynomial(t, r.q[~given, s], 1, 3, speed)
         dq[given, s] = local_polynomial(t, r.dq[given, s], 0, 3, speed)
     return replace(r, dq=dq, ddq=ddq)
-
-
-def _speed_samples(t: np.ndarray) -> int:
-    return window_samples(t, SPEED_WINDOW, 7)
 
 
 def _moving(recording: Recording) -> np.ndarray:
@@ -215,7 +211,7 @@ def _turning(recording: Recording) -> np.ndarray:
     """Where the window of the speed holds speeds of both signs, or below `REST_SPEED`, (n, K)."""
     turning = np.empty(recording.dq.shape, bool)
     for s in recording.segments:
-        dq, width = recording.dq[:, s], _speed_samples(recording.t[s])
+        dq, width = recording.dq[:, s], window_samples(recording.t[s], SPEED_WINDOW, 7)
         turning[:, s] = minimum_filter1d(dq, width, axis=1) < REST_SPEED
         turning[:, s] &= maximum_filter1d(dq, width, axis=1) > -REST_SPEED
     return turning
@@ -225,14 +221,14 @@ def _thinned(prepared: Prepared, stride: int, share: float) -> Prepared:
     if stride == 1 and share == 1.0:
         return prepared
     r, measured = prepared.recording, prepared.measured.copy()
-    segments, kept, start = [], [], 0
+    kept = []
     for s in r.segments if share == 1.0 else _pieces(r.t, r.segments, share):
         count = stride + 1 - stride % 2
         if s.stop - s.start > count > 1:
             measured[:, s] = local_polynomial(r.t[s], measured[:, s], 0, 1, count)
         kept.append(np.arange(s.start, s.stop, stride))
-        segments.append(slice(start, start + len(kept[-1])))
-        start += len(kept[-1])
+    ends = np.cumsum([0, *map(len, kept)]).tolist()
+    segments = [slice(a, b) for a, b in pairwise(ends)]
     rows = np.concatenate(kept)
     arrays = {name: getattr(r, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
     coarse = replace(r, **arrays, segments=tuple(segments))
@@ -248,14 +244,3 @@ def _pieces(t: np.ndarray, segments: Sequence[slice], share: float) -> list[slic
         number = max(1, round(share * size / length))
         pieces += [slice(a, a + length) for a in np.linspace(s.start, s.stop - length, number).astype(int)]
     return pieces
-
-
-def _without_spikes(prepared: Prepared, residual: np.ndarray) -> Prepared:
-    r, middle = prepared.recording, np.empty_like(residual)
-    for s in r.segments:
-        middle[:, s] = median_filter(residual[:, s], (1, SPIKE_SAMPLES), mode="nearest")
-    off = residual - middle
-    middling, rare = np.quantile(np.abs(off), [0.5, RARE[0]], axis=1, keepdims=True)
-    spread = np.maximum(1.4826 * middling, rare / RARE[1])
-    spike = (np.abs(off) > SPIKE * spread) & (spread > 0)
-    return replace(prepared, measured=np.where(spike, prepared.measured - off, prepared.measured), spikes=spike.sum(axis=1))

@@ -8,7 +8,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.least_squares import GaussNewton, minimise
+from rrr_oc.calibration.least_squares import GaussNewton
 from rrr_oc.calibration.regression import Rows
 from rrr_oc.calibration.term_fit import TermFit
 from rrr_oc.diagnosis.evidence import Bench, independent
@@ -73,7 +73,7 @@ def refit(bench: Bench, model: CalibratedModel, steps: int = OPTIONS.steps, with
         without_last=without_last,
     )
     shape = _shape_of_last(model) if without_last is not None else ()
-    at = minimise(fit, fit.start(model, shape), replace(OPTIONS, steps=steps + bool(shape)))
+    at = fit.minimum(fit.start(model, shape), replace(OPTIONS, steps=steps + bool(shape)))
     return Fitted(at.model, at.rows)
 
 

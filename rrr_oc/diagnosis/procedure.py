@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc import parallel
+from rrr_oc.calibration.calibrate import identify
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.inertial_identification import identify
 from rrr_oc.calibration.inverse_dynamics import Fit, fit_terms, plain_model
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.regression import rows

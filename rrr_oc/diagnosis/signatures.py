@@ -129,7 +129,7 @@ def table(
 
 def _signatures(prepared: Prepared, model: CalibratedModel, every: Sequence[Trial], cache: SignatureCache) -> list[Signature]:
     """The signatures of trials at a recording."""
-    at = Prediction.of(model, prepared.recording)
+    at = Prediction(model, prepared.recording)
     return [_signature(prepared, at, trial, cache) for trial in every]
 
 

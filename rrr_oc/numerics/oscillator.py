@@ -37,9 +37,7 @@ class Oscillator:
                 solution, estimated over half a period, without oscillation.
         """
         t = self.t
-        p = (
-            CubicSpline(t, signal).c[::-1] / self.total
-        )  # coefficients of ascending powers of the particular solution, corrected below
+        p = CubicSpline(t, signal).c[::-1] / self.total  # of the particular solution, by ascending powers; corrected below
         p[2] -= 3 * self.damping / self.total * p[3]
         p[1] -= 2 * self.damping / self.total * p[2] + 6 * self.mass / self.total * p[3]
         p[0] -= self.damping / self.total * p[1] + 2 * self.mass / self.total * p[2]

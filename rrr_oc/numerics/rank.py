@@ -2,15 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 # Tolerances, and what they decide. A direction below its tolerance is taken for undetermined. Of normal matrices, eigenvalues
 # count, which are squares of singular values.
-DETERMINED = (
-    1e-10  # over the largest: steps, estimates, pseudo-inverses. Rounding is 1e-16 times the parameters; doubled, no change
-)
+DETERMINED = 1e-10  # over the largest: steps, estimates, pseudo-inverses. Rounding is 1e-16 per parameter; doubled, no change
 ROUNDING = 1e-15  # over the largest: a condition number is infinite. Tighter, since 1e6 is worth reporting; doubled, no change
 UNIQUE = 1e-7  # share of a signature that a model's parameters cannot reproduce. Looser: what is left is compared with noise
 UNIQUE_TOGETHER = 1e-6  # the same for several signatures, which may also reproduce each other
@@ -53,11 +50,6 @@ class Directions:
         vectors = self.vectors[:, self.determined]
         return vectors @ ((vectors.T @ (right / self.scale)) / self.values[self.determined]) / self.scale
 
-    @cached_property
-    def undetermined(self) -> np.ndarray:
-        """Parameters that take part in an undetermined direction, (p,)."""
-        return np.any(np.abs(self.vectors[:, ~self.determined]) > TAKES_PART, axis=1)
-
 
 def lengths(matrix: np.ndarray) -> np.ndarray:
     """Lengths of the columns that a normal matrix is made of, (p,); 1 for a column of zeros."""
@@ -73,7 +65,8 @@ def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
 
 def undetermined(matrix: np.ndarray) -> np.ndarray:
     """Which parameters the data of a normal matrix do not determine, (p,)."""
-    return Directions.of(matrix).undetermined | (np.diag(matrix) <= 0)
+    found = Directions.of(matrix)
+    return np.any(np.abs(found.vectors[:, ~found.determined]) > TAKES_PART, axis=1) | (np.diag(matrix) <= 0)
 
 
 def condition(matrix: np.ndarray) -> float:

@@ -9,9 +9,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 GAP = 5.0  # longest step within a segment, in median steps (file contract); doubled, filters reach across gaps twice as long
-WINDOW = (
-    0.15  # [s], default length of the window (file contract); doubled, derivatives have half the noise and 16 times the bias
-)
+WINDOW = 0.15  # [s], default window (file contract); doubled, derivatives have half the noise and 16 times the bias
 LEAST_ROWS = 5  # fewest samples of a segment from which a derivative is taken; doubled, more short segments are dropped
 CHUNK = 100_000  # samples in one block of arrays, which then fit into the processor's cache; results do not depend on it
 
@@ -96,9 +94,9 @@ def as_matrix(t: np.ndarray, segments: Sequence[slice], window: float = WINDOW, 
     for s in segments:
         size, count = s.stop - s.start, _smoothing_samples(t, s, window, 3)
         if count <= order:
-            at = np.arange(s.start, s.stop)
-            for part, entries in ((rows, at), (columns, at), (values, np.ones(len(at)))):
-                part.append(entries)
+            rows.append(np.arange(s.start, s.stop))
+            columns.append(rows[-1])
+            values.append(np.ones(size))
             continue
         for rows_ in np.array_split(np.arange(size), 1 + size // CHUNK):
             samples = s.start + np.clip(rows_ - count // 2, 0, size - count)[:, None] + np.arange(count)
