@@ -7,26 +7,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
-from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, scope_cost
-from rrr_oc.diagnosis.fitting import Fitted, refit
-from rrr_oc.diagnosis.selection import (
-    EXACT_FITS,
-    FEWER_LEFT,
-    SAME,
-    Found,
-    Key,
-    extended,
-    fit_of,
-    gathered,
-    key,
-    least,
-    noisy,
-    present,
-    rarity,
-    rewidened,
-    unnamed,
-    without,
-)
+from rrr_oc.diagnosis.candidate_fits import EXACT_FITS, FEWER_LEFT, fit_of, gathered, noisy, present, rarity, unnamed
+from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, Key, scope_cost
+from rrr_oc.diagnosis.fitting import SAME, Fitted, extended, refit, refit_with_widths, rewidened, with_term, without
+from rrr_oc.diagnosis.selection import Found, least
 from rrr_oc.diagnosis.signatures import view
 from rrr_oc.effects import CATALOGUE, Effect
 
@@ -54,7 +38,7 @@ class Finding:
     likelihood: float
     dimensions: int
     tests: int
-    rivals: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    rivals: tuple[Key, ...] = ()
 
     @property
     def p_value(self) -> float:
@@ -123,7 +107,7 @@ class _Place:
             if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
                 best = (lead, tried, candidate)
             if better > -SAME:
-                rivals.append(key(candidate))
+                rivals.append(candidate.key)
         return best, rivals
 
 
@@ -156,7 +140,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
 
 def _place(bench: Bench, found: Found, fitted: Fitted, i: int, muddled: bool) -> _Place:
     """The place of term i, with the fit and the evidence without it."""
-    rest = without(fitted.model, i)
+    rest = without(fitted.model, fitted.model.terms[i])
     alone = [t.width for t in rest.terms] == [t.width for t in found.plain.model.terms]
     less = found.plain if alone else refit(bench, rest)
     evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
@@ -181,7 +165,7 @@ def _settled_in_place(place: _Place, rivals: list[Key], report: Callable[[str], 
         return _in_place(bench, i, several.model, count), None
     if best is not None:
         equal = fitted.better_than(best[1]) > -SAME and not own.effect.black_box
-        rivals = [r for r in rivals if r != key(best[2])] + ([(own.effect.name, own.effect.joints)] if equal else [])
+        rivals = [r for r in rivals if r != best[2].key] + ([(own.effect.name, own.effect.joints)] if equal else [])
         report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
         fitted = _in_place(bench, i, best[1].model, 1)
     term, likelihood, tests = fitted.model.terms[i], fitted.better_than(less), place.evidence.tests
@@ -219,9 +203,7 @@ def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]
     own = fitted.model.terms[i]
     if not own.groups or own.effect.scope in ("mounted", "some"):
         return fitted
-    everywhere = replace(own, recordings="all", groups=())
-    terms = (*fitted.model.terms[:i], everywhere, *fitted.model.terms[i + 1 :])
-    tried = refit(bench, replace(fitted.model, terms=terms))
+    tried = refit(bench, with_term(fitted.model, i, replace(own, recordings="all", groups=())))
     if tried.better_than(fitted) < -scope_cost(len(bench.labels), len(own.groups)):
         return fitted
     report(f"{own.effect.name} is in all recordings")
@@ -234,8 +216,7 @@ def _equivalent(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
     for effect, theta in own.effect.equivalents(own.named):
         other = nominal_term(effect).with_values(np.array(list(theta.values())))
         other = replace(other, recordings=own.recordings, groups=own.groups)
-        terms = (*fitted.model.terms[:i], other, *fitted.model.terms[i + 1 :])
-        tried.append(refit(bench, replace(fitted.model, terms=terms)))
+        tried.append(refit(bench, with_term(fitted.model, i, other)))
     best = min(tried, key=lambda f: f.misfit, default=None)
     return best if best is not None and best.better_than(fitted) > -SAME else None
 
@@ -256,7 +237,7 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
         shapes = [t for t in own if t.effect.resembles == "position_harmonic" or _over_position(t.effect)]
         if len(shapes) <= RIPPLES:
             continue
-        less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
+        less = refit(bench, without(fitted.model, *shapes))
         evidence = unnamed(bench, less.model, j)
         every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:EXACT_FITS]
         best = min((refit(bench, fit_of(bench, evidence, less, c).model) for c in every), key=lambda f: f.misfit, default=less)
@@ -276,17 +257,14 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
         number = sum(len(t.estimates) for t in own)
         if len(own) < 2:
             continue
-        less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in own)))
+        less = refit(bench, without(fitted.model, *own))
         evidence, best = gathered(bench, less.model).under(fitted.rows), None
         alone = [(c,) for c in evidence.candidates() if c.trial.effect.joints == (j,) and c.scope is None]
         simpler = [laws for laws in alone if len(laws[0].trial.effect.parameters) < number]
         for laws in (*simpler[:EXACT_FITS], *evidence.pairs(number, PAIRS, j)):
             if any(present(c, less.model) for c in laws):
                 continue
-            model = less.model
-            for law in laws:
-                model = extended(model, law)
-            tried = rewidened(bench, refit(bench, model))
+            tried = refit_with_widths(bench, extended(less.model, *(law.term for law in laws)))
             fewer = len(fitted.model.values) - len(tried.model.values)
             better = tried.better_than(fitted)
             if better > -_by_noise(fewer) and (best is None or better + fewer * SAME > best[0]):
@@ -336,7 +314,7 @@ def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evi
     for pair in evidence.pairs(max(number, 2 * MANY_PARAMETERS + 1) if unnamed_ else number, PAIRS):
         foreseen = Fitted(less.model, replace(less.rows, residual=evidence.left_by(*pair)))
         if foreseen.better_than(less) > NEAR * fitted.better_than(less):
-            tried.append(refit(bench, extended(extended(less.model, pair[0]), pair[1])))
+            tried.append(refit(bench, extended(less.model, *(law.term for law in pair))))
     found = min(tried, key=lambda f: f.misfit, default=None)
     if found is None:
         return None
@@ -354,14 +332,11 @@ def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitte
 def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candidate]:
     """The best alternatives in an effect's place, one for each effect at its joints."""
     result: list[Candidate] = []
-    every = evidence.candidates()
-    itself = [key(c) == (own.effect.name, own.effect.joints) for c in every]
-    most = max(
-        (c.likelihood for c in every), default=0.0
-    )  # the linear prediction is too low for a nonlinear effect and its alternatives alike
-    most = max((c.likelihood for c, own_ in zip(every, itself, strict=True) if own_), default=most)
-    for candidate, own_ in zip(every, itself, strict=True):
-        if own_ or any(key(c) == key(candidate) for c in result) or present(candidate, model):
+    every, itself = evidence.candidates(), (own.effect.name, own.effect.joints)
+    # the linear prediction is too low for a nonlinear effect and its alternatives alike
+    most = max([c.likelihood for c in every if c.key == itself] or [c.likelihood for c in every], default=0.0)
+    for candidate in every:
+        if candidate.key in (itself, *(c.key for c in result)) or present(candidate, model):
             continue
         if candidate.likelihood < NEAR * most or len(result) >= EXACT_FITS:
             break

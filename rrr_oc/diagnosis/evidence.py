@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, kept_rows
 from rrr_oc.diagnosis.signatures import SignatureCache, Table, table
@@ -27,6 +27,8 @@ BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
 ALARMS = 0.01  # chance that anything passes for an effect where nothing is missing
 SHARES = (1.0, 0.85, 0.7, 0.5)  # of coefficients, tried where they are out of bounds
 FIRST = 40  # effects, by quadratic gain, whose likelihood is worked out
+
+Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,19 @@ class Candidate:
     def score(self) -> float:
         """Evidence beyond chance."""
         return self.likelihood - self.penalty
+
+    @property
+    def key(self) -> Key:
+        """Name and joints of the effect."""
+        return self.trial.effect.name, self.trial.effect.joints
+
+    @property
+    def term(self) -> Term:
+        """The candidate as a term of a model."""
+        effect, groups = self.trial.effect, self.scope or ()
+        theta = effect.combined(self.trial.points, self.coefficients)
+        estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
+        return Term(effect, estimates, self.trial.width, "all" if self.scope is None else (), groups)
 
 
 @dataclass(frozen=True)
@@ -377,6 +392,23 @@ class Evidence:
             out += _fall(rest, one, self.size)
         return out / max(inside, 1e-300)
 
+    def robust_p(self, candidate: Candidate) -> float:
+        """P-value of a score test that tolerates autocorrelated residuals of unequal variance: scores by block of time."""
+        whole = self.signature(candidate.number, candidate.scope)
+        cross = np.einsum("jka,j,jkb->ab", self.rows.jacobian, self.weights, whole)
+        clean = whole - self.rows.jacobian @ (self.inverse @ cross)
+        scores = np.einsum("jkm,jk,j->km", clean, self.left_by(candidate), self.weights)
+        matrix = np.einsum("jka,j,jkb->ab", clean, self.weights, clean)
+        blocks = self.bench.by_block(scores)
+        gain = matrix @ candidate.coefficients
+        statistic = float(gain @ Directions.of(blocks.T @ blocks).solve(gain))
+        return float(chi2.sf(statistic, candidate.dimensions))
+
+    def joint(self, candidate: Candidate) -> int:
+        """The joint on which a candidate explains most."""
+        change = self.signature(candidate.number, candidate.scope) @ candidate.coefficients
+        return int(np.argmax(self.weights * np.sum(change**2, axis=1)))
+
     def _pieces(self, candidate: Candidate, r: int) -> np.ndarray:
         """Products of (derivatives, signature of a candidate, residual) for pieces of one recording, weighted, (`PIECES`, …)."""
         rows = np.arange(self.bench.edges[r], self.bench.edges[r + 1])
@@ -436,21 +468,6 @@ def correlation(found: Rows) -> np.ndarray:
         signal = itertools.takewhile(lambda x: x > 0.05, rho)  # beyond, it is noise
         result.append(max(WHITE, STRIDE * (1 + 2 * sum(signal))))
     return np.array(result)
-
-
-def robust_p(evidence: Evidence, candidate: Candidate) -> float:
-    """P-value of a trial that holds up where residuals are autocorrelated and of unequal variance: scores by block of time."""
-    after = evidence.left_by(candidate)
-    whole = evidence.signature(candidate.number, candidate.scope)
-    cross = np.einsum("jka,j,jkb->ab", evidence.rows.jacobian, evidence.weights, whole)
-    clean = whole - evidence.rows.jacobian @ (evidence.inverse @ cross)
-    scores = np.einsum("jkm,jk,j->km", clean, after, evidence.weights)
-    matrix = np.einsum("jka,j,jkb->ab", clean, evidence.weights, clean)
-    blocks = evidence.bench.by_block(scores)
-    spread = blocks.T @ blocks
-    gain = matrix @ candidate.coefficients
-    statistic = float(gain @ Directions.of(spread).solve(gain))
-    return float(chi2.sf(statistic, candidate.dimensions))
 
 
 def _fall(train: np.ndarray, test: np.ndarray, size: int) -> float:

@@ -5,11 +5,11 @@ what is missing is found by linear algebra on few numbers.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import Prepared
 from rrr_oc.effects import CATALOGUE, Trial, View
@@ -50,6 +50,42 @@ def trials(seen: View, torque: str) -> list[Trial]:
     """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive."""
     kinds = [kind for kind in CATALOGUE.values() if kind.role != "plain" and not (torque == "load" and kind.side == "drive")]
     return [trial for kind in kinds for trial in kind.trials(seen)]
+
+
+def black_box_trials(prepared: Sequence[Prepared], seen: View, model: CalibratedModel, j: int) -> list[Trial]:
+    """All black-box terms that joint j might lack, over the ranges that the recordings cover."""
+    ranges = _ranges(prepared, model)
+    kinds = [kind for kind in CATALOGUE.values() if kind.role == "black_box"]
+    return [trial for kind in kinds for trial in kind.black_box_trials(seen, j, ranges, model.torque)]
+
+
+def _ranges(prepared: Sequence[Prepared], model: CalibratedModel) -> dict[tuple[str, int], tuple[float, float]]:
+    """Smallest and largest recorded value of each variable that a torque may depend on, by name and joint."""
+    seen, torques = view(prepared, model), [model.torques(p.recording) for p in prepared]
+    motor, load = (np.concatenate(parts, axis=1) for parts in zip(*torques, strict=True))
+    acceleration = np.quantile(np.concatenate([np.abs(p.recording.ddq) for p in prepared], axis=1), 0.99, axis=1)
+    found = {("time", -1): (0.0, float(seen.duration))}
+    for i in range(len(motor)):
+        for name, size in (("dq", float(seen.speed[i])), ("ddq", max(float(acceleration[i]), 1e-3))):
+            found[name, i] = (-size, size)
+        for name, low, high in (
+            ("q", seen.low[i], seen.high[i]),
+            ("load", load[i].min(), load[i].max()),
+            ("motor", motor[i].min(), motor[i].max()),
+        ):
+            found[name, i] = (float(low), max(float(high), float(low) + 1e-6))
+    return found
+
+
+def as_seen(prepared: Sequence[Prepared], model: CalibratedModel, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The terms for a fit to other recordings: series start at 0, over the part of their range that these recordings cover."""
+    if all(t.effect.has_edges or not t.effect.validity for t in terms):
+        return tuple(terms)
+    result, ranges = [], _ranges(prepared, model)
+    for term in terms:
+        effect = term.effect.renewed(ranges)
+        result.append(term if effect is None else replace(term, effect=effect).with_values(0 * term.values))
+    return tuple(result)
 
 
 @dataclass(frozen=True)
