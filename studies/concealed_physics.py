@@ -36,8 +36,8 @@ from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.samples import prepare, thinned, without_spikes
 from rrr_oc.diagnosis.diagnosis_file import to_json
-from rrr_oc.diagnosis.evidence import Bench, Evidence
-from rrr_oc.diagnosis.fitting import refit_with_widths
+from rrr_oc.diagnosis.evidence import Evidence
+from rrr_oc.diagnosis.fitting import Bench, refit_with_widths
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.errors import UserError, entry_point

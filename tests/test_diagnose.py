@@ -28,8 +28,8 @@ from rrr_oc.diagnosis import selection
 from rrr_oc.diagnosis.candidate_fits import Choice, _confirmed_as_abrupt, gathered
 from rrr_oc.diagnosis.contest import Finding, contested
 from rrr_oc.diagnosis.diagnosis_file import to_json
-from rrr_oc.diagnosis.evidence import Bench, Evidence
-from rrr_oc.diagnosis.fitting import Fitted, refit, rewidened
+from rrr_oc.diagnosis.evidence import Evidence
+from rrr_oc.diagnosis.fitting import Bench, Fitted, refit, rewidened
 from rrr_oc.diagnosis.procedure import _refuted, _sure, diagnose
 from rrr_oc.diagnosis.reversals import blurred_joints
 from rrr_oc.diagnosis.selection import Found, _each_its_own, select_effects

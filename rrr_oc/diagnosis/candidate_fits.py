@@ -9,8 +9,8 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.friction_width import widened
 from rrr_oc.calibration.samples import noise
-from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence
-from rrr_oc.diagnosis.fitting import SAME, Fitted, best_start, extended, refit, refit_with_widths, steadily_better
+from rrr_oc.diagnosis.evidence import Candidate, Evidence
+from rrr_oc.diagnosis.fitting import SAME, Bench, Fitted, best_start, extended, refit, refit_with_widths, steadily_better
 from rrr_oc.diagnosis.signatures import black_box_trials, trials, view
 from rrr_oc.effects import Effect
 

@@ -11,8 +11,7 @@ from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.regression import rows
 from rrr_oc.diagnosis.candidate_fits import worth
 from rrr_oc.diagnosis.contest import Finding
-from rrr_oc.diagnosis.evidence import Bench
-from rrr_oc.diagnosis.fitting import Fitted, extended, refit
+from rrr_oc.diagnosis.fitting import Bench, Fitted, extended, refit
 from rrr_oc.diagnosis.selection import Lawless, select_effects
 from rrr_oc.diagnosis.signatures import as_seen
 

@@ -16,8 +16,7 @@ from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_rever
 from rrr_oc.diagnosis.candidate_fits import above_noise
 from rrr_oc.diagnosis.contest import Finding, contested
 from rrr_oc.diagnosis.cross_validation import Fold, Shares, Split, beside_effects, mean_nrmse, nrmse, splits, validated, weighed
-from rrr_oc.diagnosis.evidence import Bench
-from rrr_oc.diagnosis.fitting import SAME, Fitted, extended, refit
+from rrr_oc.diagnosis.fitting import SAME, Bench, Fitted, extended, refit
 from rrr_oc.diagnosis.mismatch import FAR, mismatch
 from rrr_oc.diagnosis.reversals import blurred_joints, other_turns, with_turns
 from rrr_oc.diagnosis.selection import Found, Lawless, select_effects

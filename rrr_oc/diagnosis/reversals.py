@@ -14,8 +14,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.regression import variance
 from rrr_oc.calibration.samples import SPEED_WINDOW, without_reversals
 from rrr_oc.diagnosis.candidate_fits import noisy
-from rrr_oc.diagnosis.evidence import Bench
-from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, with_turn, without
+from rrr_oc.diagnosis.fitting import Bench, Fitted, as_abrupt, refit, with_turn, without
 from rrr_oc.diagnosis.selection import Found
 from rrr_oc.numerics.savitzky_golay import smooth
 

@@ -24,9 +24,10 @@ from rrr_oc.diagnosis.candidate_fits import (
     noisy,
     size,
 )
-from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, Key, chance, significant
+from rrr_oc.diagnosis.evidence import Candidate, Evidence, Key, chance, significant
 from rrr_oc.diagnosis.fitting import (
     SAME,
+    Bench,
     Fitted,
     as_abrupt,
     best_start,

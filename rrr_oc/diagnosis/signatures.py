@@ -93,13 +93,13 @@ class SignatureCache:
     """Filtered signatures that were computed before, shared by all models that are compared on the same recordings.
 
     A `Bench` owns it, and benches of some of its recordings share it; it lives as long as they do. The key is the recording, the
-    trial, and whatever of a model and a trial the signature depends on: of the latter, the first and the latest are kept.
+    trial, and what else of the model the signature depends on: of the last, the first value and the newest are kept.
     """
 
     _found: dict[Prepared, dict[Hashable, dict[Hashable, Signature]]] = field(default_factory=dict, compare=False, repr=False)
 
-    def once(self, prepared: Prepared, trial: Hashable, depends_on: Hashable, find: Callable[[], Signature]) -> Signature:
-        """The signature of a trial, which `find` computes where there is none."""
+    def get(self, prepared: Prepared, trial: Hashable, depends_on: Hashable, find: Callable[[], Signature]) -> Signature:
+        """The signature of a trial; `find` computes it if it is not in the cache."""
         known = self._found.setdefault(prepared, {}).setdefault(trial, {})
         if depends_on not in known:
             signature = find()
@@ -181,7 +181,7 @@ def _signature(prepared: Prepared, at: Prediction, trial: Trial, cache: Signatur
         where, passed = find()
     else:
         key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
-        where, passed = cache.once(prepared, key, (trial.width, parts), find)
+        where, passed = cache.get(prepared, key, (trial.width, parts), find)
     if gain is None or effect.side == "sensor" or np.all(gain == 1.0):
         return where, passed
     return where, passed * gain[np.nonzero(where)[1], None]
