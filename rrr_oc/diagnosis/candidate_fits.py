@@ -17,19 +17,13 @@ from rrr_oc.effects import Effect
 EXACT_FITS = 5  # candidates fitted on the exact equations in each round; twice as many cost twice the time
 CLOSE = 0.4  # share of the best score that a candidate needs for an exact fit; twice as much leaves fewer candidates
 ROBUST_P = 0.05  # largest p-value of the robust score test, corrected for all tests; twice as much doubles its false alarms
-CONFIRMED = (
-    0.3  # share of the fitted fall of the squared residual that left-out recordings must show; twice as much rejects more
-)
+CONFIRMED = 0.3  # least fall of the squared residual on left-out recordings, over the fitted one; doubled: rejects more
 LEAST_SHARE = 0.007  # share of a joint's squared residual that an effect must explain; twice as much drops the faintest effects
-FEWER_LEFT = (
-    2.0  # factor in the squared residual by which a fit is better whatever its effective sample size; twice as much: seldom
-)
+FEWER_LEFT = 2.0  # factor in the squared residual by which a fit is better at any effective sample size; doubled: seldom
 HALF = 0.5  # share of the residual above which an effect of some recordings explains most of it; twice as much: never
 EXACT = 3e-4  # share of a joint's torque (standard deviation) below which a change counts for nothing: no law is more exact
 NOISE_RATIO = 1.1  # residual over noise above which a joint still lacks something; twice as much calls more fits complete
-UNLISTED = (
-    0.25  # share of its evidence that a mounted effect loses if all recordings have it and none lists it; twice: seldom found
-)
+UNLISTED = 0.25  # share of its evidence that a mounted effect loses if all recordings have it and none lists it; doubled: rarer
 PRECEDENCE = 0.7  # of the evidence for an effect: a law of its `precedence` with more goes before it where there is noise
 NEARLY = 0.8  # share of the best score from which the edge of a piecewise torque is refined; a larger share refines less often
 EDGE_STEP, LEAST_STEP = 0.05, 0.002  # first and last step of that refinement, as shares of the range; a finer one costs time

@@ -15,7 +15,7 @@ from rrr_oc.diagnosis.signatures import view
 from rrr_oc.effects import CATALOGUE, Effect
 
 EXACT_WITHIN = 10.0  # multiple of `SAME` within which two models are compared by exact fits; twice as much costs time
-MANY_PARAMETERS = 3  # number above which an effect may be replaced by two simpler ones
+MANY_PARAMETERS = 3  # number above which an effect may be replaced by two simpler ones; doubled: seldom
 NEAR = 0.6  # share of the present likelihood that an alternative needs for a fit; a larger share tries fewer
 PAIRS = 6  # pairs of effects that are fitted; more cost time
 RIPPLES = 4  # ripples of one joint above which a series over position describes them; twice as many lists more ripples

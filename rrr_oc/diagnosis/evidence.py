@@ -28,7 +28,7 @@ SHARES = (
     0.85,
     0.7,
     0.5,
-)  # multiples of coefficients, tried until they are within bounds; more of them lose less likelihood
+)  # multiples of coefficients, tried until one is within bounds
 FIRST = 40  # candidates, by quadratic gain, whose likelihood is computed; doubled, it costs time
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
 
@@ -245,20 +245,16 @@ class Evidence:
         chosen: list[int] = []
         result = []
         for _ in range(len(labels) - 1):
-            best = None
-            for g in range(len(labels)):
-                if g in chosen:
-                    continue
+            options = []
+            for g in (g for g in range(len(labels)) if g not in chosen):
                 at = [*chosen, g]
                 x = cross[at].sum(axis=0)
                 matrix, target = own[at].sum(axis=0) - x @ inverse @ x.T, right[at].sum(axis=0) - x @ base
                 quadratic = matrix, target, np.diag(own[at].sum(axis=0))
-                gain = _solve(*quadratic)[0]
-                if best is None or gain > best[1]:
-                    best = (g, gain, quadratic)
-            assert best is not None
-            chosen.append(best[0])
-            result.append((tuple(labels[i] for i in sorted(chosen)), *best[2]))
+                options.append((_solve(*quadratic)[0], g, quadratic))
+            _, g, quadratic = max(options, key=lambda option: option[0])
+            chosen.append(g)
+            result.append((tuple(labels[i] for i in sorted(chosen)), *quadratic))
         return result
 
     def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:
@@ -342,16 +338,12 @@ class Evidence:
         """Columns of a trial at all rows, (n, M, m)."""
         c, result = np.arange(self.table.start[k], self.table.start[k + 1]), []
         for values, used in zip(self.table.values, self.table.used, strict=True):
-            columns = np.zeros((len(values), len(c)))
-            for i, column in enumerate(c):
-                at = np.searchsorted(used, column)
-                if at < len(used) and used[at] == column:
-                    columns[:, i] = values[:, at]
+            columns, here = np.zeros((len(values), len(c))), np.isin(used, c)
+            columns[:, used[here] - c[0]] = values[:, here]
             result.append(columns)
         whole = np.array(result)
         if scope is not None:
-            for r, inside in enumerate(self.bench.within(scope)):
-                whole[:, self.bench.edges[r] : self.bench.edges[r + 1]] *= inside
+            whole *= np.repeat(self.bench.within(scope), np.diff(self.bench.edges))[:, None]
         return whole
 
 

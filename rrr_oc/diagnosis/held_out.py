@@ -15,7 +15,8 @@ from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
-LEVEL, RESAMPLES = 0.95, 4000
+LEVEL = 0.95  # confidence level of the intervals
+RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the ends of an interval by about 1 %
 LEAST_RECORDINGS = 3  # for a bootstrap interval
 
 
@@ -32,15 +33,11 @@ def intervals(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
         known = np.isfinite(before[:, j]) & np.isfinite(after[:, j])
         pair = before[known, j], after[known, j]
         result[joint] = {
-            "before": _interval((pair[0],), _mean),
-            "after": _interval((pair[1],), _mean),
+            "before": _interval((pair[0],), np.mean),
+            "after": _interval((pair[1],), np.mean),
             "ratio": _interval(pair, _ratio),
         }
     return result
-
-
-def _mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
-    return np.mean(x, axis=axis)
 
 
 def _ratio(before: np.ndarray, after: np.ndarray, axis: int = -1) -> np.ndarray:

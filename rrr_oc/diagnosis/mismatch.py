@@ -13,9 +13,7 @@ from rrr_oc.diagnosis.contest import Finding
 from rrr_oc.diagnosis.fitting import Bench, Fitted
 from rrr_oc.storage import number
 
-LEAST_GROWTH = (
-    0.005  # relative growth of the squared residual without its effects from which a joint has a mismatch; doubled: fewer
-)
+LEAST_GROWTH = 0.005  # relative growth of the squared residual without effects that counts as a mismatch; doubled: fewer
 COUPLED = 0.1  # the same for a joint that only effects of other joints act on; doubled, fewer joints are marked
 BINS = 12  # of a variable for the range with the largest error; more bins give narrower ranges
 FAR = 3.0  # residual over noise above which a joint has a mismatch whatever was found; twice as much: fewer "cannot tell"

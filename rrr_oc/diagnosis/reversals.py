@@ -18,7 +18,7 @@ from rrr_oc.diagnosis.fitting import Bench, Fitted, as_abrupt, refit, with_turn,
 from rrr_oc.diagnosis.selection import Found
 from rrr_oc.numerics.savitzky_golay import smooth
 
-LEAST_SAMPLES = 7  # in the window of a smooth motion
+LEAST_SAMPLES = 7  # in the window that smooths positions; doubled, motion is taken for noise
 VARIANCE_RATIO = 1.2  # with reversals over without, above which reversals are left out; twice as much keeps nearly all
 
 

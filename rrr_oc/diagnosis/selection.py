@@ -40,14 +40,12 @@ from rrr_oc.diagnosis.fitting import (
 from rrr_oc.numerics.rank import pseudo_inverse
 
 MOST_EFFECTS = 12  # at which the selection stops; more would only cost time
-APART = (
-    0.1  # relative difference between groups from which a parameter gets one value per group; twice as much splits less often
-)
+APART = 0.1  # relative difference between groups from which a parameter gets one value per group; doubled: seldom
 LESS_LEFT = 0.8  # far above the noise, values per group must reduce the squared residual to this share; a larger share splits more often
 MARGIN = 1.1  # factor in the score by which a black-box term must beat a law of the catalogue; twice as much: hardly ever
 TOGETHER = 4  # effects tried in place of one black-box term; more cost time
 HOPELESS = 0.25  # share of its score that two effects must reach for a third to be tried; twice as much saves time
-DOUBTFUL = 3.0  # multiple of the required worth below which, as predicted linearly, the fit without an effect is computed
+DOUBTFUL = 3.0  # multiple of the required worth below which, as predicted linearly, the fit without an effect is computed; doubled: slower
 Lawless = Literal["beside", "after", "never"]
 
 

@@ -15,7 +15,7 @@ from rrr_oc.calibration.samples import Prepared
 from rrr_oc.effects import CATALOGUE, Trial, View
 from rrr_oc.robot.rigid_body import rigid_body
 
-SAMPLE = 400  # positions that trials look at
+SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
 Signature = tuple[np.ndarray, np.ndarray]  # where columns are not 0 (m, n), and these, filtered (number of them, M)
 
 
@@ -149,15 +149,12 @@ def table(
     values, used = [], []
     for j in range(live.shape[2]):
         own = np.flatnonzero(live[:, :, j].any(axis=0))
-        place = np.zeros(live.shape[1], int)
-        place[own] = np.arange(len(own))
         whole = np.zeros((len(own), edges[-1]))
         for part, first, end in zip(found, edges, edges[1:], strict=False):
             for (where, passed), column in zip(part, start, strict=False):
                 if where[:, j].any():
-                    rows = np.cumsum(where).reshape(where.shape)[:, j] - 1
-                    here = np.flatnonzero(where[:, j])
-                    whole[place[column + here], first:end] = passed[rows[here]]
+                    rows, here = np.cumsum(where).reshape(where.shape)[:, j] - 1, np.flatnonzero(where[:, j])
+                    whole[np.searchsorted(own, column + here), first:end] = passed[rows[here]]
         values.append(whole.T)
         used.append(own)
     return Table(every, start, tuple(values), tuple(used))

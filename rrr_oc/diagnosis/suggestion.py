@@ -24,7 +24,7 @@ from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
-DURATION, STEP = 20.0, 0.01  # s
+DURATION, STEP = 20.0, 0.01  # length and sampling time of a suggested motion [s]; a longer one decides more
 CANDIDATES = 10  # random motions that are compared; twice as many take twice the time for a slightly better one
 HARMONICS = 4  # of a random motion's base frequency, which is one to three periods in `DURATION`
 FASTER = 1.3  # largest speed of a suggested motion over the speed recorded; twice as fast may be more than the arm can follow
