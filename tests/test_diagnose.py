@@ -32,7 +32,7 @@ from rrr_oc.diagnosis.evidence import Evidence
 from rrr_oc.diagnosis.fitting import Bench, Fitted, refit, rewidened
 from rrr_oc.diagnosis.procedure import _refuted, _sure, diagnose
 from rrr_oc.diagnosis.reversals import blurred_joints
-from rrr_oc.diagnosis.selection import Found, _each_its_own, select_effects
+from rrr_oc.diagnosis.selection import Found, _split_by_group, select_effects
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.suggestion import suggest
 from rrr_oc.effects import Trial
@@ -904,7 +904,7 @@ def test_what_differs_by_little_is_another_in_each_only_near_the_noise(planar, m
     bench, start = Bench(prepare(recordings := as_set(plant, made)), False), plain_model(recordings)
     some = replace(nominal_term(TorqueOffset((0,))), recordings=(), groups=("1.csv", "3.csv"))
     fitted = refit(bench, replace(start, terms=(*start.terms, some)))
-    found = _each_its_own(bench, fitted, lambda line: None).model.terms[len(start.terms) :]
+    found = _split_by_group(bench, fitted, lambda line: None).model.terms[len(start.terms) :]
     assert len(found) == own
 
 

@@ -42,7 +42,7 @@ def gathered(bench: Bench, model: CalibratedModel) -> Evidence:
     return Evidence.gather(bench, model, trials(view(bench.whole, model), model.torque))
 
 
-def unnamed(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
+def black_box_evidence(bench: Bench, model: CalibratedModel, j: int) -> Evidence:
     """Evidence for black-box terms on joint j."""
     return Evidence.gather(bench, model, black_box_trials(bench.prepared, view(bench.whole, model), model, j))
 
@@ -149,9 +149,9 @@ def best_choice(
     return min(fewer, key=lambda b: b.fitted.misfit, default=best)
 
 
-def best_unnamed(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Choice | None:
+def best_black_box(bench: Bench, j: int, plain: Fitted, fitted: Fitted) -> Choice | None:
     """The best black-box term of joint j; None without one."""
-    evidence = unnamed(bench, fitted.model, j)
+    evidence = black_box_evidence(bench, fitted.model, j)
     every = [e for e in (evidence, _at_its_edge(evidence)) if e is not None]
     found = [best_choice(bench, e, contenders(e, fitted.model), plain, fitted) for e in every]
     return max((b for b in found if b is not None), key=lambda b: b.score, default=None)

@@ -7,7 +7,17 @@ import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
-from rrr_oc.diagnosis.candidate_fits import EXACT_FITS, FEWER_LEFT, Choice, fit_of, gathered, noisy, present, rarity, unnamed
+from rrr_oc.diagnosis.candidate_fits import (
+    EXACT_FITS,
+    FEWER_LEFT,
+    Choice,
+    black_box_evidence,
+    fit_of,
+    gathered,
+    noisy,
+    present,
+    rarity,
+)
 from rrr_oc.diagnosis.evidence import Candidate, Evidence, Key, scope_cost
 from rrr_oc.diagnosis.fitting import SAME, Bench, Fitted, extended, refit, refit_with_widths, rewidened, with_term, without
 from rrr_oc.diagnosis.selection import Found, least
@@ -56,7 +66,7 @@ class _Place:
         less: The model without it, fitted.
         i: Index of its term.
         evidence: Evidence at `less`, under the noise of `fitted`.
-        muddled: Whether the selection ended far above the noise, where small effects absorb the errors of others.
+        far_above_noise: Whether the selection ended far above the noise, where small effects absorb the errors of others.
     """
 
     bench: Bench
@@ -64,7 +74,7 @@ class _Place:
     less: Fitted
     i: int
     evidence: Evidence
-    muddled: bool
+    far_above_noise: bool
 
     @property
     def own(self) -> Term:
@@ -84,7 +94,7 @@ class _Place:
         """By how much an alternative is preferred: twice the log-likelihood ratio, fewer parameters, prior, error at rest."""
         own, effect = self.own, candidate.trial.effect
         better, simpler = tried.better_than(self.fitted), self.simpler(candidate)
-        mounted = 0 if candidate.scope is None or self.muddled else _mountable(effect) - _mountable(own.effect)
+        mounted = 0 if candidate.scope is None or self.far_above_noise else _mountable(effect) - _mountable(own.effect)
         lead = better + (simpler + 2 * mounted) * SAME
         if simpler <= 0:  # an effect with fewer parameters keeps its full evidence
             lead -= rarity(self.bench, tried, effect, candidate.scope is None) * tried.better_than(self.less)
@@ -117,7 +127,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     An effect may be replaced by one or two simpler ones, and many ripples by a series.
     """
     fitted, base = found.fitted, len(found.plain.model.terms)
-    findings, i, muddled = [], base, bool(noisy(bench, fitted))
+    findings, i, far_above_noise = [], base, bool(noisy(bench, fitted))
     while i < len(fitted.model.terms):
         fitted, rivals = _widened(bench, fitted, i, report), []
         if (equivalent := _equivalent(bench, fitted, i)) is not None:
@@ -127,7 +137,7 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
                 fitted = equivalent
             else:
                 rivals = [(name, own.effect.joints)]
-        fitted, finding = _settled_in_place(_place(bench, found, fitted, i, muddled), rivals, report)
+        fitted, finding = _settled_in_place(_place(bench, found, fitted, i, far_above_noise), rivals, report)
         if finding is not None:
             findings.append(finding)
             i += 1
@@ -139,13 +149,13 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
 
 
-def _place(bench: Bench, found: Found, fitted: Fitted, i: int, muddled: bool) -> _Place:
+def _place(bench: Bench, found: Found, fitted: Fitted, i: int, far_above_noise: bool) -> _Place:
     """The place of term i, with the fit and the evidence without it."""
     rest = without(fitted.model, fitted.model.terms[i])
     alone = [t.width for t in rest.terms] == [t.width for t in found.plain.model.terms]
     less = found.plain if alone else refit(bench, rest)
     evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
-    return _Place(bench, fitted, less, i, evidence, muddled)
+    return _Place(bench, fitted, less, i, evidence, far_above_noise)
 
 
 def _settled_in_place(place: _Place, rivals: list[Key], report: Callable[[str], None]) -> tuple[Fitted, Finding | None]:
@@ -238,7 +248,7 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
         if len(shapes) <= RIPPLES:
             continue
         less = refit(bench, without(fitted.model, *shapes))
-        evidence = unnamed(bench, less.model, j)
+        evidence = black_box_evidence(bench, less.model, j)
         every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:EXACT_FITS]
         best = min((refit(bench, fit_of(bench, evidence, less, c).model) for c in every), key=lambda f: f.misfit, default=less)
         if best.misfit < fitted.misfit + np.log(FEWER_LEFT):

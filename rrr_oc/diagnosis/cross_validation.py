@@ -12,7 +12,7 @@ from rrr_oc.calibration.regression import rows
 from rrr_oc.diagnosis.candidate_fits import worth
 from rrr_oc.diagnosis.contest import Finding
 from rrr_oc.diagnosis.fitting import Bench, Fitted, extended, refit
-from rrr_oc.diagnosis.selection import Lawless, select_effects
+from rrr_oc.diagnosis.selection import BlackBoxUse, select_effects
 from rrr_oc.diagnosis.signatures import as_seen
 
 FOLDS = 4  # of the recordings, each held out once; twice as many double the time
@@ -116,29 +116,31 @@ def _blocks(bench: Bench) -> Bench:
     return bench.on(tuple(pieces))
 
 
-def validated(every: Sequence[Split], start: CalibratedModel, lawless: Lawless | None, jobs: int) -> list[Fold]:
+def validated(every: Sequence[Split], start: CalibratedModel, black_box: BlackBoxUse | None, jobs: int) -> list[Fold]:
     """The plain and the extended model, selected and fitted without each fold, and their errors on that fold.
 
     Args:
         start: The plain model from which fits start.
-        lawless: Use of black-box terms in the selections; None for no selection at all, which leaves the plain model.
+        black_box: Use of black-box terms in the selections; None for no selection at all, which leaves the plain model.
         jobs: Processes (-1: one per core).
     """
-    return parallel.ordered(_validated, [(every, k, start, lawless) for k in range(len(every))], 1 if lawless is None else jobs)
+    return parallel.ordered(
+        _validated, [(every, k, start, black_box) for k in range(len(every))], 1 if black_box is None else jobs
+    )
 
 
-def _validated(every: Sequence[Split], number: int, start: CalibratedModel, lawless: Lawless | None) -> Fold:
+def _validated(every: Sequence[Split], number: int, start: CalibratedModel, black_box: BlackBoxUse | None) -> Fold:
     """If a black-box term is not worth keeping on the other folds, the selection is repeated without such terms."""
     split = every[number]
     train, test, rest = split.train, split.test, split.rest
     plain = after = refit(train, start)
-    if lawless is not None:
-        after = select_effects(train, plain.model, lawless=lawless).fitted
+    if black_box is not None:
+        after = select_effects(train, plain.model, black_box=black_box).fitted
         inner = [Split(train, [rest.index(i) for i in other.held]) for other in every if other is not split]
         found = after.model.terms[len(start.terms) :]
         doubtful = {k for k, t in enumerate(found) if t.effect.black_box} if len(inner) > 1 else set()
         if doubtful and not doubtful <= set(_worth_keeping(inner, plain.model, found)[0]):
-            after = select_effects(train, plain.model, lawless="never").fitted
+            after = select_effects(train, plain.model, black_box="never").fitted
     return Fold(tuple(split.held), plain.model, after.model, nrmse(test, plain.model), nrmse(test, after.model))
 
 
@@ -180,12 +182,12 @@ def _worth_keeping(every: Sequence[Split], start: CalibratedModel, terms: Sequen
     kept = list(range(len(terms)))
     while True:
         shares = _shares(every, start, [terms[k] for k in kept])
-        unnamed = {k for k in kept if terms[k].effect.black_box and not terms[k].groups}
+        empirical = {k for k in kept if terms[k].effect.black_box and not terms[k].groups}
         values = zip(kept, shares.worth, shares.least, strict=True)
-        poor = [k for k, value, least in values if value <= LEAST_WORTH or (k in unnamed and least < -HARM)]
+        poor = [k for k, value, least in values if value <= LEAST_WORTH or (k in empirical and least < -HARM)]
         if not poor:
             return kept, shares
-        if unnamed & set(poor) and len(kept) <= FEW_EFFECTS:
+        if empirical & set(poor) and len(kept) <= FEW_EFFECTS:
             poor = kept
         left = [_left(every, start, [terms[i] for i in kept if i != k]) if len(poor) > 1 else 0.0 for k in poor]
         kept = [k for k in kept if k != poor[int(np.argmin(left))]]

@@ -19,7 +19,7 @@ from rrr_oc.diagnosis.cross_validation import Fold, Shares, Split, beside_effect
 from rrr_oc.diagnosis.fitting import SAME, Bench, Fitted, extended, refit
 from rrr_oc.diagnosis.mismatch import FAR, mismatch
 from rrr_oc.diagnosis.reversals import blurred_joints, other_turns, with_turns
-from rrr_oc.diagnosis.selection import Found, Lawless, select_effects
+from rrr_oc.diagnosis.selection import BlackBoxUse, Found, select_effects
 from rrr_oc.diagnosis.signatures import view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.recordings.recording import RecordingSet
@@ -165,7 +165,7 @@ def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searc
     return _Searched(recordings, whole, bench, plain, start, begin, found)
 
 
-def _black_box_use(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> Lawless | None:
+def _black_box_use(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> BlackBoxUse | None:
     """Use of black-box terms without each fold; None where nothing was found.
 
     They compete where one was found, or an effect that only takes the place of a series, such as a ripple of less than two cycles.

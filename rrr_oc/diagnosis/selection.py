@@ -16,8 +16,8 @@ from rrr_oc.calibration.least_squares import normal_equations
 from rrr_oc.diagnosis.candidate_fits import (
     LEAST_SHARE,
     Choice,
+    best_black_box,
     best_choice,
-    best_unnamed,
     contenders,
     explained,
     gathered,
@@ -46,7 +46,7 @@ MARGIN = 1.1  # factor in the score by which a black-box term must beat a law of
 TOGETHER = 4  # effects tried in place of one black-box term; more cost time
 HOPELESS = 0.25  # share of its score that two effects must reach for a third to be tried; twice as much saves time
 DOUBTFUL = 3.0  # multiple of the required worth below which, as predicted linearly, the fit without an effect is computed; doubled: slower
-Lawless = Literal["beside", "after", "never"]
+BlackBoxUse = Literal["beside", "after", "never"]
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,13 @@ class Found:
 
 
 def select_effects(
-    bench: Bench, model: CalibratedModel, report: Callable[[str], None] = lambda _: None, lawless: Lawless = "beside"
+    bench: Bench, model: CalibratedModel, report: Callable[[str], None] = lambda _: None, black_box: BlackBoxUse = "beside"
 ) -> Found:
     """The model with all effects for which the recordings hold evidence beyond chance.
 
     Args:
         report: Receives one line of progress at a time.
-        lawless: Whether black-box terms compete with the laws of the catalogue, only come after them, or are not used.
+        black_box: Whether black-box terms compete with the laws of the catalogue, only come after them, or are not used.
     """
     base = len(model.terms)
     plain = fitted = refit(bench, model)
@@ -79,11 +79,11 @@ def select_effects(
     planned: list[Key] = []
     seen: set[frozenset] = set()
     while len(fitted.model.terms) - base < MOST_EFFECTS:
-        best, planned = _next(bench, evidence, (plain, fitted), lawless, planned)
+        best, planned = _next(bench, evidence, (plain, fitted), black_box, planned)
         if best is None:
             break
         report(f"{described(best.candidate, fitted.model)}: evidence {best.score:.0f}")
-        chosen = _each_its_own(bench, _exact(bench, best), report)
+        chosen = _split_by_group(bench, _exact(bench, best), report)
         fitted = rewidened(bench, _pruned(bench, plain, chosen, base, evidence.tests, report))
         terms = frozenset(Counter((t.effect.without_range(), t.groups) for t in fitted.model.terms[base:]).items())
         if terms in seen:
@@ -94,7 +94,7 @@ def select_effects(
 
 
 def _next(
-    bench: Bench, evidence: Evidence, fits: tuple[Fitted, Fitted], lawless: Lawless, planned: list[Key]
+    bench: Bench, evidence: Evidence, fits: tuple[Fitted, Fitted], black_box: BlackBoxUse, planned: list[Key]
 ) -> tuple[Choice | None, list[Key]]:
     """The best further effect, or a black-box term where no law comes near it; None where all is chance.
 
@@ -105,19 +105,19 @@ def _next(
     named = best_choice(bench, evidence, contenders(evidence, fitted.model), plain, fitted)
     joints = noisy(bench, fitted) if named is None else [evidence.joint(named.candidate)]
     as_planned = named is not None and named.candidate.key in planned[:1]
-    if lawless == "never" or (lawless == "after" and named is not None) or as_planned:
+    if black_box == "never" or (black_box == "after" and named is not None) or as_planned:
         joints = []
-    others = [best_unnamed(bench, j, plain, fitted) for j in joints]
+    others = [best_black_box(bench, j, plain, fitted) for j in joints]
     other = max((o for o in others if o is not None), key=lambda o: o.score, default=None)
     chosen, planned = named or other, planned[1:] if as_planned else []
     if chosen is None:
         return None, []
-    if named is not None and other is not None and other.score > _bar(named, other):
+    if named is not None and other is not None and other.score > _score_to_beat(named, other):
         exact = refit_with_widths(bench, other.fitted.model)  # its score may grow
         other = Choice(max(other.score, exact.better_than(fitted) - other.candidate.penalty), exact, other.candidate)
         everywhere = other.candidate.scope is None  # several laws that all act in some recordings only are no more probable
-        laws = _as_good(bench, plain, fitted, named, other) if everywhere else None
-        if laws is None and not _beside(bench, joints[0], plain, named, other):
+        laws = _laws_as_good(bench, plain, fitted, named, other) if everywhere else None
+        if laws is None and not _better_with_simpler_term(bench, joints[0], plain, named, other):
             chosen = other
         planned = laws or []
     return chosen, planned
@@ -130,7 +130,7 @@ def _exact(bench: Bench, best: Choice) -> Fitted:
     return refit(bench, best.fitted.model)
 
 
-def _bar(named: Choice, other: Choice) -> float:
+def _score_to_beat(named: Choice, other: Choice) -> float:
     """Score that a black-box term must reach to be preferred to a law.
 
     A law that explains as much has the higher prior, however few parameters the term has. Where both act in some recordings only and
@@ -143,7 +143,7 @@ def _bar(named: Choice, other: Choice) -> float:
     return named.score if changed else max(MARGIN * named.score + SAME, as_much)
 
 
-def _as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Choice, other: Choice) -> list[Key] | None:
+def _laws_as_good(bench: Bench, plain: Fitted, fitted: Fitted, named: Choice, other: Choice) -> list[Key] | None:
     """Further effects that, together with the named one, explain as much as a black-box term; None if there are none."""
     best, found, cost, goal, series = named, [], 0.0, other.score, other.candidate.trial.effect
     while best is not None and len(found) < TOGETHER:
@@ -173,15 +173,15 @@ def _turned(bench: Bench, fitted: Fitted, j: int) -> Fitted:
     return min([fitted, *tried], key=lambda f: f.misfit)
 
 
-def _beside(bench: Bench, j: int, plain: Fitted, named: Choice, other: Choice) -> bool:
+def _better_with_simpler_term(bench: Bench, j: int, plain: Fitted, named: Choice, other: Choice) -> bool:
     """Whether an effect and a simpler black-box term together explain more than the black-box term alone."""
-    both = best_unnamed(bench, j, plain, refit(bench, named.fitted.model))
+    both = best_black_box(bench, j, plain, refit(bench, named.fitted.model))
     if both is None or named.score + both.score < MARGIN * other.score + SAME:
         return False
     return size(both.candidate) + size(named.candidate) < size(other.candidate)
 
 
-def _each_its_own(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -> Fitted:
+def _split_by_group(bench: Bench, fitted: Fitted, report: Callable[[str], None]) -> Fitted:
     """The fit in which the newest effect has separate parameters in each of its groups, if they differ significantly.
 
     This holds for what is mounted and taken off, for sensors and for black-box terms; the friction of a drive does not change with
