@@ -36,10 +36,9 @@ from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.samples import prepare, thinned, without_spikes
 from rrr_oc.diagnosis.diagnosis_file import to_json
-from rrr_oc.diagnosis.evidence import Bench, Evidence
-from rrr_oc.diagnosis.fitting import refit
+from rrr_oc.diagnosis.evidence import Evidence
+from rrr_oc.diagnosis.fitting import Bench, refit_with_widths
 from rrr_oc.diagnosis.procedure import diagnose
-from rrr_oc.diagnosis.selection import rewidened, term
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.recordings.reader import load_recordings
@@ -188,7 +187,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     prepared = prepare(recordings)
     prepared = thinned(without_spikes(prepared, fit_terms(recordings, prepared, with_widths(prepared, start)).model))
     bench = Bench(prepared, recordings.inertial == "identify")
-    fitted = rewidened(bench, refit(bench, with_widths(prepared, start)))
+    fitted = refit_with_widths(bench, with_widths(prepared, start))
     entries = []
     for e in truth["effects"]:
         joints = tuple(recordings.joints.index(j) for j in place(e["joint"]))
@@ -200,10 +199,8 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
         found = Evidence.gather(bench, fitted.model, ways).candidates() if ways else []
         better = None
         for candidate in found[:1]:
-            extra = replace(
-                term(candidate), recordings=tuple(e["recordings"]) if e["recordings"] != "all" else "all", groups=()
-            )
-            better = rewidened(bench, refit(bench, replace(fitted.model, terms=(*fitted.model.terms, extra))))
+            extra = replace(candidate.term, recordings=tuple(e["recordings"]) if e["recordings"] != "all" else "all", groups=())
+            better = refit_with_widths(bench, replace(fitted.model, terms=(*fitted.model.terms, extra)))
         growth = 0.0 if better is None else better.better_than(fitted)
         parameters = 0 if better is None else len(better.model.terms[-1].estimates)
         entries.append({"effect": e["effect"], "likelihood": growth, "parameters": parameters})

@@ -11,8 +11,9 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
+from rrr_oc.diagnosis.cross_validation import Fold, Shares
 from rrr_oc.diagnosis.held_out import _means, in_closed_loop, intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, Fold, Shares
+from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity

@@ -23,12 +23,15 @@ from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.cli import app
-from rrr_oc.diagnosis import selection as forward
+from rrr_oc.diagnosis import selection
+from rrr_oc.diagnosis.candidate_fits import Choice, _confirmed_as_abrupt, gathered
 from rrr_oc.diagnosis.contest import Finding, contested
 from rrr_oc.diagnosis.diagnosis_file import to_json
-from rrr_oc.diagnosis.evidence import Bench, Evidence
+from rrr_oc.diagnosis.evidence import Evidence
+from rrr_oc.diagnosis.fitting import Bench, Fitted, refit, rewidened
 from rrr_oc.diagnosis.procedure import _refuted, _sure, diagnose
 from rrr_oc.diagnosis.reversals import blurred_joints
+from rrr_oc.diagnosis.selection import Found, _split_by_group, select_effects
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.suggestion import suggest
 from rrr_oc.effects import Trial
@@ -310,10 +313,10 @@ def test_a_spring_that_is_preloaded_by_much_equals_an_encoder_that_is_off():
 def test_bristles_that_bend_by_less_than_positions_tell_are_none(planar, reach, blurred):
     plant, rng = planar(1), np.random.default_rng(4)
     prepared = prepare(recordings := as_set(plant, [record(plant, f"{i}.csv", rng, 10.0) for i in range(3)]))
-    plain = forward.refit(bench := Bench(prepared, False), plain_model(recordings))
+    plain = refit(bench := Bench(prepared, False), plain_model(recordings))
     bristle = Term(PreslidingHysteresis((0,)), (Estimate(0.1 / reach), Estimate(0.1)), 0.05)
-    fitted = forward.Fitted(replace(plain.model, terms=(*plain.model.terms, bristle)), plain.rows)
-    assert blurred_joints(bench, forward.Found(plain, fitted, None)).tolist() == [blurred]
+    fitted = Fitted(replace(plain.model, terms=(*plain.model.terms, bristle)), plain.rows)
+    assert blurred_joints(bench, Found(plain, fitted, None)).tolist() == [blurred]
 
 
 def test_a_law_of_speed_is_confirmed_at_the_width_that_friction_has_beside_it(planar):
@@ -327,12 +330,10 @@ def test_a_law_of_speed_is_confirmed_at_the_width_that_friction_has_beside_it(pl
     wide = with_widths(prepared, plain_model(recordings))
     assert wide.terms[0].width != pytest.approx(plant.width, rel=0.05)
     bench = Bench(prepared, False)
-    evidence = forward.gathered(bench, forward.refit(bench, wide).model)
+    evidence = gathered(bench, refit(bench, wide).model)
     (law,) = [c for c in evidence.candidates() if c.trial.effect.name == "stribeck"]
-    assert forward._confirmed_as_abrupt(evidence, law, evidence.model)
-    assert not forward._confirmed_as_abrupt(
-        evidence, replace(law, trial=Trial(TorqueOffset((0,)), ({"offset": 1.0},))), evidence.model
-    )
+    assert _confirmed_as_abrupt(evidence, law, evidence.model)
+    assert not _confirmed_as_abrupt(evidence, replace(law, trial=Trial(TorqueOffset((0,)), ({"offset": 1.0},))), evidence.model)
 
 
 @pytest.mark.parametrize("gain", [-0.6, 1.5])
@@ -346,7 +347,7 @@ def test_of_two_fits_the_better_says_how_many_rows_are_independent():
     """What the worse leaves may be so slow that hardly any are."""
     slow, noise = np.sin(np.arange(500) / 60)[None], 0.1 * np.random.default_rng(1).standard_normal((1, 500))
     worse, better = (
-        forward.Fitted(None, Rows(r, np.zeros((1, 500, 0)), np.ones((1, 500), bool), (slice(0, 500),), (20.0,)))
+        Fitted(None, Rows(r, np.zeros((1, 500, 0)), np.ones((1, 500), bool), (slice(0, 500),), (20.0,)))
         for r in (slow + noise, noise)
     )
     assert worse.counts < 0.2 * better.counts
@@ -456,7 +457,7 @@ def test_bristles_turn_at_once_or_as_gradually_as_the_recordings_show(planar, be
     law = Term(PreslidingHysteresis((0,)), (Estimate(500.0), Estimate(1.0)), begin)
     model = plain_model(recordings)
     wrong = replace(model, terms=(*(widened(t, {(0,): 0.05}) for t in model.terms), law))
-    right = forward.rewidened(bench := Bench(prepared, False), forward.refit(bench, wrong)).model.terms[-1]
+    right = rewidened(bench := Bench(prepared, False), refit(bench, wrong)).model.terms[-1]
     assert right.width == (0.0 if width < 1e-3 else 0.05)
     assert right.values == pytest.approx([500.0, 1.0], rel=0.1)
 
@@ -465,9 +466,9 @@ def test_a_law_is_first_fitted_in_what_is_linear_in_it(planar):
     """Much too strong beside the dry friction that it stands for, bristles would be led to where they do nothing."""
     plant, rng = planar(1), np.random.default_rng(9)
     prepared = prepare(recordings := as_set(plant, [record(plant, f"{i}.csv", rng, 10.0) for i in range(3)]))
-    before = forward.refit(bench := Bench(prepared, False), plain_model(recordings))
+    before = refit(bench := Bench(prepared, False), plain_model(recordings))
     strong = Term(PreslidingHysteresis((0,)), (Estimate(2e5), Estimate(4.0)), before.model.terms[0].width)
-    after = forward.refit(bench, replace(before.model, terms=(*before.model.terms, strong)), without_last=before.rows)
+    after = refit(bench, replace(before.model, terms=(*before.model.terms, strong)), without_last=before.rows)
     assert after.better_than(before) > -1e-3
 
 
@@ -558,7 +559,7 @@ def test_friction_of_a_joint_becomes_as_abrupt_as_it_is_all_at_once(planar, begi
     model, bench = plain_model(recordings), Bench(prepared, False)
     laws = (*model.terms, nominal_term(CoulombAsymmetry((0,))))
     wrong = replace(model, terms=tuple(widened(t, {(0,): begin}) for t in laws))
-    right = forward.rewidened(bench, forward.refit(bench, wrong)).model.terms
+    right = rewidened(bench, refit(bench, wrong)).model.terms
     assert [t.width for t in right if t.width is not None] == pytest.approx([plant.width, plant.width], rel=0.01)
     assert right[-1].values == pytest.approx([2.0], rel=0.03)
 
@@ -568,14 +569,15 @@ def test_effects_that_oust_each_other_do_not_do_so_for_ever(planar, monkeypatch)
     prepared = prepare(recordings := as_set(plant, [record(plant, "0.csv", rng, 6.0)]))
     plain, rounds = plain_model(recordings), []
 
-    def other(bench, evidence, plain, fitted, *_):
+    def other(bench, *_):
         rounds.append(len(rounds))
         assert len(rounds) < 9
-        terms = (*plain.model.terms, nominal_term((QuadraticDrag, TorqueOffset)[len(rounds) % 2]((0,))))
-        return forward.refit(bench, replace(plain.model, terms=terms)), []
+        term = nominal_term((QuadraticDrag, TorqueOffset)[len(rounds) % 2]((0,)))
+        model = replace(plain, terms=(*plain.terms, term))
+        return Choice(1.0, Fitted(model, rows(prepared, model)), SimpleNamespace(trial=term, scope=None)), []
 
-    monkeypatch.setattr(forward, "_next", other)
-    found = forward.search(Bench(prepared, False), plain).fitted.model
+    monkeypatch.setattr(selection, "_next", other)
+    found = select_effects(Bench(prepared, False), plain).fitted.model
     assert len(found.terms) == len(plain.terms) + 1
 
 
@@ -589,7 +591,7 @@ def test_what_few_recordings_leave_open_of_links_stays_near_what_is_believed(pla
     belief = body.inertial, precision(prior(start.robot), body.inertial)
     left = []
     for bench in (Bench(prepared, True), Bench(prepared, True, belief)):
-        fitted = forward.refit(bench.part([0]), replace(start, robot=body))
+        fitted = refit(bench.part([0]), replace(start, robot=body))
         left.append(np.linalg.norm(rows(bench.part([1]).prepared, fitted.model).residual))
     assert left[1] < 0.8 * left[0], left
 
@@ -604,9 +606,9 @@ def test_an_effect_of_some_groups_is_that_of_all_where_nothing_speaks_against_it
     bench, start = Bench(prepared, False), plain_model(recordings)
     some = replace(nominal_term(TorqueOffset((0,))), recordings=(), groups=("a",))
     nothing = nominal_term(QuadraticDrag((0,)))
-    fitted = forward.refit(bench, replace(start, terms=(*start.terms, some, nothing)))
-    plain = forward.refit(bench, start)
-    found = forward.Found(plain, fitted, forward.gathered(bench, plain.model))
+    fitted = refit(bench, replace(start, terms=(*start.terms, some, nothing)))
+    plain = refit(bench, start)
+    found = Found(plain, fitted, gathered(bench, plain.model))
     findings = contested(bench, found)[1]
     assert [(f.term.effect.name, f.term.recordings, f.term.groups) for f in findings] == [
         ("torque_offset", "all", ()) if everywhere else ("torque_offset", (), ("a",))
@@ -738,9 +740,9 @@ def test_a_payloads_centre_goes_before_a_links_inertial_parameters_that_fit_more
     recordings = as_set(plant, made)
     recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
     bench = Bench(prepare(recordings), False)
-    plain = forward.refit(bench, plain_model(recordings))
-    wide = forward.refit(bench, replace(plain.model, terms=(*plain.model.terms, nominal_term(LinkInertial((2,))))))
-    findings = contested(bench, forward.Found(plain, wide, forward.gathered(bench, plain.model)))[1]
+    plain = refit(bench, plain_model(recordings))
+    wide = refit(bench, replace(plain.model, terms=(*plain.model.terms, nominal_term(LinkInertial((2,))))))
+    findings = contested(bench, Found(plain, wide, gathered(bench, plain.model)))[1]
     assert [f.term.effect.name for f in findings] == ["payload_com"]
 
 
@@ -851,7 +853,7 @@ def test_friction_that_grows_with_load_goes_before_friction_over_position(planar
         made.append(replace(r, tau=r.tau + turn * law))
     bench = Bench(prepare(recordings := as_set(plant, made)), False)
     start, said = plain_model(recordings), []
-    found = forward.search(bench, start, said.append).fitted.model.terms[len(start.terms) :]
+    found = select_effects(bench, start, said.append).fitted.model.terms[len(start.terms) :]
     assert said[0].startswith("load_dependent_friction")
     assert [t.effect.name for t in found] == ["load_dependent_friction", "position_dependent_friction"]
     assert found[0].values[0] == pytest.approx(0.25, rel=0.15)
@@ -900,8 +902,8 @@ def test_what_differs_by_little_is_another_in_each_only_near_the_noise(planar, m
     made = with_changes(plant, rng, lambda i, r: truth.get(i, 0.0) + missing * np.sin(7 * r.q))
     bench, start = Bench(prepare(recordings := as_set(plant, made)), False), plain_model(recordings)
     some = replace(nominal_term(TorqueOffset((0,))), recordings=(), groups=("1.csv", "3.csv"))
-    fitted = forward.refit(bench, replace(start, terms=(*start.terms, some)))
-    found = forward._each_its_own(bench, fitted, lambda line: None).model.terms[len(start.terms) :]
+    fitted = refit(bench, replace(start, terms=(*start.terms, some)))
+    found = _split_by_group(bench, fitted, lambda line: None).model.terms[len(start.terms) :]
     assert len(found) == own
 
 

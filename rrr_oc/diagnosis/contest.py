@@ -7,31 +7,25 @@ import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
-from rrr_oc.diagnosis.evidence import Bench, Candidate, Evidence, scope_cost
-from rrr_oc.diagnosis.fitting import Fitted, refit
-from rrr_oc.diagnosis.selection import (
+from rrr_oc.diagnosis.candidate_fits import (
     EXACT_FITS,
     FEWER_LEFT,
-    SAME,
-    Found,
-    Key,
-    extended,
+    Choice,
+    black_box_evidence,
     fit_of,
     gathered,
-    key,
-    least,
     noisy,
     present,
     rarity,
-    rewidened,
-    unnamed,
-    without,
 )
+from rrr_oc.diagnosis.evidence import Candidate, Evidence, Key, scope_cost
+from rrr_oc.diagnosis.fitting import SAME, Bench, Fitted, extended, refit, refit_with_widths, rewidened, with_term, without
+from rrr_oc.diagnosis.selection import Found, least
 from rrr_oc.diagnosis.signatures import view
 from rrr_oc.effects import CATALOGUE, Effect
 
 EXACT_WITHIN = 10.0  # multiple of `SAME` within which two models are compared by exact fits; twice as much costs time
-MANY_PARAMETERS = 3  # number above which an effect may be replaced by two simpler ones
+MANY_PARAMETERS = 3  # number above which an effect may be replaced by two simpler ones; doubled: seldom
 NEAR = 0.6  # share of the present likelihood that an alternative needs for a fit; a larger share tries fewer
 PAIRS = 6  # pairs of effects that are fitted; more cost time
 RIPPLES = 4  # ripples of one joint above which a series over position describes them; twice as many lists more ripples
@@ -54,7 +48,7 @@ class Finding:
     likelihood: float
     dimensions: int
     tests: int
-    rivals: tuple[tuple[str, tuple[int, ...]], ...] = ()
+    rivals: tuple[Key, ...] = ()
 
     @property
     def p_value(self) -> float:
@@ -72,7 +66,7 @@ class _Place:
         less: The model without it, fitted.
         i: Index of its term.
         evidence: Evidence at `less`, under the noise of `fitted`.
-        muddled: Whether the selection ended far above the noise, where small effects absorb the errors of others.
+        far_above_noise: Whether the selection ended far above the noise, where small effects absorb the errors of others.
     """
 
     bench: Bench
@@ -80,7 +74,7 @@ class _Place:
     less: Fitted
     i: int
     evidence: Evidence
-    muddled: bool
+    far_above_noise: bool
 
     @property
     def own(self) -> Term:
@@ -100,7 +94,7 @@ class _Place:
         """By how much an alternative is preferred: twice the log-likelihood ratio, fewer parameters, prior, error at rest."""
         own, effect = self.own, candidate.trial.effect
         better, simpler = tried.better_than(self.fitted), self.simpler(candidate)
-        mounted = 0 if candidate.scope is None or self.muddled else _mountable(effect) - _mountable(own.effect)
+        mounted = 0 if candidate.scope is None or self.far_above_noise else _mountable(effect) - _mountable(own.effect)
         lead = better + (simpler + 2 * mounted) * SAME
         if simpler <= 0:  # an effect with fewer parameters keeps its full evidence
             lead -= rarity(self.bench, tried, effect, candidate.scope is None) * tried.better_than(self.less)
@@ -113,18 +107,18 @@ class _Place:
         """Number of parameters that an alternative saves."""
         return len(self.own.estimates) - len(candidate.trial.effect.parameters)
 
-    def alternatives(self) -> tuple[tuple[float, Fitted, Candidate] | None, list[Key]]:
-        """The best alternative that is preferred to the effect, with its lead and fit, and the effects that fit as well."""
-        best, rivals = None, []
-        for candidate in (*_rivals(self.evidence, self.less.model, self.own), *_sparse(self.bench, self.less, self.own)):
+    def alternatives(self) -> tuple[Choice | None, list[Key]]:
+        """The best alternative that is preferred to the effect, with its lead as score, and the effects that fit as well."""
+        preferred, rivals = [], []
+        for candidate in (*_rivals(self), *_sparse(self)):
             tried, simpler = self.fit(candidate), self.simpler(candidate)
             better, lead = tried.better_than(self.fitted), self.lead(candidate, tried)
             worse = SAME * max(simpler, 1) if self.own.effect.black_box else _by_noise(simpler)
-            if lead > (0 if simpler > 0 else SAME) and better > -worse and (best is None or lead > best[0]):
-                best = (lead, tried, candidate)
+            if lead > (0 if simpler > 0 else SAME) and better > -worse:
+                preferred.append(Choice(lead, tried, candidate))
             if better > -SAME:
-                rivals.append(key(candidate))
-        return best, rivals
+                rivals.append(candidate.key)
+        return max(preferred, key=lambda c: c.score, default=None), rivals
 
 
 def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda _: None) -> tuple[Fitted, list[Finding]]:
@@ -133,16 +127,17 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     An effect may be replaced by one or two simpler ones, and many ripples by a series.
     """
     fitted, base = found.fitted, len(found.plain.model.terms)
-    findings, i, muddled = [], base, bool(noisy(bench, fitted))
+    findings, i, far_above_noise = [], base, bool(noisy(bench, fitted))
     while i < len(fitted.model.terms):
-        fitted, equal = _widened(bench, fitted, i, report), None
+        fitted, rivals = _widened(bench, fitted, i, report), []
         if (equivalent := _equivalent(bench, fitted, i)) is not None:
-            equal = equivalent.model.terms[i].effect.name, fitted.model.terms[i].effect.joints
-            if fitted.model.terms[i].groups:
-                report(f"{equal[0]} takes the place of {fitted.model.terms[i].effect.name}")
-                fitted, equal = equivalent, None
-        place = _place(bench, found, fitted, i, muddled)
-        fitted, finding = _settled_in_place(place, [] if equal is None else [equal], report)
+            own, name = fitted.model.terms[i], equivalent.model.terms[i].effect.name
+            if own.groups:
+                report(f"{name} takes the place of {own.effect.name}")
+                fitted = equivalent
+            else:
+                rivals = [(name, own.effect.joints)]
+        fitted, finding = _settled_in_place(_place(bench, found, fitted, i, far_above_noise), rivals, report)
         if finding is not None:
             findings.append(finding)
             i += 1
@@ -154,13 +149,13 @@ def contested(bench: Bench, found: Found, report: Callable[[str], None] = lambda
     return fitted, [replace(findings[k], term=fitted.model.terms[base + k]) for k in order]
 
 
-def _place(bench: Bench, found: Found, fitted: Fitted, i: int, muddled: bool) -> _Place:
+def _place(bench: Bench, found: Found, fitted: Fitted, i: int, far_above_noise: bool) -> _Place:
     """The place of term i, with the fit and the evidence without it."""
-    rest = without(fitted.model, i)
+    rest = without(fitted.model, fitted.model.terms[i])
     alone = [t.width for t in rest.terms] == [t.width for t in found.plain.model.terms]
     less = found.plain if alone else refit(bench, rest)
     evidence = (found.first if alone else gathered(bench, less.model)).under(fitted.rows)
-    return _Place(bench, fitted, less, i, evidence, muddled)
+    return _Place(bench, fitted, less, i, evidence, far_above_noise)
 
 
 def _settled_in_place(place: _Place, rivals: list[Key], report: Callable[[str], None]) -> tuple[Fitted, Finding | None]:
@@ -171,19 +166,17 @@ def _settled_in_place(place: _Place, rivals: list[Key], report: Callable[[str], 
     bench, fitted, less, own, i = place.bench, place.fitted, place.less, place.own, place.i
     best, equals = place.alternatives()
     rivals = [*rivals, *equals]
-    several = None
-    if best is None:
-        several = _in_ripples(bench, less, fitted, own) or _in_two(bench, less, fitted, own, place.evidence)
+    several = None if best is not None else _in_ripples(place) or _in_two(place)
     if several is not None:
         count = len(several.model.terms) - len(less.model.terms)
         names = " and ".join(t.effect.name for t in several.model.terms[-count:])
         report(f"{names} take the place of {own.effect.name}")
         return _in_place(bench, i, several.model, count), None
     if best is not None:
-        equal = fitted.better_than(best[1]) > -SAME and not own.effect.black_box
-        rivals = [r for r in rivals if r != key(best[2])] + ([(own.effect.name, own.effect.joints)] if equal else [])
-        report(f"{best[1].model.terms[-1].effect.name} takes the place of {own.effect.name}")
-        fitted = _in_place(bench, i, best[1].model, 1)
+        equal = fitted.better_than(best.fitted) > -SAME and not own.effect.black_box
+        rivals = [r for r in rivals if r != best.candidate.key] + ([(own.effect.name, own.effect.joints)] if equal else [])
+        report(f"{best.candidate.trial.effect.name} takes the place of {own.effect.name}")
+        fitted = _in_place(bench, i, best.fitted.model, 1)
     term, likelihood, tests = fitted.model.terms[i], fitted.better_than(less), place.evidence.tests
     if likelihood < least(fitted, i, tests):  # with the present estimates of the others
         report(f"{term.effect.name} is superfluous")
@@ -219,9 +212,7 @@ def _widened(bench: Bench, fitted: Fitted, i: int, report: Callable[[str], None]
     own = fitted.model.terms[i]
     if not own.groups or own.effect.scope in ("mounted", "some"):
         return fitted
-    everywhere = replace(own, recordings="all", groups=())
-    terms = (*fitted.model.terms[:i], everywhere, *fitted.model.terms[i + 1 :])
-    tried = refit(bench, replace(fitted.model, terms=terms))
+    tried = refit(bench, with_term(fitted.model, i, replace(own, recordings="all", groups=())))
     if tried.better_than(fitted) < -scope_cost(len(bench.labels), len(own.groups)):
         return fitted
     report(f"{own.effect.name} is in all recordings")
@@ -234,14 +225,14 @@ def _equivalent(bench: Bench, fitted: Fitted, i: int) -> Fitted | None:
     for effect, theta in own.effect.equivalents(own.named):
         other = nominal_term(effect).with_values(np.array(list(theta.values())))
         other = replace(other, recordings=own.recordings, groups=own.groups)
-        terms = (*fitted.model.terms[:i], other, *fitted.model.terms[i + 1 :])
-        tried.append(refit(bench, replace(fitted.model, terms=terms)))
+        tried.append(refit(bench, with_term(fitted.model, i, other)))
     best = min(tried, key=lambda f: f.misfit, default=None)
     return best if best is not None and best.better_than(fitted) > -SAME else None
 
 
-def _sparse(bench: Bench, less: Fitted, own: Term) -> list[Candidate]:
-    """The best law of which recordings see little, such as a ripple of few cycles, in the place of a series over position."""
+def _sparse(place: _Place) -> list[Candidate]:
+    """The best law of which recordings show little, such as a ripple of few cycles, in place of a series over position."""
+    bench, less, own = place.bench, place.less, place.own
     if not _over_position(own.effect):
         return []
     seen, j = view(bench.whole, less.model), own.effect.joints[0]
@@ -256,8 +247,8 @@ def _as_series(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], 
         shapes = [t for t in own if t.effect.resembles == "position_harmonic" or _over_position(t.effect)]
         if len(shapes) <= RIPPLES:
             continue
-        less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in shapes)))
-        evidence = unnamed(bench, less.model, j)
+        less = refit(bench, without(fitted.model, *shapes))
+        evidence = black_box_evidence(bench, less.model, j)
         every = [c for c in evidence.candidates() if _over_position(c.trial.effect)][:EXACT_FITS]
         best = min((refit(bench, fit_of(bench, evidence, less, c).model) for c in every), key=lambda f: f.misfit, default=less)
         if best.misfit < fitted.misfit + np.log(FEWER_LEFT):
@@ -276,25 +267,22 @@ def _as_fewer(bench: Bench, fitted: Fitted, base: int, report: Callable[[str], N
         number = sum(len(t.estimates) for t in own)
         if len(own) < 2:
             continue
-        less = refit(bench, replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t not in own)))
-        evidence, best = gathered(bench, less.model).under(fitted.rows), None
+        less = refit(bench, without(fitted.model, *own))
+        evidence, found = gathered(bench, less.model).under(fitted.rows), []
         alone = [(c,) for c in evidence.candidates() if c.trial.effect.joints == (j,) and c.scope is None]
         simpler = [laws for laws in alone if len(laws[0].trial.effect.parameters) < number]
         for laws in (*simpler[:EXACT_FITS], *evidence.pairs(number, PAIRS, j)):
             if any(present(c, less.model) for c in laws):
                 continue
-            model = less.model
-            for law in laws:
-                model = extended(model, law)
-            tried = rewidened(bench, refit(bench, model))
+            tried = refit_with_widths(bench, extended(less.model, *(law.term for law in laws)))
             fewer = len(fitted.model.values) - len(tried.model.values)
             better = tried.better_than(fitted)
-            if better > -_by_noise(fewer) and (best is None or better + fewer * SAME > best[0]):
-                best = better + fewer * SAME, tried, laws
-        if best is not None:
-            names = " and ".join(law.trial.effect.name for law in best[2])
-            report(f"{names} instead of {len(own)} effects")
-            return best[1]
+            if better > -_by_noise(fewer):
+                found.append((better + fewer * SAME, tried, laws))
+        if found:
+            _, shorter, laws = max(found, key=lambda f: f[0])
+            report(f"{' and '.join(law.trial.effect.name for law in laws)} instead of {len(own)} effects")
+            return shorter
     return fitted
 
 
@@ -303,8 +291,9 @@ def _over_position(effect: Effect) -> bool:
     return effect.black_box and effect.depends_on == (("q", effect.joints[0]),)
 
 
-def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted | None:
+def _in_ripples(place: _Place) -> Fitted | None:
     """The model with a few ripples and an offset in place of a series over position, if they fit as well; None otherwise."""
+    bench, less, fitted, own = place.bench, place.less, place.fitted, place.own
     if not _over_position(own.effect):
         return None
     j, seen, there = own.effect.joints[0], view(bench.whole, less.model), less
@@ -324,24 +313,25 @@ def _in_ripples(bench: Bench, less: Fitted, fitted: Fitted, own: Term) -> Fitted
     return None
 
 
-def _in_two(bench: Bench, less: Fitted, fitted: Fitted, own: Term, evidence: Evidence) -> Fitted | None:
+def _in_two(place: _Place) -> Fitted | None:
     """The model with two effects in place of one that has more parameters and explains no more; None without such a pair.
 
     In place of a black-box term, two laws may have more parameters but must explain significantly more.
     """
-    number, unnamed_ = len(own.estimates), own.effect.black_box
-    if number <= MANY_PARAMETERS and not unnamed_:
+    bench, less, fitted, own, evidence = place.bench, place.less, place.fitted, place.own, place.evidence
+    number, black_box = len(own.estimates), own.effect.black_box
+    if number <= MANY_PARAMETERS and not black_box:
         return None
     tried = []
-    for pair in evidence.pairs(max(number, 2 * MANY_PARAMETERS + 1) if unnamed_ else number, PAIRS):
+    for pair in evidence.pairs(max(number, 2 * MANY_PARAMETERS + 1) if black_box else number, PAIRS):
         foreseen = Fitted(less.model, replace(less.rows, residual=evidence.left_by(*pair)))
         if foreseen.better_than(less) > NEAR * fitted.better_than(less):
-            tried.append(refit(bench, extended(extended(less.model, pair[0]), pair[1])))
+            tried.append(refit(bench, extended(less.model, *(law.term for law in pair))))
     found = min(tried, key=lambda f: f.misfit, default=None)
     if found is None:
         return None
     more = sum(len(t.estimates) for t in found.model.terms[-2:]) - number
-    return found if found.better_than(fitted) > (SAME * (1 + max(more, 0)) if unnamed_ else -_by_noise(-more)) else None
+    return found if found.better_than(fitted) > (SAME * (1 + max(more, 0)) if black_box else -_by_noise(-more)) else None
 
 
 def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitted:
@@ -351,17 +341,15 @@ def _in_place(bench: Bench, i: int, model: CalibratedModel, count: int) -> Fitte
     return refit(bench, replace(model, terms=tuple(terms[: len(model.terms)])))
 
 
-def _rivals(evidence: Evidence, model: CalibratedModel, own: Term) -> list[Candidate]:
+def _rivals(place: _Place) -> list[Candidate]:
     """The best alternatives in an effect's place, one for each effect at its joints."""
+    model, own = place.less.model, place.own
     result: list[Candidate] = []
-    every = evidence.candidates()
-    itself = [key(c) == (own.effect.name, own.effect.joints) for c in every]
-    most = max(
-        (c.likelihood for c in every), default=0.0
-    )  # the linear prediction is too low for a nonlinear effect and its alternatives alike
-    most = max((c.likelihood for c, own_ in zip(every, itself, strict=True) if own_), default=most)
-    for candidate, own_ in zip(every, itself, strict=True):
-        if own_ or any(key(c) == key(candidate) for c in result) or present(candidate, model):
+    every, itself = place.evidence.candidates(), (own.effect.name, own.effect.joints)
+    # the linear prediction is too low for a nonlinear effect and its alternatives alike
+    most = max([c.likelihood for c in every if c.key == itself] or [c.likelihood for c in every], default=0.0)
+    for candidate in every:
+        if candidate.key in (itself, *(c.key for c in result)) or present(candidate, model):
             continue
         if candidate.likelihood < NEAR * most or len(result) >= EXACT_FITS:
             break

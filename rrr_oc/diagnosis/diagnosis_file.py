@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
@@ -15,32 +17,25 @@ FORMAT = "rrr_oc-diagnosis/1"
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of `diagnosis.json`."""
     model, joints = diagnosis.model, diagnosis.model.joints
-    effects, unexplained = [], []
-    for i, finding in enumerate(diagnosis.findings):
-        if finding.term.effect.black_box:
-            unexplained.append(_unexplained(diagnosis, i))
-        else:
-            effects.append(_effect(diagnosis, i))
-    by_joint = {
-        key: {
-            when: dict(zip(joints, map(number, values), strict=True))
-            for when, values in zip(("before", "after"), pair, strict=True)
-        }
-        for key, pair in (("calibration", diagnosis.calibration), ("held_out", diagnosis.held_out))
-    }
+    black_box = [f.term.effect.black_box for f in diagnosis.findings]
+
+    def by_joint(pair: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
+        before, after = (dict(zip(joints, map(number, values), strict=True)) for values in pair)
+        return {"before": before, "after": after}
+
     return {
         "format": FORMAT,
         "verdict": diagnosis.verdict,
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
-        "effects": effects,
-        "unexplained": unexplained,
+        "effects": [_effect(diagnosis, i) for i, empirical in enumerate(black_box) if not empirical],
+        "unexplained": [_unexplained(diagnosis, i) for i, empirical in enumerate(black_box) if empirical],
         "suggested_recordings": [
             {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}
             for k, s in enumerate(diagnosis.suggestions, 1)
         ],
-        "nrmse": by_joint,
+        "nrmse": {"calibration": by_joint(diagnosis.calibration), "held_out": by_joint(diagnosis.held_out)},
         "versions": dict(model.versions),
     }
 
@@ -49,7 +44,7 @@ def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
     finding, shares = diagnosis.findings[i], diagnosis.shares
     return {
         "effect": finding.term.effect.name,
-        "joint": _joint(finding.term, diagnosis.model.joints),
+        "joint": _names(finding.term.effect.joints, diagnosis.model.joints),
         "recordings": files_of(finding.term, diagnosis.recordings),
         "equation": finding.term.effect.equation,
         "parameters": _parameters(finding.term),
@@ -120,10 +115,6 @@ def _nested(names: Any, by_name: dict[str, tuple[Any, ...]], column: int) -> Any
 
 def _first(names: Any) -> str:
     return names if isinstance(names, str) else _first(names[0])
-
-
-def _joint(term: Term, joints: Sequence[str]) -> Any:
-    return _names(term.effect.joints, joints)
 
 
 def _names(numbers: Sequence[int], joints: Sequence[str]) -> Any:

@@ -1,133 +1,52 @@
-"""Evidence that recordings hold for effects that a model lacks: linear algebra on residuals and signatures.
+"""Evidence for effects that a model lacks: likelihood ratios by linear algebra on residuals and signatures.
 
-For every trial, coefficients are fitted together with all parameters that the model has, on all recordings or on the groups of
-them that have the effect; evidence is the growth of the log-likelihood, with each joint's noise re-estimated, less what chance
-would give for the number of coefficients and of trials. Where residuals are autocorrelated, samples count for less.
+The coefficients of every trial are fitted together with all parameters of the model, on all recordings or on some groups of them.
+The evidence is the growth of twice the log-likelihood, with each joint's noise variance estimated again, minus what so many
+coefficients and trials gain by chance. Autocorrelated residuals have a smaller effective sample size (`fitting.independent`).
 """
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.regression import Rows, rows
-from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, kept_rows
-from rrr_oc.diagnosis.signatures import SignatureCache, Table, table
+from rrr_oc.calibration.samples import STRIDE
+from rrr_oc.diagnosis.fitting import WHITE, Bench, independent
+from rrr_oc.diagnosis.signatures import Table, table
 from rrr_oc.effects import Effect, Trial
 from rrr_oc.numerics.rank import UNIQUE, UNIQUE_TOGETHER, Directions, pseudo_inverse
 
-LONGEST = 2.0  # [s], of the lags over which residuals are correlated
-WHITE = 0.11  # [s], over which the common filter correlates white noise
-PIECES = 4  # of a recording that alone has an effect, when that is confirmed
-BLOCK = 1.0  # [s], of the pieces that count as independent in the robust test
-ALARMS = 0.01  # chance that anything passes for an effect where nothing is missing
-SHARES = (1.0, 0.85, 0.7, 0.5)  # of coefficients, tried where they are out of bounds
-FIRST = 40  # effects, by quadratic gain, whose likelihood is worked out
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Recordings made ready for comparing models.
-
-    Attributes:
-        prepared: The recordings.
-        identify: Whether the links' inertial parameters are unknown.
-        belief: What is then believed of them beside the recordings: links (10, n) that are bodies, and how surely (10 n, 10 n), as
-            `inertial.precision` has it. A few recordings leave much open, on which others depend.
-        of: The recordings of which these are some; nothing where these are all.
-        signatures: Signatures computed before.
-    """
-
-    prepared: tuple[Prepared, ...]
-    identify: bool
-    belief: tuple[np.ndarray, np.ndarray] | None = None
-    of: tuple[Prepared, ...] = ()
-    signatures: SignatureCache = field(default_factory=SignatureCache, compare=False, repr=False)
-
-    def on(self, prepared: tuple[Prepared, ...]) -> "Bench":
-        """The bench of other recordings, without signatures."""
-        return replace(self, prepared=prepared, signatures=SignatureCache())
-
-    def part(self, keep: Sequence[int]) -> "Bench":
-        """The bench of some of the recordings."""
-        return replace(self, prepared=tuple(self.prepared[i] for i in keep), of=self.whole)
-
-    @property
-    def whole(self) -> tuple[Prepared, ...]:
-        """All recordings, whose motions say where to look for effects."""
-        return self.of or self.prepared
-
-    @cached_property
-    def edges(self) -> np.ndarray:
-        """First row of each recording, and the end."""
-        return np.concatenate([[0], np.cumsum([len(kept_rows(p.recording)[0]) for p in self.prepared])]).astype(int)
-
-    @cached_property
-    def torque(self) -> np.ndarray:
-        """Deviation of each joint's recorded torque, (n,) [Nm]."""
-        return np.concatenate([p.measured for p in self.prepared], axis=1).std(axis=1)
-
-    def believed(self, inertial: np.ndarray) -> np.ndarray:
-        """What is believed of links (10, n), as products of (derivatives by their parameters, residual) of further rows.
-
-        (10 n + 1, 10 n + 1); (1, 1) where they are known. Rows are correlated, hence count for more than one each.
-        """
-        size = inertial.size if self.identify else 0
-        result = np.zeros((size + 1, size + 1))
-        if self.belief is not None:
-            centre, sure = self.belief
-            off = (centre - inertial).T.ravel()
-            result[:-1, :-1], result[-1, -1] = sure, off @ sure @ off
-            result[:-1, -1] = result[-1, :-1] = sure @ off
-        return result * CORRELATION / STRIDE
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """Physical set-up of each recording, in their order."""
-        return tuple(p.recording.group for p in self.prepared)
-
-    def least_payload(self, scope: Sequence[str] | None) -> float:
-        """The least payload listed in recordings of these groups, or of all [kg]."""
-        return min(
-            (float(p.recording.payload.min()) for p in self.prepared if scope is None or p.recording.group in scope),
-            default=0.0,
-        )
-
-    def by_block(self, values: np.ndarray) -> np.ndarray:
-        """Sums of values (rows, …) over pieces of `BLOCK` seconds, of which none reaches over two recordings."""
-        step = max(1, round(BLOCK / STRIDE))
-        starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(self.edges)])
-        return np.add.reduceat(values, starts, axis=0)
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.prepared[0].measured)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The groups, each once."""
-        return tuple(dict.fromkeys(self.groups))
+PIECES = 4  # of a recording that alone has an effect, for cross-validation within it; doubled, each is more like the others
+ALARMS = 0.01  # probability of naming an effect where nothing is missing; doubled, fainter effects are found
+SHARES = (
+    1.0,
+    0.85,
+    0.7,
+    0.5,
+)  # multiples of coefficients, tried until one is within bounds
+FIRST = 40  # candidates, by quadratic gain, whose likelihood is computed; doubled, it costs time
+Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A trial with what speaks for it.
+    """A trial with its coefficients and its likelihood.
 
     Attributes:
         trial: The trial.
-        number: Of the trial among those of the evidence.
+        number: Index of the trial among those of the evidence.
         scope: Groups that have the effect; None for all.
-        coefficients: Fitted with all parameters of the model, (m,).
-        likelihood: Growth of twice the log-likelihood, with as many independent rows as the trial leaves.
-        compared: The same with as many as the model without it leaves, alike for all its rivals.
-        dimensions: Coefficients that the recordings tell apart.
-        penalty: What its parameters and the choice of it would gain by chance, for ranking.
-        least: Likelihood that it must add to be beyond chance.
+        coefficients: Fitted together with all parameters of the model, (m,).
+        likelihood: Growth of twice the log-likelihood, at the effective sample size of the residuals that the trial leaves.
+        compared: The same at the effective sample size of the model without it, which is equal for all candidates.
+        dimensions: Number of independent coefficients that the recordings determine.
+        penalty: Likelihood that its parameters and the choice among all trials and groups gain by chance.
+        least: Likelihood from which it is significant.
     """
 
     trial: Trial
@@ -142,8 +61,21 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Evidence beyond chance."""
+        """Likelihood minus penalty, by which candidates are ranked."""
         return self.likelihood - self.penalty
+
+    @property
+    def key(self) -> Key:
+        """Name and joints of the effect."""
+        return self.trial.effect.name, self.trial.effect.joints
+
+    @property
+    def term(self) -> Term:
+        """The candidate as a term of a model."""
+        effect, groups = self.trial.effect, self.scope or ()
+        theta = effect.combined(self.trial.points, self.coefficients)
+        estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
+        return Term(effect, estimates, self.trial.width, "all" if self.scope is None else (), groups)
 
 
 @dataclass(frozen=True)
@@ -151,13 +83,13 @@ class Evidence:
     """A model at a bench, with the signatures of trials.
 
     Attributes:
-        bench, model: As given.
+        bench, model: The recordings and the model.
         rows: Residuals and derivatives by the parameters of the model.
-        table: Signatures.
-        weights: 1/variance of each joint's residual, times the share of rows that are independent where noise is white, (n,).
-            What is missing may be so slow that none of its own rows are independent: `_judged` sees what is left without it.
-        counts: Independent rows of each joint, (n,).
-        products: Products of (derivatives, signatures, residual) for each recording, weighted, (R, D, D).
+        table: Signatures of the trials.
+        weights: 1/variance of each joint's residual, times the share of independent samples in white noise, (n,). The residuals of a
+            model that lacks a slow effect have a much smaller effective sample size; `_judged` uses that of the residuals left.
+        counts: Effective sample size of each joint, (n,).
+        products: Normal equations of (derivatives, signatures, residual) by recording, weighted, (R, D, D).
     """
 
     bench: Bench
@@ -170,14 +102,14 @@ class Evidence:
 
     @classmethod
     def gather(cls, bench: Bench, model: CalibratedModel, every: Sequence[Trial]) -> "Evidence":
-        """Work out signatures and products."""
+        """The evidence for trials at a model, weighted by its own residuals."""
         found = rows(bench.prepared, model, bench.identify)
         signatures = table(bench.prepared, model, every, bench.signatures)
         nothing = np.zeros(len(found.residual)), np.zeros(len(found.residual)), np.zeros((len(bench.prepared), 0, 0))
         return cls(bench, model, found, signatures, *nothing).under(found)
 
     def under(self, noise: Rows) -> "Evidence":
-        """The same, weighed by what another model leaves at the same rows."""
+        """The same, weighted by the residuals of another model at the same rows."""
         counts, weights = independent(noise), STRIDE / WHITE / noise.deviation() ** 2
         size = self.size + int(self.table.start[-1]) + 1
         products = np.zeros((len(self.bench.prepared), size, size))
@@ -190,7 +122,7 @@ class Evidence:
 
     @property
     def size(self) -> int:
-        """Parameters of the model."""
+        """Number of parameters of the model."""
         return self.rows.jacobian.shape[2]
 
     @cached_property
@@ -199,7 +131,7 @@ class Evidence:
 
     @cached_property
     def _believed(self) -> np.ndarray:
-        """`Bench.believed` among the products: the links are the last of the model's parameters."""
+        """`Bench.believed` in the place of the inertial parameters, the last of the model's, in `products`."""
         result, known = np.zeros(self.products.shape[1:]), self.bench.believed(self.model.robot.inertial)
         at = np.append(np.arange(self.size - len(known) + 1, self.size), len(result) - 1)
         result[np.ix_(at, at)] = known * STRIDE / WHITE
@@ -207,16 +139,16 @@ class Evidence:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """Of the normal matrix of the model's parameters."""
+        """Pseudo-inverse of the normal matrix of the model's parameters."""
         return pseudo_inverse(self._total[: self.size, : self.size])
 
     @cached_property
     def _left(self) -> np.ndarray:
-        """The products after the model's parameters are fitted."""
+        """The normal equations after elimination of the model's parameters."""
         return self._total - self._total[:, : self.size] @ self.inverse @ self._total[: self.size]
 
     def candidates(self) -> list[Candidate]:
-        """The trials that explain most, best first, each where it explains most."""
+        """The candidates with the most evidence, best first: each effect at its joints, in all recordings and in its best groups."""
         total, inverse, left = self._total, self.inverse, self._left
         best: dict[tuple, tuple] = {}  # of each effect at its joints, everywhere and in some groups
         for k, trial in enumerate(self.table.trials):
@@ -240,7 +172,7 @@ class Evidence:
     def pairs(self, parameters: int, count: int, joint: int | None = None) -> list[tuple[Candidate, Candidate]]:
         """The pairs of effects of all recordings, of fewer parameters than given, that explain most together, best first.
 
-        Of one joint in any of the shapes that are tried; of the whole arm in those that are best alone.
+        Effects of one given joint are tried in every shape, those of the whole arm in the shape that is best alone.
         """
         left, raw, effects = self._left, np.diag(self._total), [trial.effect for trial in self.table.trials]
 
@@ -268,7 +200,7 @@ class Evidence:
 
     @property
     def tests(self) -> int:
-        """Effects at their joints that compete."""
+        """Number of effects at their joints that compete."""
         return len({(t.effect.name, t.effect.joints) for t in self.table.trials})
 
     def _possible(self, k: int, scope, coefficients: np.ndarray) -> bool:
@@ -278,7 +210,7 @@ class Evidence:
     def _possibly(self, k: int, scope, matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[float, np.ndarray, int]:
         """Gain, coefficients and dimensions of a trial within the bounds of its effect; a gain of 0 where there is nothing.
 
-        Where the best coefficients are out of bounds, it may be by little, or for one of them that the recordings hardly know.
+        Coefficients out of bounds are made smaller or, one at a time, set to 0: the recordings may hardly determine one of them.
         """
         used, found = list(range(len(right))), (0.0, np.zeros(len(right)), 0)
         alone = len(self.table.trials[k].effect.amplitudes) == len(right)  # each coefficient is a parameter
@@ -301,7 +233,7 @@ class Evidence:
         return self.size + np.arange(self.table.start[k], self.table.start[k + 1])
 
     def _scopes(self, c: np.ndarray, total: np.ndarray, inverse: np.ndarray, whole: float) -> list:
-        """The best set of groups of each size, found by adding one at a time."""
+        """The best set of groups of each size, found by adding one group at a time, with its normal equations."""
         labels = self.bench.labels
         member = np.array([[g == label for g in self.bench.groups] for label in labels], float)  # (groups, R)
         own = np.einsum("gr,rab->gab", member, self.products[:, c][:, :, c])
@@ -309,24 +241,20 @@ class Evidence:
         right = np.einsum("gr,ra->ga", member, self.products[:, c, -1])
         base = inverse @ total[: self.size, -1]
         if _apart(own, cross, right, inverse, base) - whole < scope_cost(len(labels), 1):
-            return []  # coefficients of their own for each group explain no more
+            return []  # separate coefficients in each group explain no more
         chosen: list[int] = []
         result = []
         for _ in range(len(labels) - 1):
-            best = None
-            for g in range(len(labels)):
-                if g in chosen:
-                    continue
+            options = []
+            for g in (g for g in range(len(labels)) if g not in chosen):
                 at = [*chosen, g]
                 x = cross[at].sum(axis=0)
                 matrix, target = own[at].sum(axis=0) - x @ inverse @ x.T, right[at].sum(axis=0) - x @ base
                 quadratic = matrix, target, np.diag(own[at].sum(axis=0))
-                gain = _solve(*quadratic)[0]
-                if best is None or gain > best[1]:
-                    best = (g, gain, quadratic)
-            assert best is not None
-            chosen.append(best[0])
-            result.append((tuple(labels[i] for i in sorted(chosen)), *best[2]))
+                options.append((_solve(*quadratic)[0], g, quadratic))
+            _, g, quadratic = max(options, key=lambda option: option[0])
+            chosen.append(g)
+            result.append((tuple(labels[i] for i in sorted(chosen)), *quadratic))
         return result
 
     def _judged(self, k: int, scope, coefficients, dimensions: int) -> Candidate:
@@ -340,26 +268,28 @@ class Evidence:
         penalty = chance(dimensions + shape, self.counts, self.tests)
         chosen = 0.0 if scope is None else scope_cost(len(self.bench.labels), len(scope))
         least = penalty if trial.effect.black_box else min(penalty, significant(dimensions + shape, self.tests))
-        likelihood = float(independent(left) @ ratio)  # under the noise that the trial leaves: what is missing is correlated
+        likelihood = float(independent(left) @ ratio)  # of the residuals left, since a missing effect is autocorrelated
         gains = {"likelihood": likelihood, "compared": float(self.counts @ ratio)}
         return replace(bare, penalty=penalty + chosen, least=least + chosen, **gains)
 
     def left_by(self, *candidates: Candidate) -> np.ndarray:
-        """Residuals after the parameters are fitted beside candidates with the coefficients that they have, (n, M)."""
+        """Residuals with these candidates at their coefficients and the model's parameters fitted beside them, (n, M)."""
         target, change = self._total[: self.size, -1], np.zeros_like(self.rows.residual)
         for c in candidates:
-            cross = np.einsum("r,rab->ab", self._within(c.scope), self.products[:, : self.size][:, :, self._columns(c.number)])
+            cross = np.einsum(
+                "r,rab->ab", self.bench.within(c.scope), self.products[:, : self.size][:, :, self._columns(c.number)]
+            )
             target = target - cross @ c.coefficients
             change = change + self.signature(c.number, c.scope) @ c.coefficients
         return self.rows.residual - self.rows.jacobian @ (self.inverse @ target) - change
 
     def confirmed(self, candidate: Candidate) -> float:
-        """Fall of the squared residual on recordings left out of the fit, over that on recordings in it; 1 for a law that holds.
+        """Fall of the squared residual in leave-one-out cross-validation, relative to that of the fit to all; 1 for a true law.
 
-        Each recording in turn, with the model's parameters and the candidate's coefficients from the others; of what only one
-        recording has, pieces of that.
+        Each recording in turn is left out of the fit of the model's parameters and the candidate's coefficients; pieces of the
+        recording if only one has the effect.
         """
-        c, within = self._columns(candidate.number), self._within(candidate.scope)
+        c, within = self._columns(candidate.number), self.bench.within(candidate.scope)
         used = np.concatenate([np.arange(self.size), c, [self.products.shape[1] - 1]])
         part = self.products[:, used][:, :, used].copy()
         for r, inside in enumerate(within):
@@ -372,13 +302,32 @@ class Evidence:
         inside = _fall(total, total, self.size)
         for one in part:
             rest = total - one
-            lost = np.append(np.diag(rest)[:-1] < UNIQUE * np.diag(total)[:-1], False)  # what this recording alone knows of
+            lost = np.append(
+                np.diag(rest)[:-1] < UNIQUE * np.diag(total)[:-1], False
+            )  # parameters that this recording alone determines
             rest[lost] = rest[:, lost] = 0.0
             out += _fall(rest, one, self.size)
         return out / max(inside, 1e-300)
 
+    def robust_p(self, candidate: Candidate) -> float:
+        """P-value of a score test that tolerates autocorrelated residuals of unequal variance: scores by block of time."""
+        whole = self.signature(candidate.number, candidate.scope)
+        cross = np.einsum("jka,j,jkb->ab", self.rows.jacobian, self.weights, whole)
+        clean = whole - self.rows.jacobian @ (self.inverse @ cross)
+        scores = np.einsum("jkm,jk,j->km", clean, self.left_by(candidate), self.weights)
+        matrix = np.einsum("jka,j,jkb->ab", clean, self.weights, clean)
+        blocks = self.bench.by_block(scores)
+        gain = matrix @ candidate.coefficients
+        statistic = float(gain @ Directions.of(blocks.T @ blocks).solve(gain))
+        return float(chi2.sf(statistic, candidate.dimensions))
+
+    def joint(self, candidate: Candidate) -> int:
+        """The joint on which a candidate explains most."""
+        change = self.signature(candidate.number, candidate.scope) @ candidate.coefficients
+        return int(np.argmax(self.weights * np.sum(change**2, axis=1)))
+
     def _pieces(self, candidate: Candidate, r: int) -> np.ndarray:
-        """Products of (derivatives, signature of a candidate, residual) for pieces of one recording, weighted, (`PIECES`, …)."""
+        """Normal equations of (derivatives, signature of a candidate, residual) for pieces of one recording, (`PIECES`, …)."""
         rows = np.arange(self.bench.edges[r], self.bench.edges[r + 1])
         residual = self.rows.residual[:, rows, None]
         stack = np.concatenate([self.rows.jacobian[:, rows], self.signature(candidate.number, None)[:, rows], residual], axis=2)
@@ -389,72 +338,33 @@ class Evidence:
         """Columns of a trial at all rows, (n, M, m)."""
         c, result = np.arange(self.table.start[k], self.table.start[k + 1]), []
         for values, used in zip(self.table.values, self.table.used, strict=True):
-            columns = np.zeros((len(values), len(c)))
-            for i, column in enumerate(c):
-                at = np.searchsorted(used, column)
-                if at < len(used) and used[at] == column:
-                    columns[:, i] = values[:, at]
+            columns, here = np.zeros((len(values), len(c))), np.isin(used, c)
+            columns[:, used[here] - c[0]] = values[:, here]
             result.append(columns)
         whole = np.array(result)
         if scope is not None:
-            for r, inside in enumerate(self._within(scope)):
-                whole[:, self.bench.edges[r] : self.bench.edges[r + 1]] *= inside
+            whole *= np.repeat(self.bench.within(scope), np.diff(self.bench.edges))[:, None]
         return whole
-
-    def _within(self, scope) -> np.ndarray:
-        return np.array([1.0 if scope is None or g in scope else 0.0 for g in self.bench.groups])
 
 
 def chance(parameters: int, counts: np.ndarray, tests: int) -> float:
-    """What parameters gain by chance where so many effects compete: Schwarz's criterion, and the best of the tests."""
+    """Twice the log-likelihood that parameters gain by chance: Schwarz's criterion (BIC), and the maximum over so many tests."""
     return float(parameters * np.log(max(counts.sum(), 2.0)) + 2 * np.log(max(tests, 2)))
 
 
 def significant(parameters: int, tests: int) -> float:
-    """Twice the log-likelihood that parameters gain by chance in one of `1 / ALARMS` diagnoses with so many tests."""
+    """Twice the log-likelihood that parameters gain by chance with probability `ALARMS`, after Bonferroni's correction for all tests."""
     return float(chi2.isf(ALARMS / max(tests, 1), parameters))
 
 
 def scope_cost(groups: int, size: int) -> float:
-    """What choosing so many of the groups costs: twice the logarithm of the number of choices."""
+    """Penalty for the choice of so many of the groups: twice the logarithm of the number of choices."""
     choices = float(np.prod([(groups - i) / (i + 1) for i in range(size)]))
     return 2 * np.log(max(choices, 1.0) * groups)
 
 
-def independent(found: Rows) -> np.ndarray:
-    """Independent rows of each joint (n,)."""
-    return found.moving.sum(axis=1) * STRIDE / correlation(found)
-
-
-def correlation(found: Rows) -> np.ndarray:
-    """Time over which each joint's residuals are correlated, (n,) [s]; never less than the filter makes it."""
-    lags, result = int(LONGEST / STRIDE), []
-    for r in found.residual:
-        pieces = [r[s] for s in found.stretches]
-        power = sum(float(p @ p) for p in pieces) or 1.0
-        rho = (sum(float(p[k:] @ p[:-k]) for p in pieces if len(p) > k) / power for k in range(1, lags))
-        signal = itertools.takewhile(lambda x: x > 0.05, rho)  # beyond, it is noise
-        result.append(max(WHITE, STRIDE * (1 + 2 * sum(signal))))
-    return np.array(result)
-
-
-def robust_p(evidence: Evidence, candidate: Candidate) -> float:
-    """P-value of a trial that holds up where residuals are autocorrelated and of unequal variance: scores by block of time."""
-    after = evidence.left_by(candidate)
-    whole = evidence.signature(candidate.number, candidate.scope)
-    cross = np.einsum("jka,j,jkb->ab", evidence.rows.jacobian, evidence.weights, whole)
-    clean = whole - evidence.rows.jacobian @ (evidence.inverse @ cross)
-    scores = np.einsum("jkm,jk,j->km", clean, after, evidence.weights)
-    matrix = np.einsum("jka,j,jkb->ab", clean, evidence.weights, clean)
-    blocks = evidence.bench.by_block(scores)
-    spread = blocks.T @ blocks
-    gain = matrix @ candidate.coefficients
-    statistic = float(gain @ Directions.of(spread).solve(gain))
-    return float(chi2.sf(statistic, candidate.dimensions))
-
-
 def _fall(train: np.ndarray, test: np.ndarray, size: int) -> float:
-    """By how much more the squared residual falls on `test` with all columns than with the first `size`, fitted on `train`."""
+    """Further fall of the squared residual on `test` with all columns instead of the first `size`, fitted on `train`."""
     falls = []
     for count in (size, len(train) - 1):
         theta = pseudo_inverse(train[:count, :count]) @ train[:count, -1]
@@ -471,7 +381,7 @@ def _stack(found: Rows, signatures: Table, j: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _apart(own: np.ndarray, cross: np.ndarray, right: np.ndarray, inverse: np.ndarray, base: np.ndarray) -> float:
-    """Gain of a trial with coefficients of their own for each group."""
+    """Gain of a trial with separate coefficients in each group."""
     groups, m = right.shape
     flat = cross.reshape(groups * m, -1)
     matrix = -flat @ inverse @ flat.T
@@ -482,7 +392,7 @@ def _apart(own: np.ndarray, cross: np.ndarray, right: np.ndarray, inverse: np.nd
 
 
 def _solve(matrix: np.ndarray, right: np.ndarray, raw: np.ndarray) -> tuple[float, np.ndarray, int]:
-    """Gain, coefficients and dimensions of a quadratic; directions that the parameters can mimic are left out."""
+    """Gain, coefficients and dimensions of a least-squares problem, without directions collinear with the model's parameters."""
     live = raw > 1e-12 * max(raw.max(initial=0.0), 1e-300)
     coefficients = np.zeros(len(right))
     if not live.any() or raw.max() <= 0:

@@ -9,13 +9,14 @@ from scipy.stats import bootstrap
 
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.prediction_error import SIGNALS, Errors, evaluate_simulated
+from rrr_oc.calibration.prediction_error import SIGNALS, Errors, evaluate_simulated, summary
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
-LEVEL, RESAMPLES = 0.95, 4000
+LEVEL = 0.95  # confidence level of the intervals
+RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the ends of an interval by about 1 %
 LEAST_RECORDINGS = 3  # for a bootstrap interval
 
 
@@ -32,15 +33,11 @@ def intervals(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
         known = np.isfinite(before[:, j]) & np.isfinite(after[:, j])
         pair = before[known, j], after[known, j]
         result[joint] = {
-            "before": _interval((pair[0],), _mean),
-            "after": _interval((pair[1],), _mean),
+            "before": _interval((pair[0],), np.mean),
+            "after": _interval((pair[1],), np.mean),
             "ratio": _interval(pair, _ratio),
         }
     return result
-
-
-def _mean(x: np.ndarray, axis: int = -1) -> np.ndarray:
-    return np.mean(x, axis=axis)
 
 
 def _ratio(before: np.ndarray, after: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -74,12 +71,12 @@ def in_closed_loop(diagnosis: Diagnosis, jobs: int = -1) -> dict[str, Any]:
     else:
         parts = [(diagnosis.plain, diagnosis.model, every)]
     sets = [replace(diagnosis.recordings, recordings=some) for *_, some in parts]
-    same = [len(model.terms) == len(plain.terms) for plain, model, _ in parts]
-    wanted = [(plain, some) for (plain, *_), some in zip(parts, sets, strict=True)]
-    wanted += [(model, some) for (_, model, _), some, s in zip(parts, sets, same, strict=True) if not s]
+    extended = [k for k, (plain, model, _) in enumerate(parts) if len(model.terms) > len(plain.terms)]
+    wanted = [(plain, some) for (plain, *_), some in zip(parts, sets, strict=True)] + [(parts[k][1], sets[k]) for k in extended]
     found = parallel.ordered(_tracked, wanted, jobs)
-    before, extended = found[: len(parts)], iter(found[len(parts) :])
-    after = [b if s else next(extended) for b, s in zip(before, same, strict=True)]
+    before = found[: len(parts)]
+    changed = dict(zip(extended, found[len(parts) :], strict=True))
+    after = [changed.get(k, one) for k, one in enumerate(before)]
     joints = diagnosis.model.joints
     return {"held_out": held_out, "before": _means(before, joints), "after": _means(after, joints)}
 
@@ -93,18 +90,14 @@ def _tracked(model: CalibratedModel, recordings: RecordingSet) -> Errors | str:
 
 
 def _means(parts: Sequence[Errors | str], joints: Sequence[str]) -> dict[str, Any]:
-    reasons = [p for p in parts if isinstance(p, str)]
-    if reasons:
-        return {"why_not": reasons[0]}
-    errors = [one for part in parts if not isinstance(part, str) for one in part.values()]
-    lost = [
-        file for part in parts if not isinstance(part, str) for file, one in part.items() if one[joints[0]]["q"]["rmse"] is None
-    ]
-    if lost:
-        return {"why_not": f"it diverges while it follows {lost[0]}"}
-    return {j: {s: _known_mean([e[j][s]["nrmse"] for e in errors]) for s in SIGNALS} for j in joints}
-
-
-def _known_mean(values: Sequence[float | None]) -> float | None:
-    known = [v for v in values if v is not None]
-    return float(np.mean(known)) if known else None
+    """NRMSE by joint and signal, means over the recordings, or the reason why there are none."""
+    errors: Errors = {}
+    for part in parts:
+        if isinstance(part, str):
+            return {"why_not": part}
+        errors |= part
+    for file, one in errors.items():
+        if one[joints[0]]["q"]["rmse"] is None:
+            return {"why_not": f"it diverges while it follows {file}"}
+    mean = summary({}, errors)["mean"]["simulated"]
+    return {joint: {signal: mean[joint][signal]["nrmse"] for signal in SIGNALS} for joint in joints}

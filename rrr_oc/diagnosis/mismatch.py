@@ -1,5 +1,6 @@
 """Location of the mismatch: on which joints, in which recordings and over which range of a variable the plain model fails."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -9,14 +10,16 @@ from scipy.stats import f as fisher
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.diagnosis.contest import Finding
-from rrr_oc.diagnosis.evidence import Bench
-from rrr_oc.diagnosis.fitting import Fitted
+from rrr_oc.diagnosis.fitting import Bench, Fitted
 from rrr_oc.storage import number
 
-LEAST_GROWTH = 0.005  # of the squared residual without the effects from which a joint has a mismatch; twice as much marks fewer
+LEAST_GROWTH = 0.005  # relative growth of the squared residual without effects that counts as a mismatch; doubled: fewer
+COUPLED = 0.1  # the same for a joint that only effects of other joints act on; doubled, fewer joints are marked
 BINS = 12  # of a variable for the range with the largest error; more bins give narrower ranges
 FAR = 3.0  # residual over noise above which a joint has a mismatch whatever was found; twice as much: fewer "cannot tell"
-NOTABLE = 1.25  # ratio to the final mean square from which a recording is named
+NOTABLE = 1.25  # ratio of mean squares, without over with the effects, from which a recording is named; doubled: fewer
+MOST, NARROW = 0.5, 0.05  # least share of the error in a range, and least excess over its share of time; doubled: fewer ranges
+UNITS = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "load_torque": "Nm", "time": "s", "payload": "kg", "spring_torque": "Nm"}
 
 
 def mismatch(
@@ -40,7 +43,7 @@ def mismatch(
         own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
         p = min((f.p_value for f in own), default=1.0)
         significant = bool(own and growth[j] > LEAST_GROWTH)
-        if not significant and findings and growth[j] > 0.1:  # an effect of another joint acts here too
+        if not significant and findings and growth[j] > COUPLED:  # an effect of another joint acts here too
             significant, p = True, min(f.p_value for f in findings)
         alone = left_over[j] > FAR and not significant
         if alone:
@@ -66,34 +69,15 @@ def mismatch(
 
 def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
     """Variables that the error may depend on, filtered, at the rows of the fit: (n, M) by name, with units."""
-    parts: dict[str, list[np.ndarray]] = {}
-    units = {
-        "q": "rad",
-        "dq": "rad/s",
-        "ddq": "rad/s²",
-        "load_torque": "Nm",
-        "time": "s",
-        "payload": "kg",
-        "spring_torque": "Nm",
-    }
+    parts, bare = [], replace(model, terms=())
     for p in bench.prepared:
-        r, n = p.recording, model.robot.n
+        r = p.recording
         load = model.torques(r)[1]
-        springs = replace(model, terms=())
-        without = replace(r, springs=())
-        pull = springs.torques(without)[1] - springs.torques(r)[1] if r.springs else np.zeros_like(load)
-        values = {
-            "q": r.q,
-            "dq": r.dq,
-            "ddq": r.ddq,
-            "load_torque": load,
-            "time": np.tile(r.clock, (n, 1)),
-            "payload": np.tile(r.payload, (n, 1)),
-            "spring_torque": pull,
-        }
-        for name, value in values.items():
-            parts.setdefault(name, []).append(p.filtered(value))
-    return {name: (np.concatenate(found, axis=1), units[name]) for name, found in parts.items()}
+        pull = bare.torques(replace(r, springs=()))[1] - bare.torques(r)[1] if r.springs else np.zeros_like(load)
+        clock, payload = (np.tile(x, (bench.n, 1)) for x in (r.clock, r.payload))
+        parts.append([p.filtered(x) for x in (r.q, r.dq, r.ddq, load, clock, payload, pull)])
+    whole = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
+    return {name: (values, unit) for (name, unit), values in zip(UNITS.items(), whole, strict=True)}
 
 
 def _where(
@@ -110,16 +94,12 @@ def _where(
         bins = np.clip(np.searchsorted(edges, values[j], side="right") - 1, 0, len(edges) - 2)
         power = np.bincount(bins, weights=error, minlength=len(edges) - 1) / total
         time = np.bincount(bins, weights=moving, minlength=len(edges) - 1) / max(moving.sum(), 1)
-        best = None
-        for a in range(len(power)):
-            for b in range(a + 1, len(power) + 1):
-                inside, lasting = float(power[a:b].sum()), float(time[a:b].sum())
-                if inside >= 0.5 and lasting > 0 and (best is None or inside - lasting > best[0]):
-                    best = (inside - lasting, a, b, inside, lasting)
-        if best is not None and best[0] > 0.05:
+        spans = itertools.combinations(range(len(power) + 1), 2)
+        shares = [(float(power[a:b].sum()), float(time[a:b].sum()), a, b) for a, b in spans]
+        enough = [s for s in shares if s[0] >= MOST and s[1] > 0]
+        inside, lasting, a, b = max(enough, key=lambda s: s[0] - s[1], default=(0.0, 0.0, 0, 0))
+        if inside - lasting > NARROW:
             label = f"{name}_{joint}" if name in ("q", "dq", "ddq") else name
-            found.append((best[0], {
-                "variable": label, "range": [float(edges[best[1]]), float(edges[best[2]])], "unit": unit,
-                "share_of_error": best[3], "share_of_time": best[4],
-            }))  # fmt: skip
+            entry = {"variable": label, "range": [float(edges[a]), float(edges[b])], "unit": unit}
+            found.append((inside - lasting, entry | {"share_of_error": inside, "share_of_time": lasting}))
     return [entry for _, entry in sorted(found, key=lambda one: -one[0])[:3]]

@@ -13,12 +13,12 @@ from scipy.stats import median_abs_deviation
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.regression import variance
 from rrr_oc.calibration.samples import SPEED_WINDOW, without_reversals
-from rrr_oc.diagnosis.evidence import Bench
-from rrr_oc.diagnosis.fitting import Fitted, as_abrupt, refit, with_turn
-from rrr_oc.diagnosis.selection import Found, noisy
+from rrr_oc.diagnosis.candidate_fits import noisy
+from rrr_oc.diagnosis.fitting import Bench, Fitted, as_abrupt, refit, with_turn, without
+from rrr_oc.diagnosis.selection import Found
 from rrr_oc.numerics.savitzky_golay import smooth
 
-LEAST_SAMPLES = 7  # in the window of a smooth motion
+LEAST_SAMPLES = 7  # in the window that smooths positions; doubled, motion is taken for noise
 VARIANCE_RATIO = 1.2  # with reversals over without, above which reversals are left out; twice as much keeps nearly all
 
 
@@ -30,7 +30,7 @@ def blurred_joints(bench: Bench, found: Found) -> np.ndarray:
     recorded positions do not count as an explanation.
     """
     clear, model = without_reversals(bench.prepared), found.fitted.model
-    lawful = replace(model, terms=tuple(t for t in model.terms if not t.effect.black_box))
+    lawful = without(model, *(t for t in model.terms if t.effect.black_box))
     result = np.zeros(bench.n, bool)
     for one in (model,) if len(lawful.terms) == len(model.terms) else (model, refit(bench, lawful).model):
         result |= variance(bench.prepared, one) > VARIANCE_RATIO * variance(clear, one)
@@ -71,8 +71,7 @@ def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
             fitted, result[number] = most[1], most[1].model.terms[number]
     turns = Counter(term.effect.sign_forms.index(term.effect) for term in result.values())
     for number in [i for i in default if turns and i not in result]:
-        terms = with_turn(fitted.model.terms, number, turns.most_common(1)[0][0])
-        tried = as_abrupt(bench, replace(fitted.model, terms=terms))
+        tried = as_abrupt(bench, with_turn(fitted.model, number, turns.most_common(1)[0][0]))
         if tried.better_than(fitted) > 0:
             fitted, result[number] = tried, tried.model.terms[number]
     return {term.effect.joints[0]: term for term in result.values()}
@@ -80,18 +79,14 @@ def other_turns(bench: Bench, found: Found) -> dict[int, Term]:
 
 def _with_fewer(bench: Bench, fitted: Fitted, number: int, turn: int, laws: Sequence[Term]) -> tuple[int, Fitted]:
     """Number of laws that can be removed if a joint's dry friction has this smoothed sign, and the fit without them."""
-    terms, fewer, left, dropped = with_turn(fitted.model.terms, number, turn), fitted, list(laws), 0
+    model, fewer, left, dropped = with_turn(fitted.model, number, turn), fitted, list(laws), 0
     while left:
-        tried = []
-        for law in left:
-            model = replace(fitted.model, terms=tuple(t for t in terms if t is not law))
-            tried.append(as_abrupt(bench, model))
+        tried = [as_abrupt(bench, without(model, law)) for law in left]
         k = min(range(len(left)), key=lambda i: tried[i].misfit)
         dropped += len(left[k].estimates)
         if tried[k].better_than(fitted) < -2 * dropped:
             break
-        fewer, terms = tried[k], tuple(t for t in terms if t is not left[k])
-        del left[k]
+        fewer, model = tried[k], without(model, left.pop(k))
     return len(laws) - len(left), fewer
 
 

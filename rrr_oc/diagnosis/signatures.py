@@ -5,17 +5,17 @@ what is missing is found by linear algebra on few numbers.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import Prepared
 from rrr_oc.effects import CATALOGUE, Trial, View
 from rrr_oc.robot.rigid_body import rigid_body
 
-SAMPLE = 400  # positions that trials look at
+SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
 Signature = tuple[np.ndarray, np.ndarray]  # where columns are not 0 (m, n), and these, filtered (number of them, M)
 
 
@@ -52,18 +52,54 @@ def trials(seen: View, torque: str) -> list[Trial]:
     return [trial for kind in kinds for trial in kind.trials(seen)]
 
 
+def black_box_trials(prepared: Sequence[Prepared], seen: View, model: CalibratedModel, j: int) -> list[Trial]:
+    """All black-box terms that joint j might lack, over the ranges that the recordings cover."""
+    ranges = _ranges(prepared, model)
+    kinds = [kind for kind in CATALOGUE.values() if kind.role == "black_box"]
+    return [trial for kind in kinds for trial in kind.black_box_trials(seen, j, ranges, model.torque)]
+
+
+def _ranges(prepared: Sequence[Prepared], model: CalibratedModel) -> dict[tuple[str, int], tuple[float, float]]:
+    """Smallest and largest recorded value of each variable that a torque may depend on, by name and joint."""
+    seen, torques = view(prepared, model), [model.torques(p.recording) for p in prepared]
+    motor, load = (np.concatenate(parts, axis=1) for parts in zip(*torques, strict=True))
+    acceleration = np.quantile(np.concatenate([np.abs(p.recording.ddq) for p in prepared], axis=1), 0.99, axis=1)
+    found = {("time", -1): (0.0, float(seen.duration))}
+    for i in range(len(motor)):
+        for name, size in (("dq", float(seen.speed[i])), ("ddq", max(float(acceleration[i]), 1e-3))):
+            found[name, i] = (-size, size)
+        for name, low, high in (
+            ("q", seen.low[i], seen.high[i]),
+            ("load", load[i].min(), load[i].max()),
+            ("motor", motor[i].min(), motor[i].max()),
+        ):
+            found[name, i] = (float(low), max(float(high), float(low) + 1e-6))
+    return found
+
+
+def as_seen(prepared: Sequence[Prepared], model: CalibratedModel, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The terms for a fit to other recordings: series start at 0, over the part of their range that these recordings cover."""
+    if all(t.effect.has_edges or not t.effect.validity for t in terms):
+        return tuple(terms)
+    result, ranges = [], _ranges(prepared, model)
+    for term in terms:
+        effect = term.effect.renewed(ranges)
+        result.append(term if effect is None else replace(term, effect=effect).with_values(0 * term.values))
+    return tuple(result)
+
+
 @dataclass(frozen=True)
 class SignatureCache:
     """Filtered signatures that were computed before, shared by all models that are compared on the same recordings.
 
     A `Bench` owns it, and benches of some of its recordings share it; it lives as long as they do. The key is the recording, the
-    trial, and whatever of a model and a trial the signature depends on: of the latter, the first and the latest are kept.
+    trial, and what else of the model the signature depends on: of the last, the first value and the newest are kept.
     """
 
     _found: dict[Prepared, dict[Hashable, dict[Hashable, Signature]]] = field(default_factory=dict, compare=False, repr=False)
 
-    def once(self, prepared: Prepared, trial: Hashable, depends_on: Hashable, find: Callable[[], Signature]) -> Signature:
-        """The signature of a trial, which `find` computes where there is none."""
+    def get(self, prepared: Prepared, trial: Hashable, depends_on: Hashable, find: Callable[[], Signature]) -> Signature:
+        """The signature of a trial; `find` computes it if it is not in the cache."""
         known = self._found.setdefault(prepared, {}).setdefault(trial, {})
         if depends_on not in known:
             signature = find()
@@ -113,15 +149,12 @@ def table(
     values, used = [], []
     for j in range(live.shape[2]):
         own = np.flatnonzero(live[:, :, j].any(axis=0))
-        place = np.zeros(live.shape[1], int)
-        place[own] = np.arange(len(own))
         whole = np.zeros((len(own), edges[-1]))
         for part, first, end in zip(found, edges, edges[1:], strict=False):
             for (where, passed), column in zip(part, start, strict=False):
                 if where[:, j].any():
-                    rows = np.cumsum(where).reshape(where.shape)[:, j] - 1
-                    here = np.flatnonzero(where[:, j])
-                    whole[place[column + here], first:end] = passed[rows[here]]
+                    rows, here = np.cumsum(where).reshape(where.shape)[:, j] - 1, np.flatnonzero(where[:, j])
+                    whole[np.searchsorted(own, column + here), first:end] = passed[rows[here]]
         values.append(whole.T)
         used.append(own)
     return Table(every, start, tuple(values), tuple(used))
@@ -145,7 +178,7 @@ def _signature(prepared: Prepared, at: Prediction, trial: Trial, cache: Signatur
         where, passed = find()
     else:
         key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
-        where, passed = cache.once(prepared, key, (trial.width, parts), find)
+        where, passed = cache.get(prepared, key, (trial.width, parts), find)
     if gain is None or effect.side == "sensor" or np.all(gain == 1.0):
         return where, passed
     return where, passed * gain[np.nonzero(where)[1], None]

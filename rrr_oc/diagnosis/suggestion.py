@@ -24,7 +24,7 @@ from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
-DURATION, STEP = 20.0, 0.01  # s
+DURATION, STEP = 20.0, 0.01  # length and sampling time of a suggested motion [s]; a longer one decides more
 CANDIDATES = 10  # random motions that are compared; twice as many take twice the time for a slightly better one
 HARMONICS = 4  # of a random motion's base frequency, which is one to three periods in `DURATION`
 FASTER = 1.3  # largest speed of a suggested motion over the speed recorded; twice as fast may be more than the arm can follow
@@ -68,7 +68,7 @@ def suggest(
         for best in sorted([*motions, *optimised], key=lambda m: -_log_information(m, plain))[:1]:
             result.append(Suggestion(why, (), best.recording))
     for finding in contested if motions else ():
-        own = _trial(finding)
+        own = Trial(finding.term.effect, (finding.term.named,), width=finding.term.width)
         rivals = [[t for t in every if (t.effect.name, t.effect.joints) == rival] for rival in finding.rivals]
         rivals = [rival for rival in rivals if rival]  # an empirical term is in no catalogue
         if not rivals:
@@ -88,8 +88,8 @@ def _rig(recordings: RecordingSet, plain: CalibratedModel, seen: View, springs: 
     """
     every, robot = recordings.recordings, recordings.robot
     payload, known = max(float(r.payload.max()) for r in every), robot_limits(robot)
-    listed = _recording(Motion(np.zeros(1), *np.zeros((3, robot.n, 1)), payload=np.full(1, payload)), springs)
-    physics = plain.physics(listed)
+    still = Motion(np.zeros(1), *np.zeros((3, robot.n, 1)), payload=np.full(1, payload))
+    physics = plain.physics(Recording.planned("suggested", still, springs))
     torque = np.max([np.abs(recordings.output_torque(r)).max(axis=1) for r in every], axis=0)
     low, high = np.maximum(seen.low, robot.lower), np.minimum(seen.high, robot.upper)
     outside = low >= high  # recorded beyond the range that the robot's description allows
@@ -137,12 +137,8 @@ def _optimised(rig: Rig, plain: CalibratedModel, seed: int) -> list[Motion]:
     return []
 
 
-def _recording(motion: Motion, springs: tuple[Spring, ...]) -> Recording:
-    return Recording.planned("suggested", motion, springs)
-
-
 def _prepared(motion: Motion, springs: tuple[Spring, ...]) -> Prepared:
-    recording, n = _recording(motion, springs), len(motion.q)
+    recording, n = Recording.planned("suggested", motion, springs), len(motion.q)
     return Prepared(recording, np.zeros_like(motion.q), np.ones(motion.q.shape, bool), 0.2, np.zeros(n, int))
 
 
@@ -162,27 +158,15 @@ def _why(apart: float) -> str:
     )
 
 
-def _trial(finding: Finding) -> Trial:
-    """The effect as found, its linear parameters as coefficients."""
-    effect, values = finding.term.effect, finding.term.values
-    named = {p.name: float(v) for p, v in zip(effect.parameters, values, strict=True)}
-    return Trial(effect, (named,), width=finding.term.width)
-
-
 def _difference(motion: Prepared, plain: CalibratedModel, own: Trial, rival: Sequence[Trial]) -> float:
     """χ² of the effect's torque that neither the rival, in any of its shapes, nor the plain parameters explain."""
-    found = rows([motion], plain)
-    signatures = table([motion], plain, [own, *rival])
-    total = 0.0
+    found, signatures = rows([motion], plain), table([motion], plain, [own, *rival])
     deviation = np.where(np.isfinite(plain.noise), plain.noise, 1.0)
-    columns = int(signatures.start[-1])
-    matrix, right, power = np.zeros((columns - 1 + found.jacobian.shape[2],) * 2), 0.0, 0.0
+    size = int(signatures.start[-1]) + found.jacobian.shape[2]
+    products = np.zeros((size, size))
     for j, (values, used) in enumerate(zip(signatures.values, signatures.used, strict=True)):
-        whole = np.zeros((len(values), columns))
-        whole[:, used] = values
-        target, others = whole[:, 0] / deviation[j], np.hstack([whole[:, 1:], found.jacobian[j]]) / deviation[j]
-        matrix += others.T @ others
-        right = right + others.T @ target
-        power += float(target @ target)
-    total = power - float(right @ pseudo_inverse(matrix) @ right)
-    return max(total, 0.0)
+        columns = np.zeros((len(values), size))
+        columns[:, used], columns[:, signatures.start[-1] :] = values, found.jacobian[j]
+        products += columns.T @ columns / deviation[j] ** 2
+    others, right = products[1:, 1:], products[1:, 0]  # the first column is the effect
+    return max(float(products[0, 0] - right @ pseudo_inverse(others) @ right), 0.0)
