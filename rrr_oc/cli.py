@@ -140,8 +140,8 @@ def effects() -> None:
     table = Table("effect", "law", "parameters", "acts on", "where", show_lines=True)
     for kind in CATALOGUE.values():
         fixed = isinstance(kind.parameters, tuple)  # else their number depends on what the term was found to depend on
-        parameters = ", ".join(f"{p.name} \\[{p.unit}]" for p in kind.parameters) if fixed else "coefficients \\[Nm]"
-        table.add_row(kind.name, kind.equation.replace("[", "\\["), parameters, kind.side, PLACEMENTS[kind.placement])
+        parameters = ", ".join(f"{p.name} [{p.unit}]" for p in kind.parameters) if fixed else "coefficients [Nm]"
+        table.add_row(kind.name, kind.equation, parameters, kind.side, PLACEMENTS[kind.placement])
     console.print(table)
     for side, meaning in SIDES.items():
         console.print(f"{side}: {meaning}.", highlight=False, soft_wrap=True)

@@ -320,8 +320,8 @@ def wanted(folder: Path, found: Mapping[str, Any], task: Task, motion: Sweep) ->
         q = np.array(q)
         dq = np.gradient(q, t, axis=1)
         name = Path(entry["trajectory"]).stem
-        motion = Motion(t, q, dq, np.gradient(dq, t, axis=1), np.full(len(t), task.payload))
-        plans.append(Recording.planned(name, motion))
+        suggested = Motion(t, q, dq, np.gradient(dq, t, axis=1), np.full(len(t), task.payload))
+        plans.append(Recording.planned(name, suggested))
     return plans
 
 

@@ -180,7 +180,7 @@ def run_fixed(store: Path, labels: Mapping[str, Any], duration: float, seed: int
 
 def stored_motion(run: Run) -> SampledMotion:
     """The motion in the arrays of a multistart's run."""
-    arrays = run.arrays
+    arrays: dict[str, Any] = run.arrays
     return SampledMotion(**{name: arrays[name] for name in SAVED})
 
 
