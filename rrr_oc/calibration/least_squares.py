@@ -16,11 +16,8 @@ from rrr_oc.calibration.regression import Rows
 from rrr_oc.numerics.rank import DETERMINED, Directions
 
 Point = TypeVar("Point")  # parameters, with whatever was computed at them
-DAMPING = (
-    1e-3,
-    1e-12,
-    1e8,
-)  # at first, least and most, of the diagonal; doubled, no change beyond a hundredth of standard errors
+# At first, least and most, of the diagonal; doubled, no change beyond a hundredth of standard errors
+DAMPING = 1e-3, 1e-12, 1e8
 RAISED, LOWERED = 5.0, 10.0  # factors of the damping after a step that failed or succeeded; doubled, the same
 
 

@@ -15,9 +15,8 @@ from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.solver import Solution
 
 _SAVING = 1e-6  # [1] a bound that saves no more of the cost by one unit is not listed; doubled, the list is a little shorter
-_TOUCHED = (
-    1e-4  # [1] of a variable's scale: a parameter this close to its bound is at it; doubled, bounds further away are listed
-)
+# [1] of a variable's scale: a parameter this close to its bound is at it; doubled, bounds further away are listed
+_TOUCHED = 1e-4
 _Bound = tuple[str, float, str, float]  # name, value [unit], unit, decrease of the cost for moving it outward by one unit
 _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
 

@@ -62,11 +62,11 @@ def contenders(evidence: Evidence, model: CalibratedModel) -> list[Candidate]:
             continue
         if _by_amplitude(effect) and not _robust(evidence, candidate):
             continue
-        foremost = candidate is every[0]
+        best_scored = candidate is every[0]
         bent = not effect.black_box and len(effect.parameters) > len(effect.amplitudes)
         # a nonlinear effect may fit well with a shape near that of its trial: the first candidate is fitted in any case
-        held = not others or (foremost and bent) or evidence.confirmed(candidate) > CONFIRMED
-        if held or (foremost and _confirmed_as_abrupt(evidence, candidate, model)):
+        held = not others or (best_scored and bent) or evidence.confirmed(candidate) > CONFIRMED
+        if held or (best_scored and _confirmed_as_abrupt(evidence, candidate, model)):
             result.append(candidate)
     return result
 

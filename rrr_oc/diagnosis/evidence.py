@@ -23,12 +23,8 @@ from rrr_oc.numerics.rank import UNIQUE, UNIQUE_TOGETHER, Directions, pseudo_inv
 
 PIECES = 4  # of a recording that alone has an effect, for cross-validation within it; doubled, each is more like the others
 ALARMS = 0.01  # probability of naming an effect where nothing is missing; doubled, fainter effects are found
-SHARES = (
-    1.0,
-    0.85,
-    0.7,
-    0.5,
-)  # multiples of coefficients, tried until one is within bounds
+# Multiples of coefficients, tried until one is within bounds
+SHARES = 1.0, 0.85, 0.7, 0.5
 FIRST = 40  # candidates, by quadratic gain, whose likelihood is computed; doubled, it costs time
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
 

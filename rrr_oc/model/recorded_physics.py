@@ -14,9 +14,8 @@ from rrr_oc.numerics.along import along
 from rrr_oc.numerics.oscillator import substituted
 
 DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
-PARTS = (
-    4  # substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
-)
+# Substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
+PARTS = 4
 SWEEPS = 2  # iterations over coupled and nonlinear links behind elastic gears; doubled, it takes twice the time
 # Of joint j: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
 Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]

@@ -24,9 +24,8 @@ from rrr_oc.numerics import akima
 from rrr_oc.numerics.along import along
 
 VIA = 5  # path points per phase and joint in the paper
-MARGIN = (
-    0.25  # [1] of the range from start to release by which the region of initial path points is wider, as in the authors' code
-)
+# [1] of the range from start to release by which the region of initial path points is wider, as in the authors' code
+MARGIN = 0.25
 WEIGHT = 5.0  # [1] of the penalty; doubled, optima stay and the landscape outside the limits is steeper
 NODES = 12  # Gauss–Legendre points an interval
 

@@ -21,9 +21,8 @@ from rrr_oc.paper.encoding import NODES, Analytic, Encoding, Scores, excesses
 
 PATH_WIDTHS = (0.1, 0.01, 0.001)  # smoothing widths of Akima's weights [rad], one solve after the other
 SPRING_WIDTHS = (0.1, 0.02, 0.003)  # smoothing widths of the springs [rad], along with those
-TIGHTENINGS = (
-    4  # rounds, at most, in which limits are narrowed by their excess between the samples; more would solve for less than 1e-9
-)
+# Rounds, at most, in which limits are narrowed by their excess between the samples; more would solve for less than 1e-9
+TIGHTENINGS = 4
 FINE_NODES = 40  # Gauss–Legendre nodes an interval of the reported cost
 
 

@@ -3,10 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-POOR_RATIO, POOR_NRMSE = (
-    3.0,
-    0.2,
-)  # above both times the error within the fit and this NRMSE, held-out recordings count as badly
+# Above both times the error within the fit and this NRMSE, held-out recordings count as badly
+POOR_RATIO, POOR_NRMSE = 3.0, 0.2
 # predicted and the verdict says so; doubled, a model that fits too few recordings passes as complete
 
 

@@ -23,9 +23,8 @@ SETTINGS = Settings(effects="native", timestep=1e-3, integrator="implicitfast")
 BANDWIDTH = 40.0  # [rad/s], of controllers whose gains are not known
 NO_LIMIT = 1e6  # [Nm]; a URDF's effort of 0 or beyond this means that none is known
 ASTRAY = np.pi  # [rad]; a simulation further off the recording counts as diverged, and its numbers as unknown
-PAYLOAD_STEP = (
-    0.02  # of the largest payload; a smaller change does not begin a new piece: twice as much, and half as many pieces
-)
+# Of the largest payload; a smaller change does not begin a new piece: twice as much, and half as many pieces
+PAYLOAD_STEP = 0.02
 CHUNK = 4_000_000  # states of all candidates held in memory at once
 
 

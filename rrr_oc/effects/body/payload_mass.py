@@ -5,9 +5,8 @@ from dataclasses import replace
 from rrr_oc.effects.base import Effect
 from rrr_oc.robot.parameters import Parameter
 
-TOLERANCE = (
-    0.05  # share of the listed payload by which the total may be negative, as an unmounted payload is estimated with errors
-)
+# Share of the listed payload by which the total may be negative, as an unmounted payload is estimated with errors
+TOLERANCE = 0.05
 
 
 class PayloadMass(Effect):
