@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.sparse import csc_array
-from test_codesign import TASK, design_of, solved, trapezoid
+from test_design_problem import TASK, design_of, solved, trapezoid
 
 from rrr_oc.codesign.certificate import Certificate, certify, exact_cost, reintegrate
 from rrr_oc.codesign.design_problem import CoDesign
