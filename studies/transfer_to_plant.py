@@ -35,6 +35,7 @@ from rrr_oc.paper.experiments import candidate_motion, experiment, stored_motion
 from rrr_oc.paper.run_store import Run, all_runs
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.drives import load_actuators
+from rrr_oc.simulation.tracking import Reference
 from validation.concealed.build import Built, build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.plant import LEAD, Plant, Setup
@@ -161,7 +162,7 @@ def _played(designs: Mapping[str, Played], model: CalibratedModel, built: Built)
     t = np.arange(round(longest / STEP) + 1) * STEP
     lead = round(LEAD / STEP)
     commands = np.stack([_command(phase, t, lead, built.arm.kp) for phase, _ in rows])
-    setup = Setup(np.array([phase.payload for phase, _ in rows]), [spring for _, spring in rows])
+    setup = Setup(np.array([phase.payload[0] for phase, _ in rows]), [spring for _, spring in rows])
     effects = [s.effect.on(np.ones(len(rows))) for s in built.scaled]
     history = Plant(built.arm, setup, effects, STEP).run(commands)
     found = {}
@@ -194,9 +195,9 @@ def _played(designs: Mapping[str, Played], model: CalibratedModel, built: Built)
     return found
 
 
-def _command(phase, t: np.ndarray, lead: int, gain: np.ndarray) -> np.ndarray:
+def _command(phase: Reference, t: np.ndarray, lead: int, gain: np.ndarray) -> np.ndarray:
     """Position commands of the P-controllers, (n, T): the reference plus the expected torque over the gain; constant before and after."""
-    ahead = phase.tau_load / gain[:, None]
+    ahead = phase.feed_forward / gain[:, None]
     q = np.stack([np.interp(t, phase.t, row) for row in phase.q + ahead])
     return np.concatenate([np.repeat(q[:, :1], lead, axis=1), q], axis=1)
 

@@ -11,6 +11,7 @@ from commands import run
 from rrr_oc.paper.comparison import summarise
 from rrr_oc.paper.run_store import Run, all_runs
 from rrr_oc.report.comparison_report import tables
+from rrr_oc.simulation.tracking import Reference
 
 STUDY = Path(__file__).resolve().parents[1] / "studies" / "gradient_vs_evolution.py"
 
@@ -125,3 +126,16 @@ def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, a
     assert message in told
     assert len(told.splitlines()) == 1
     assert not (tmp_path / "results").exists()
+
+
+def test_commands_to_the_plant_contain_the_feed_forward_torque():
+    """A P-controller takes positions only: q_ref + torque / gain, held before and after the phase."""
+    from transfer_to_plant import _command
+
+    t, rows = np.array([0.0, 1.0, 2.0]), np.array([[0.0, 1.0, 2.0], [3.0, 3.0, 3.0]])
+    phase = Reference(
+        t, rows, 0 * rows, 0 * rows, np.zeros(3), name="go", feed_forward=np.array([[4.0, 4.0, 4.0], [0.0, 6.0, 0.0]])
+    )
+    found = _command(phase, np.array([0.0, 0.5, 1.0, 2.0, 3.0]), 2, np.array([2.0, 3.0]))
+    np.testing.assert_allclose(found[0], [2, 2, 2, 2.5, 3, 4, 4])
+    np.testing.assert_allclose(found[1], [3, 3, 3, 4, 5, 3, 3])
