@@ -16,6 +16,7 @@ from rrr_oc.effects import CATALOGUE, Trial, View
 from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
+LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
 Signature = tuple[np.ndarray, np.ndarray]  # where columns are not 0 (m, n), and these, filtered (number of them, M)
 
 
@@ -30,6 +31,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
             widths[term.effect.joints[0]] = term.width
     springs = {spring.joints for p in prepared for spring, _ in p.recording.springs}
     positions = q[:, :: max(1, q.shape[1] // SAMPLE)]
+    torque = np.maximum(np.concatenate([p.measured for p in prepared], axis=1).std(axis=1), 1e-9)
     body = rigid_body(model.robot)
     inertia = [np.diag(np.asarray(body.mass_matrix(x, model.robot.inertial))) for x in positions.T]
     return View(
@@ -43,7 +45,20 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         springs=tuple(sorted(springs)),
         payload=any(np.any(p.recording.payload > 0) for p in prepared)
         or any(term.effect.alters == "payload" for term in model.terms),
+        dry=_dry(model, torque),
+        torque=torque,
+        mass=np.maximum(model.robot.inertial[0], 1e-3),
     )
+
+
+def _dry(model: CalibratedModel, torque: np.ndarray) -> np.ndarray:
+    """Plain dry friction of each joint [Nm], at least `LEAST_DRY` of its torque, (n,)."""
+    dry = LEAST_DRY * torque
+    for term in model.terms:
+        if term.effect.sign_forms:
+            j = term.effect.joints[0]
+            dry[j] = max(dry[j], float(term.values[0]))
+    return dry
 
 
 def trials(seen: View, torque: str) -> list[Trial]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from importlib.metadata import entry_points
 from typing import TypeVar
 
-from rrr_oc.effects.base import Body, Effect, Signals, Trial, View
+from rrr_oc.effects.base import Body, Effect, Prior, Signals, Trial, View
 from rrr_oc.errors import UserError
 
 CATALOGUE: dict[str, type[Effect]] = {}
@@ -68,6 +68,7 @@ __all__ = [
     "CATALOGUE",
     "Body",
     "Effect",
+    "Prior",
     "Signals",
     "Trial",
     "View",

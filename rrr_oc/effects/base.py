@@ -4,7 +4,7 @@ An effect declares what it can do, so that no other folder asks for one by its n
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -79,6 +79,22 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What is believed of an effect before any recording is seen.
+
+    Attributes:
+        probability: That it is present at one place (a joint, a pair of joints, a listed spring, the arm) of an arm.
+        typical: Standard deviation of each amplitude about 0 as (number, unit), in units that transfer between arms: keys of
+            `View.units`, or "" for the parameter's own unit.
+        source: Where the numbers come from.
+    """
+
+    probability: float = 0.01
+    typical: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    source: str = ""
+
+
+@dataclass(frozen=True)
 class View:
     """What recordings show of an arm, so that effects can say where and how they might be present.
 
@@ -91,6 +107,9 @@ class View:
         inertia: Median over these positions of the inertia that each joint's drive moves, without payload [kg m²], (n,).
         springs: Joints of the springs that recordings list.
         payload: Whether a recording lists a payload, or the model has found one.
+        dry: Dry friction of each joint [Nm], (n,); where drives have none, as where the load torque is recorded, a share of `torque`.
+        torque: Standard deviation of each joint's recorded torque [Nm], (n,).
+        mass: Mass of each joint's link [kg], (n,).
     """
 
     low: np.ndarray
@@ -102,11 +121,31 @@ class View:
     inertia: np.ndarray
     springs: tuple[tuple[int, ...], ...]
     payload: bool
+    dry: np.ndarray
+    torque: np.ndarray
+    mass: np.ndarray
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.low)
+
+    def unit(self, name: str, joints: Sequence[int]) -> float:
+        """A unit of `Prior.typical` in SI units, for an effect on these joints; of several joints the largest."""
+        j = list(joints) or list(range(self.n))
+        travel = self.high - self.low
+        units = {
+            "": np.ones(self.n),
+            "dry": self.dry,
+            "dry/speed": self.dry / self.speed,
+            "dry/speed²": self.dry / self.speed**2,
+            "torque": self.torque,
+            "torque/travel": self.torque / travel,
+            "travel": travel,
+            "mass": self.mass,
+            "inertia": self.inertia,
+        }
+        return float(np.max(units[name][j]))
 
 
 @dataclass(frozen=True)
@@ -165,6 +204,7 @@ class Effect:
         options: Dataclass fields beside the parameters that users choose and reports show, with the values allowed; of a field that
             is a tuple, the values of each element.
         composed: Where parameters are the components of vectors or matrices: shown name to parameters' names, nested.
+        prior: What is believed of it before any recording is seen.
         listing: How it stands in the header of a recording set; None where recordings cannot list it.
         design: Its form in a co-design; None where it is no part of one.
         joints: Indices of the joints it acts on.
@@ -188,6 +228,7 @@ class Effect:
     alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
     options: ClassVar[Mapping[str, tuple[Any, ...]]] = {}
     composed: ClassVar[Mapping[str, Any]] = {}
+    prior: ClassVar[Prior] = Prior()
     listing: ClassVar[Listing | None] = None
     design: ClassVar[DesignForm | None] = None
 
@@ -430,6 +471,15 @@ class Effect:
         """A trial with these values of the parameters in which the effect is not linear."""
         base = {p.name: shape.get(p.name, 0.0) for p in self.parameters}
         return Trial(self, tuple(base | {a: self.step} for a in self.amplitudes), self.step, self.sign_width(view))
+
+    def scales(self, view: View, trial: Trial, prior: Prior | None = None) -> np.ndarray:
+        """Prior standard deviations of a trial's coefficients, (m,)."""
+        typical, result = (prior or self.prior).typical, []
+        for point in trial.points:
+            name = next((a for a in self.amplitudes if point[a] != 0.0), self.amplitudes[0])
+            number, unit = typical.get(name, (1.0, ""))
+            result.append(number * view.unit(unit, self.joints) * trial.size / (point[name] or trial.size))
+        return np.array(result)
 
     def sign_width(self, view: View) -> float | None:
         """Smoothing width that suits the recordings: that of the joint's dry friction where it is one of speed."""
