@@ -30,6 +30,8 @@ PLACEMENTS = {
 Input = Literal["load", "friction", "springs"]
 Role = Literal["plain", "law", "black_box"]
 Scope = Literal["everywhere", "set_up", "some", "mounted"]
+# Probability that an effect that is present is so in some recordings only, by `Effect.scope`
+PARTLY: dict[Scope, float] = {"everywhere": 0.0, "set_up": 0.1, "mounted": 0.5, "some": 1.0}
 Dynamics = Literal["instantaneous", "states", "load_states", "link", "impact", "delay"]
 SIGN_WIDTH = Parameter(
     "width", "rad/s", 0.05, lower=0.0
@@ -84,14 +86,18 @@ class Prior:
 
     Attributes:
         probability: That it is present at one place (a joint, a pair of joints, a listed spring, the arm) of an arm.
-        typical: Standard deviation of each amplitude about 0 as (number, unit), in units that transfer between arms: keys of
-            `View.units`, or "" for the parameter's own unit.
+        typical: Standard deviation of each amplitude about 0 as (number, unit), in units that transfer between arms: those of
+            `View.unit`, or "" for the parameter's own unit. Where `Effect.scales` is overridden, of what that refers to.
         source: Where the numbers come from.
+        where_springs: Factor of the odds on arms that carry springs.
+        where_exact: Factor of the odds where the links' inertial parameters are known exactly.
     """
 
     probability: float = 0.01
     typical: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     source: str = ""
+    where_springs: float = 1.0
+    where_exact: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -130,9 +136,14 @@ class View:
         """Number of joints."""
         return len(self.low)
 
+    @property
+    def length(self) -> float:
+        """Length that stands for the arm [m]: the largest radius of gyration of what a joint moves."""
+        moved = np.cumsum(self.mass[::-1])[::-1]
+        return float(np.sqrt(self.inertia / moved).max())
+
     def unit(self, name: str, joints: Sequence[int]) -> float:
-        """A unit of `Prior.typical` in SI units, for an effect on these joints; of several joints the largest."""
-        j = list(joints) or list(range(self.n))
+        """A unit of `Prior.typical` in SI units, for an effect on these joints; of a pair the smaller, of the arm the largest."""
         travel = self.high - self.low
         units = {
             "": np.ones(self.n),
@@ -143,9 +154,12 @@ class View:
             "torque/travel": self.torque / travel,
             "travel": travel,
             "mass": self.mass,
+            "arm's mass": np.full(self.n, self.mass.sum()),
+            "mass length": self.mass * self.length,
+            "mass length²": self.mass * self.length**2,
             "inertia": self.inertia,
         }
-        return float(np.max(units[name][j]))
+        return float(np.min(units[name][list(joints)]) if joints else np.max(units[name]))
 
 
 @dataclass(frozen=True)
@@ -374,6 +388,13 @@ class Effect:
         """Travel over which its friction builds up after a reversal [rad]; None where it needs none."""
         return None
 
+    # beliefs before recordings are seen
+
+    @property
+    def partly(self) -> float:
+        """Probability that, if it is present, it is so in some recordings only."""
+        return PARTLY[self.scope]
+
     # beside other effects
 
     def equivalents(self, theta: Mapping[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
@@ -473,7 +494,10 @@ class Effect:
         return Trial(self, tuple(base | {a: self.step} for a in self.amplitudes), self.step, self.sign_width(view))
 
     def scales(self, view: View, trial: Trial, prior: Prior | None = None) -> np.ndarray:
-        """Prior standard deviations of a trial's coefficients, (m,)."""
+        """Prior standard deviations of a trial's coefficients, (m,), by `prior` or that of the class.
+
+        By default the coefficients are amplitudes, one for each point.
+        """
         typical, result = (prior or self.prior).typical, []
         for point in trial.points:
             name = next((a for a in self.amplitudes if point[a] != 0.0), self.amplitudes[0])

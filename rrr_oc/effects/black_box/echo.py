@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect, Prior, Trial
 from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
@@ -31,6 +31,11 @@ class Echo(Effect):
     inputs = ("load",)
     role = "black_box"
     dynamics = "load_states"
+    prior = Prior(
+        0.001,
+        {"lag": (0.2, ""), "swing": (0.2, "")},
+        "what moves by itself is a small part of the load; the catalogue comes first",
+    )
 
     @property
     def depends_on(self):

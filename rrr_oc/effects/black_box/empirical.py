@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
 from rrr_oc.numerics.smooth import cos, fmax, fmin, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -44,6 +44,11 @@ class Empirical(Effect):
     width = SIGN_WIDTH
     side = "drive"
     role = "black_box"
+    prior = Prior(
+        0.005,
+        {"coefficient": (0.2, "torque")},
+        "what laws leave is a minor share of the torque, and smooth; the catalogue comes first",
+    )
 
     variables: tuple[tuple[str, int], ...] = ()
     low: tuple[float, ...] = ()
@@ -105,6 +110,14 @@ class Empirical(Effect):
     @property
     def resembles(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return "friction_over_speed" if ("dq", self.joints[0]) in self.variables else ""
+
+    def scales(self, view, trial, prior=None):
+        """Of a series smaller the finer its cosines; of a torque that begins at an edge what it is at the range's end."""
+        number, unit = (prior or self.prior).typical["coefficient"]
+        typical = number * view.unit(unit, self.joints)
+        if self.edges:
+            return np.array([typical / (1 - edge if side > 0 else edge) ** power for side, edge, power in self.edges])
+        return np.array([typical / (1 + sum(p)) for p in self.powers])
 
     @property
     def depends_on(self):

@@ -1,6 +1,6 @@
 """Plain friction that differs in some recordings from the rest, as after a cold start or new grease."""
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -19,6 +19,11 @@ class FrictionChange(Effect):
     side = "drive"
     role = "black_box"
     scope = "some"
+    prior = Prior(
+        0.003,
+        {"dry": (0.5, "dry"), "viscous": (0.5, "dry/speed")},
+        "Bittencourt & Gunnarsson 2012: by temperature and grease; the catalogue comes first",
+    )
 
     @property
     def depends_on(self):

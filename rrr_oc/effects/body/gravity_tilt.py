@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.numerics.smooth import cos, sin
 from rrr_oc.robot.parameters import Parameter
 
@@ -20,6 +20,9 @@ class GravityTilt(Effect):
     placement = "arm"
     alters = "gravity"
     step = 1e-4
+    prior = Prior(
+        0.01, {"about_x": (0.02, ""), "about_y": (0.02, "")}, "bases set up by eye or with a spirit level: within a degree"
+    )
 
     def change(self, body, theta):
         (cx, sx), (cy, sy) = ((cos(theta[k]), sin(theta[k])) for k in self.amplitudes)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -21,6 +21,16 @@ class LinkInertial(Effect):
     amplitudes = tuple(p.name for p in parameters)
     side = "body"
     alters = "inertial"
+    prior = Prior(
+        0.01,
+        {
+            "mass": (0.2, "mass"),
+            **{f"first_moment_{k}": (0.1, "mass length") for k in "xyz"},
+            **{f"inertia_{k}": (0.05, "mass length²") for k in ("xx", "xy", "yy", "xz", "yz", "zz")},
+        },
+        "Swevers, Verdonck & De Schutter 2007: numbers from drawings are off by tens of per cent",
+        where_exact=0.01,
+    )
     composed = {  # noqa: RUF012
         "mass": "mass",
         "first_moment": ("first_moment_x", "first_moment_y", "first_moment_z"),

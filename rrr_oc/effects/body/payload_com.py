@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -18,6 +18,11 @@ class PayloadCom(Effect):
     placement = "arm"
     alters = "position"
     step = 1e-4
+    prior = Prior(
+        0.02,
+        {"x": (0.05, ""), "y": (0.05, ""), "z": (0.05, "")},
+        "grippers and tools: centres are some centimetres off the flange",
+    )
 
     def change(self, body, theta):
         return replace(body, position=[p + theta[k] for p, k in zip(body.position, "xyz", strict=True)])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior, Signals
 from rrr_oc.effects.design_form import DesignForm, Quantity
 from rrr_oc.effects.listing import Listing
 from rrr_oc.errors import UserError
@@ -101,6 +101,9 @@ class BiarticularSpring(Effect):
     scope = "mounted"
     placement = "pair"
     options = {"winding": (1, -1)}  # noqa: RUF012
+    prior = Prior(
+        0.0005, {"kappa": (1.0, "torque")}, "as springs across one joint; across two they are rarer", where_springs=10.0
+    )
     listing = Listing("bpea", ("stiffness_Nm_per_rad", "equilibrium_rad", *RADII), zero=RADII[2:])
     design = BiarticularForm(
         "BPEA",
@@ -154,6 +157,14 @@ class BiarticularSpring(Effect):
         radii = dict(zip(RADII, (r, 1.0, theta["rho"]), strict=True))
         numbers = {"stiffness_Nm_per_rad": theta["kappa"] * r**2, "equilibrium_rad": theta["phi"] / r, **radii}
         return {**numbers, "winding": list(self.winding)}
+
+    def scales(self, view, trial, prior=None):
+        """The typical torque, on both joints as the geometric mean, is that at the recorded position that stretches the spring most."""
+        number, unit = (prior or self.prior).typical["kappa"]
+        theta, (a, b) = trial.points[0], self.joints
+        stretch = float(np.max(self._stretch(Signals(view.positions), theta)))
+        typical = math.sqrt(view.unit(unit, (a,)) * view.unit(unit, (b,)) / theta["rho"])
+        return np.array([number * typical / max(stretch, 1e-3)])
 
     @classmethod
     def trials(cls, view):

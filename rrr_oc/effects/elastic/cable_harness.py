@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect, Prior, Trial
 from rrr_oc.effects.elastic.parallel_spring import SIDES, ParallelSpring
 from rrr_oc.robot.parameters import Parameter
 
@@ -15,6 +15,7 @@ class CableHarness(Effect):
     parameters = (Parameter("stiffness", "Nm/rad", 0.0, lower=0.0), Parameter("rest", "rad", 0.0))
     amplitudes = ("stiffness", "rest")
     scope = "set_up"
+    prior = Prior(0.01, {"stiffness": (0.25, "torque/travel")}, "dress packs are led so that they pull less than the load does")
 
     def torque(self, signals, theta, width):
         return (-theta["stiffness"] * (signals.q[self.joints[0]] - theta["rest"]),)

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.effects.design_form import DesignForm, Quantity
 from rrr_oc.effects.listing import Listing
 from rrr_oc.errors import UserError
@@ -32,6 +32,12 @@ class ParallelSpring(Effect):
     provides = "springs"
     scope = "mounted"
     options = {"active": SIDES}  # noqa: RUF012
+    prior = Prior(
+        0.002,
+        {"stiffness": (1.0, "torque")},
+        "springs that carry gravity pull with the order of the joint's torque",
+        where_springs=10.0,
+    )
     listing = Listing("pea", ("stiffness_Nm_per_rad", "equilibrium_rad"))
     design = DesignForm(
         "PEA",
@@ -74,6 +80,13 @@ class ParallelSpring(Effect):
 
     def moved(self, theta, offset):
         return {**theta, "equilibrium": theta["equilibrium"] + offset}
+
+    def scales(self, view, trial, prior=None):
+        """The typical torque is that at the recorded position that stretches the spring most."""
+        (j,), (number, unit) = self.joints, (prior or self.prior).typical["stiffness"]
+        rest = trial.points[0]["equilibrium"]
+        stretch = rest - view.low[j] if self.active == "below" else view.high[j] - rest
+        return np.array([number * view.unit(unit, self.joints) / stretch])
 
     @classmethod
     def trials(cls, view):

@@ -1,6 +1,6 @@
 """A listed spring, or its cable, that loses energy in a cycle."""
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
 from rrr_oc.numerics.smooth import fabs, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -16,6 +16,7 @@ class SpringHysteresis(Effect):
     inputs = ("springs",)
     scope = "set_up"
     placement = "spring"
+    prior = Prior(0.03, {"loss": (0.1, "")}, "friction between coils and in cables: some per cent, rubber up to 30 %")
 
     def torque(self, signals, theta, width):
         spring, values, own = signals.springs[self.joints]

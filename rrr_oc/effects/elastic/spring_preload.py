@@ -1,6 +1,6 @@
 """A listed spring whose equilibrium is not where it is listed."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -15,6 +15,7 @@ class SpringPreload(Effect):
     scope = "set_up"
     placement = "spring"
     step = 1e-3
+    prior = Prior(0.03, {"offset": (0.2, "")}, "equilibria are set by hand at assembly, within some degrees")
 
     @property
     def linear(self):

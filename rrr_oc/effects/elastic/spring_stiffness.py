@@ -1,6 +1,8 @@
 """A listed spring that is stiffer or softer than listed."""
 
-from rrr_oc.effects.base import Effect, Trial
+import numpy as np
+
+from rrr_oc.effects.base import Effect, Prior, Trial
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -14,6 +16,9 @@ class SpringStiffness(Effect):
     inputs = ("springs",)
     scope = "set_up"
     placement = "spring"
+    prior = Prior(
+        0.03, {"scale": (0.2, "")}, "tolerances of coiled springs are 5 to 15 % (DIN EN 15800); their mounts give, too"
+    )
 
     def torque(self, signals, theta, width):
         spring, values, own = signals.springs[self.joints]
@@ -21,6 +26,10 @@ class SpringStiffness(Effect):
 
     def trial(self, view, **shape):
         return Trial(self, ({"scale": 2.0},))
+
+    def scales(self, view, trial, prior=None):
+        """The coefficient is scale − 1."""
+        return np.array([(prior or self.prior).typical["scale"][0]])
 
     def combined(self, points, coefficients):
         return {"scale": 1 + float(coefficients[0])}

@@ -1,6 +1,6 @@
 """Dry friction that differs between the directions of motion."""
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -14,6 +14,11 @@ class CoulombAsymmetry(Effect):
     amplitudes = ("asymmetry",)
     width = SIGN_WIDTH
     side = "drive"
+    prior = Prior(
+        0.03,
+        {"asymmetry": (0.3, "dry")},
+        "Corke & Armstrong-Hélouvry 1994, PUMA 560: levels differ by 10 to 50 % between directions",
+    )
 
     def torque(self, signals, theta, width):
         return (-theta["asymmetry"] / 2 * sign(signals.dq[self.joints[0]], width) ** 2,)

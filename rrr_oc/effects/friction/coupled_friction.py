@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+import numpy as np
+
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -24,6 +26,11 @@ class CoupledFriction(Effect):
     side = "drive"
     placement = "pair"
     options = {"form": ("sum", "difference", "other")}  # noqa: RUF012
+    prior = Prior(
+        0.001,
+        {"coulomb": (0.3, "dry"), "viscous": (0.3, "dry/speed")},
+        "coupled wrists: Gautier, Janot & Vandanjon 2013, Stäubli TX40",
+    )
 
     form: Literal["sum", "difference", "other"] = "sum"
 
@@ -33,6 +40,12 @@ class CoupledFriction(Effect):
         rate = own * signals.dq[a] + other * signals.dq[b]
         torque = -theta["coulomb"] * sign(rate, width) - theta["viscous"] * rate
         return torque, own * other * torque
+
+    def scales(self, view, trial, prior=None):
+        """Of the joint that feels it; if both do, of the one with less friction."""
+        felt = self.joints[:1] if self.form == "other" else self.joints
+        typical = (prior or self.prior).typical
+        return np.array([number * view.unit(unit, felt) for number, unit in (typical[a] for a in self.amplitudes)])
 
     @classmethod
     def trials(cls, view):

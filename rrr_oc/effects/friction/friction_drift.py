@@ -1,6 +1,6 @@
 """Friction that changes with time since the start, as grease warms up."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.numerics.smooth import exp
 from rrr_oc.robot.parameters import Parameter
 
@@ -14,6 +14,9 @@ class FrictionDrift(Effect):
     amplitudes = ("ratio",)
     side = "drive"
     inputs = ("friction",)
+    prior = Prior(
+        0.02, {"ratio": (0.5, "")}, "Bittencourt & Gunnarsson 2012: friction changes by 20 to 50 % while a joint warms up"
+    )
 
     def torque(self, signals, theta, width):
         return (theta["ratio"] * exp(-signals.time / theta["time_constant"]) * signals.friction[self.joints[0]],)

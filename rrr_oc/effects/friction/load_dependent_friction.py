@@ -1,6 +1,6 @@
 """Friction that changes with the torque that the gear transmits."""
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
 from rrr_oc.numerics.smooth import fabs, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -19,6 +19,11 @@ class LoadDependentFriction(Effect):
     side = "drive"
     inputs = ("load",)
     scope = "set_up"
+    prior = Prior(
+        0.05,
+        {"mu": (0.1, "")},
+        "Bittencourt & Gunnarsson 2012; Hamon, Gautier & Garrec 2010: some per cent",
+    )
 
     def torque(self, signals, theta, width):
         j = self.joints[0]

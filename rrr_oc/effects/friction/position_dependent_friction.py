@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect, Trial
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior, Trial
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.numerics.smooth import cos, sign
 from rrr_oc.robot.parameters import Parameter
@@ -17,6 +17,9 @@ class PositionDependentFriction(Effect):
     amplitudes = ("amplitude",)
     width = SIGN_WIDTH
     side = "drive"
+    prior = Prior(
+        0.01, {"amplitude": (0.3, "dry")}, "Armstrong-Hélouvry 1991, PUMA 560: friction over the angle of gears and bearings"
+    )
 
     def torque(self, signals, theta, width):
         j = self.joints[0]

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.numerics.smooth import fabs, fmax, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -22,6 +22,9 @@ class PreslidingHysteresis(Effect):
     side = "drive"
     dynamics = "states"
     resembles = "friction_over_speed"
+    prior = Prior(
+        0.03, {"level": (1.0, "dry")}, "Swevers et al. 2000: all dry friction builds up over a travel; slow reversals show it"
+    )
 
     def torque(self, signals, theta, width):
         return (-theta["level"] * (0 * signals.q[self.joints[0]] if signals.states is None else signals.states[0]),)

@@ -1,6 +1,6 @@
 """Friction with a part in the square of speed."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.numerics.smooth import fabs
 from rrr_oc.robot.parameters import Parameter
 
@@ -17,6 +17,11 @@ class QuadraticDrag(Effect):
     amplitudes = ("coefficient",)
     side = "drive"
     resembles = "friction_over_speed"
+    prior = Prior(
+        0.03,
+        {"coefficient": (0.3, "dry/speed²")},
+        "Waiboer, Aarts & Jonker 2005, Stäubli RX90: not linear in speed",
+    )
 
     def torque(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]

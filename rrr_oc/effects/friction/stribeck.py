@@ -1,6 +1,6 @@
 """Dry friction that falls from a static to a kinetic level as speed rises."""
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
 from rrr_oc.numerics.smooth import exp, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -15,6 +15,9 @@ class Stribeck(Effect):
     width = SIGN_WIDTH
     side = "drive"
     resembles = "friction_over_speed"
+    prior = Prior(
+        0.05, {"excess": (0.5, "dry")}, "Armstrong-Hélouvry 1991, PUMA 560: static above kinetic friction by tens of per cent"
+    )
 
     def torque(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]

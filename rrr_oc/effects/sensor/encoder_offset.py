@@ -1,6 +1,6 @@
 """An encoder with a wrong zero."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -13,6 +13,11 @@ class EncoderOffset(Effect):
     amplitudes = ("offset",)
     side = "motion"
     scope = "set_up"
+    prior = Prior(
+        0.01,
+        {"offset": (0.02, "")},
+        "Mooring, Roth & Driels 1991: zeros of joints are off by up to a degree before calibration",
+    )
 
     def shift(self, signals, theta, width):
         return (-theta["offset"] + 0 * signals.q[self.joints[0]],)

@@ -1,6 +1,6 @@
 """A torque channel that lags the position channel."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -16,6 +16,7 @@ class TimeDelay(Effect):
     placement = "arm"
     dynamics = "delay"
     step = 1e-3
+    prior = Prior(0.03, {"delay": (0.005, "")}, "cycles of field buses and filters of currents: 1 to 10 ms")
 
     def delay(self, theta):
         return theta["delay"]

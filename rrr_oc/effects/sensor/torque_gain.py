@@ -1,6 +1,6 @@
 """A torque channel with a wrong scale."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -13,6 +13,7 @@ class TorqueGain(Effect):
     amplitudes = ("gain",)
     side = "sensor"
     scope = "set_up"
+    prior = Prior(0.02, {"gain": (0.1, "")}, "data sheets: torque constants within 10 %, torque sensors within some per cent")
 
     def possible(self, theta, payload):
         (gain,) = self.parameters

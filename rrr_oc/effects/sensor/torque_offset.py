@@ -1,6 +1,6 @@
 """A torque channel with a wrong zero."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.base import Effect, Prior
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -14,6 +14,9 @@ class TorqueOffset(Effect):
     side = "sensor"
     scope = "set_up"
     resembles = "constant"
+    prior = Prior(
+        0.03, {"offset": (0.1, "torque")}, "data sheets of torque and current sensors: a zero within some per cent of the range"
+    )
 
     def torque(self, signals, theta, width):
         return (theta["offset"] + 0 * signals.load[self.joints[0]],)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect, Prior, Trial
 from rrr_oc.robot.parameters import Parameter
 
 STEPS = 2  # integration steps per sample of a link in the gap; twice as many halve the step and double the time
@@ -31,6 +31,7 @@ class Backlash(Effect):
     amplitudes = ("gap",)
     side = "motion"
     dynamics = "impact"
+    prior = Prior(0.01, {"gap": (0.01, "")}, "data sheets of gears: 1 to 30 arc minutes, 0.3 to 9 mrad; more when worn")
 
     impacts: bool = True
 

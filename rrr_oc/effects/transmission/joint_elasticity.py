@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Trial
+from rrr_oc.effects.base import Effect, Prior, Trial
 from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
@@ -39,6 +39,9 @@ class JointElasticity(Effect):
     amplitudes = ("stiffness",)
     side = "motion"
     dynamics = "link"
+    prior = Prior(
+        0.02, {"twist": (0.01, "")}, "Spong 1987; data sheets of harmonic drives: a twist of some mrad at the rated torque"
+    )
 
     smoothed: float = 0.2
 
@@ -68,6 +71,10 @@ class JointElasticity(Effect):
         """The twist is nearly linear in the compliance, which the coefficient is."""
         stiffness = 1 / max(float(coefficients[0]), 1e-12) if coefficients[0] > 0 else -1.0
         return {**points[0], "stiffness": stiffness}
+
+    def scales(self, view, trial, prior=None):
+        """The coefficient is the compliance [rad/Nm]: the typical twist over the joint's torque."""
+        return np.array([(prior or self.prior).typical["twist"][0] / view.unit("torque", self.joints)])
 
     @classmethod
     def trials(cls, view):

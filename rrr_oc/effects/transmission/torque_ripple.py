@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Trial, View
+from rrr_oc.effects.base import Effect, Prior, Trial, View
 from rrr_oc.numerics.smooth import sin
 from rrr_oc.robot.parameters import Parameter
 
@@ -20,6 +20,11 @@ class TorqueRipple(Effect):
     side = "drive"
     placement = "many"
     resembles = "position_harmonic"
+    prior = Prior(
+        0.02,
+        {"amplitude": (0.07, "torque")},
+        "Tuttle & Seering 1996, Taghirad & Bélanger 1998; data sheets: cogging of 1 to 5 % of rated torque",
+    )
 
     def torque(self, signals, theta, width):
         return (theta["amplitude"] * sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
