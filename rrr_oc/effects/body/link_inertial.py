@@ -28,7 +28,7 @@ class LinkInertial(Effect):
             **{f"first_moment_{k}": (0.1, "mass length") for k in "xyz"},
             **{f"inertia_{k}": (0.05, "mass length²") for k in ("xx", "xy", "yy", "xz", "yz", "zz")},
         },
-        "Swevers, Verdonck & De Schutter 2007: numbers from drawings are off by tens of per cent",
+        "numbers from drawings against identified ones, as in Swevers, Verdonck & De Schutter 2007",
         where_exact=0.01,
     )
     composed = {  # noqa: RUF012

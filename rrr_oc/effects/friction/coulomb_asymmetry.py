@@ -17,7 +17,7 @@ class CoulombAsymmetry(Effect):
     prior = Prior(
         0.03,
         {"asymmetry": (0.3, "dry")},
-        "Corke & Armstrong-Hélouvry 1994, PUMA 560: levels differ by 10 to 50 % between directions",
+        "Corke & Armstrong-Hélouvry 1994, PUMA 560: levels of two directions differ by 10 to 90 %",
     )
 
     def torque(self, signals, theta, width):

@@ -15,7 +15,7 @@ class FrictionDrift(Effect):
     side = "drive"
     inputs = ("friction",)
     prior = Prior(
-        0.02, {"ratio": (0.5, "")}, "Bittencourt & Gunnarsson 2012: friction changes by 20 to 50 % while a joint warms up"
+        0.02, {"ratio": (0.5, "")}, "Bittencourt & Gunnarsson 2012: friction falls by tens of per cent while a joint warms up"
     )
 
     def torque(self, signals, theta, width):
