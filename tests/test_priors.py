@@ -112,7 +112,7 @@ def test_default_sizes_are_amplitudes_in_units_of_the_arm(seen):
     ]:
         effect = CATALOGUE[name](joints)
         np.testing.assert_allclose(effect.scales(seen, effect.trial(seen, **shape)), expected)
-    length = np.sqrt(2.0 / 8.0)  # of joint 1, the largest
+    length = np.sqrt(2.0 / 8.0)  # inertia of joint 1 [kg m²] over the arm's mass [kg]
     effect = LinkInertial((2,))
     expected = [0.2, *[0.1 * length] * 3, *[0.05 * length**2] * 6]  # times 1 kg
     np.testing.assert_allclose(effect.scales(seen, effect.trial(seen)), expected)

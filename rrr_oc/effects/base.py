@@ -138,9 +138,8 @@ class View:
 
     @property
     def length(self) -> float:
-        """Length that stands for the arm [m]: the largest radius of gyration of what a joint moves."""
-        moved = np.cumsum(self.mass[::-1])[::-1]
-        return float(np.sqrt(self.inertia / moved).max())
+        """Length that stands for the arm [m]: its radius of gyration about the joint that moves the largest inertia."""
+        return float(np.sqrt(self.inertia.max() / self.mass.sum()))
 
     def unit(self, name: str, joints: Sequence[int]) -> float:
         """A unit of `Prior.typical` in SI units, for an effect on these joints; of a pair the smaller, of the arm the largest."""
