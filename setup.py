@@ -1,6 +1,6 @@
-"""The extensions of rrr_oc: Pinocchio's algorithms on casadi.SX, and casadi Functions at many instants.
+"""The extensions of rrr_oc: Pinocchio's algorithms on casadi.SX, casadi Functions at many instants, steps along sampled signals.
 
-Against the headers that the wheels themselves ship.
+The first two against the headers that the wheels themselves ship.
 """
 
 from pathlib import Path
@@ -37,6 +37,12 @@ setup(
             include_dirs=[str(casadi_dir / "include")],
             extra_compile_args=["-std=c++17", "-O3", "-g0", "-w", "-fvisibility=hidden"],
             extra_link_args=[libcasadi],
+        ),
+        Extension(
+            "rrr_oc.numerics._stepping",
+            sources=["rrr_oc/numerics/_stepping.cpp"],
+            # Without contraction to fused operations results are the same on all machines.
+            extra_compile_args=["-std=c++17", "-O3", "-g0", "-fvisibility=hidden", "-ffp-contract=off"],
         ),
     ],
 )

@@ -18,7 +18,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.effects import Body, Effect, Signals, Trial
-from rrr_oc.model.recorded_physics import Physics, later, moved, states_along
+from rrr_oc.model.recorded_physics import Physics, felt_load, later, moved, states_along
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.rigid_body import with_payload
@@ -245,7 +245,12 @@ class Prediction:
 
     def _of_motion(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
         by_q, _, by_ddq = self.partials[:3]
-        shift = moved(self.recording, effect, theta, width, self.load, lambda j: (by_q[j, j], by_ddq[j, j]))
+        if effect.moves_link:
+            (j,) = effect.joints
+            own = felt_load(self.recording, effect, self.load[j]), (by_q[j, j], by_ddq[j, j])
+            shift = moved(self.recording, effect, theta, width, *own)
+        else:
+            shift = moved(self.recording, effect, theta, width)
         parts = np.split(shift, 3)
         return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(self.partials[:3], parts, strict=True)], axis=0)
 

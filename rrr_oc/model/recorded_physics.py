@@ -2,37 +2,39 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial, wraps
+from functools import lru_cache, partial, wraps
 from typing import Any, TypeVar
 
+import casadi as ca
 import numpy as np
 
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.model.motion import Motion
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
-from rrr_oc.numerics.oscillator import substituted
+from rrr_oc.numerics.relaxation import relaxed
 
 DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
 # Substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
 PARTS = 4
+KEPT = 500  # derivatives of models, the least recently used is dropped; doubled, no change, as of the models themselves
 SWEEPS = 2  # iterations over coupled and nonlinear links behind elastic gears; doubled, it takes twice the time
-# Of joint j: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
-Reaction = Callable[[int], tuple[np.ndarray, np.ndarray]]
+# By joint: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
+Reactions = dict[int, tuple[np.ndarray, np.ndarray]]
 Result = TypeVar("Result")
 # By the index of an effect: its displacement of the links as a function of its parameters, and at their present values (3 n, K)
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
 
 
-def _kept(find: Callable[["Physics", Motion], Result]) -> Callable[["Physics", Motion], Result]:
+def _kept(find: Callable[..., Result]) -> Callable[..., Result]:
     """A method of `Physics` whose result is kept until it is called with another motion."""
 
     @wraps(find)
-    def kept(self: "Physics", motion: Motion) -> Result:
-        name = find.__name__
-        if name not in self._cache or self._cache[name][0] is not motion:
-            self._cache[name] = motion, find(self, motion)
-        return self._cache[name][1]
+    def kept(self: "Physics", motion: Motion, *more: bool) -> Result:
+        key = (find.__name__, *more)
+        if key not in self._cache or self._cache[key][0] is not motion:
+            self._cache[key] = motion, find(self, motion, *more)
+        return self._cache[key][1]
 
     return kept
 
@@ -52,7 +54,7 @@ class Physics:
     theta: np.ndarray
     widths: np.ndarray
     inertial: np.ndarray
-    _cache: dict[str, tuple[Motion, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    _cache: dict[tuple[Any, ...], tuple[Motion, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @staticmethod
     def inputs(motion: Motion) -> tuple[np.ndarray, ...]:
@@ -72,13 +74,12 @@ class Physics:
             values = (self.theta, self.widths, self.inertial)
             motor, load = along(self.model.motor_inverse, *self.inputs(motion), *values)
             return motor, load
-        return self._moving(motion, self.shift(motion), states)
-
-    def _moving(self, motion: Motion, shift: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Motor and load torque with the links displaced by `shift` (3 n, K) and these internal states, each (n, K) [Nm]."""
-        values = (self.theta, self.widths, self.inertial)
-        motor, load = along(self.model.recorded_inverse, *self.inputs(motion), *values, shift, states)
+        motor, load = self._evaluated(self.model.recorded_inverse, motion, self.shift(motion), states)
         return motor, load
+
+    def _evaluated(self, function: ca.Function, motion: Motion, shift: np.ndarray, states: np.ndarray) -> list[np.ndarray]:
+        """Outputs of a function of the arguments of `Model.recorded_inverse`, with the links displaced by `shift` (3 n, K)."""
+        return along(function, *self.inputs(motion), self.theta, self.widths, self.inertial, shift, states)
 
     def shift(self, motion: Motion) -> np.ndarray:
         """Motion of the links less the recorded one: q, dq, ddq, one below the other, (3 n, K)."""
@@ -90,72 +91,104 @@ class Physics:
         return _summed({i: shift for i, shift in shifts.items() if effects[i].moves_link}, motion)
 
     @_kept
-    def _moved(self, motion: Motion) -> tuple[Shifts, Reaction | None]:
-        """Displacements of the links by effect, and the reaction of the links behind elastic gears if there are any."""
+    def _moved(self, motion: Motion) -> tuple[Shifts, Reactions]:
+        """Displacements of the links by effect, and the reactions of the links behind elastic gears."""
         found: Shifts = {}
-        reaction = None
+        reactions: Reactions = {}
         displacing = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
         rigid, elastic = ([one for one in displacing if one[1].moves_link == by_itself] for by_itself in (False, True))
         for i, effect, theta, width in rigid:
             shift = partial(moved, motion, effect, width=width)
             found[i] = shift, shift(theta)
         for _ in range(SWEEPS if elastic else 0):  # a link's motion behind its gear follows from that of all other links
-            total = _summed(found, motion)
-            load = self._load(motion, total)
-            reaction = cache(partial(self._reaction, motion, load, total))
+            load, reactions = self._reactions(motion, _summed(found, motion), tuple(one[1].joints[0] for one in elastic))
             for i, effect, theta, width in elastic:
                 (j,) = effect.joints
-                needed = load.copy()  # load torque of a link that moves with its drive
+                needed = load[j].copy()  # load torque of a link that moves with its drive
                 if i in found:
-                    needed[j] -= np.sum(np.array(reaction(j)) * found[i][1][[j, 2 * len(load) + j]], axis=0)
-                shift = partial(moved, motion, effect, width=width, load=needed, reaction=reaction)
+                    needed -= np.sum(np.array(reactions[j]) * found[i][1][[j, 2 * len(load) + j]], axis=0)
+                shift = partial(
+                    moved, motion, effect, width=width, felt=felt_load(motion, effect, needed), reaction=reactions[j]
+                )
                 found[i] = shift, shift(theta)
-        return found, reaction
+        return found, reactions
 
-    def _load(self, motion: Motion, shift: np.ndarray) -> np.ndarray:
-        """Load torque with the links displaced by `shift` (3 n, K), (n, K) [Nm]."""
+    @_kept
+    def _load(self, motion: Motion) -> np.ndarray:
+        """Load torque by which internal states follow, (n, K) [Nm]: without their own part in it."""
         states = np.zeros((len(self.model.states), len(motion.t)))
-        values = (self.theta, self.widths, self.inertial)
-        return along(self.model.recorded_load, *self.inputs(motion), *values, shift, states)[0]
+        return self._evaluated(self.model.recorded_load, motion, self.shift(motion), states)[0]
 
-    def _reaction(self, motion: Motion, load: np.ndarray, shift: np.ndarray, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of joint j's load torque by its own position [Nm/rad] and acceleration [kg m²], each (K,)."""
-        found = []
-        for row, step in ((j, 1e-4), (2 * self.model.robot.n + j, 1.0)):
-            there = shift.copy()
-            there[row] += step
-            found.append((self._load(motion, there)[j] - load[j]) / step)
-        return found[0], found[1]
+    def _reactions(self, motion: Motion, shift: np.ndarray, joints: tuple[int, ...]) -> tuple[np.ndarray, Reactions]:
+        """Load torque (n, K) [Nm] with the links displaced by `shift` (3 n, K), and the reactions of some joints."""
+        states = np.zeros((len(self.model.states), len(motion.t)))
+        load, *found = self._evaluated(_with_reactions(self.model.recorded_load, joints), motion, shift, states)
+        return load, {j: (by_q, by_ddq) for j, by_q, by_ddq in zip(joints, *found, strict=True)}
+
+    @_kept
+    def _partials(self, motion: Motion, load: bool) -> dict[tuple[str, int], np.ndarray]:
+        """Derivatives of the motor torque, or of the load torque, by what effects change that are not of the instant, (n, K) each.
+
+        Keys: "shift", "states" or "theta" and the number therein; of the parameters only those of effects with internal states.
+        """
+        n, effects, wanted, state, first = len(motion.q), self.model.effects, [], 0, 0
+        for effect in effects:
+            of_joint = [j + d * n for j in effect.joints for d in range(3 if effect.moves_link else 1)]
+            wanted += [("shift", row) for row in of_joint if effect.side == "motion"]
+            wanted += [("states", state + k) for k in range(len(effect.states))]
+            wanted += [("theta", first + k) for k in range(len(effect.parameters)) if effect.states]
+            state, first = state + len(effect.states), first + len(effect.parameters)
+        keys = tuple(dict.fromkeys(wanted))
+        function = _with_partials(self.model.recorded_inverse, int(load), keys)
+        (found,) = self._evaluated(function, motion, self.shift(motion), self.states(motion))
+        return dict(zip(keys, np.moveaxis(found.reshape((n, len(keys), len(motion.t)), order="F"), 1, 0), strict=True))
 
     def by_differences(self, motion: Motion, numbers: Iterable[int], true: np.ndarray, load: bool) -> list[np.ndarray]:
-        """Derivatives of the recorded torque by the parameters of some effects, by forward differences, (n, K, p) for each effect.
+        """Derivatives of the recorded torque by the parameters of some effects, (n, K, p) for each effect.
 
-        For effects whose torque is not a function of the instant alone: those of sensors, of motion, and with internal states.
+        For effects whose torque is not a function of the instant alone: those of sensors, of motion, and with internal states. The
+        change of what is recorded, of the links' motion or of the states is that of a small step of the parameter; the torque's
+        derivatives by these are exact.
 
         Args:
             numbers: Indices of those effects in the model.
             true: The torque that a perfect sensor records, (n, K) [Nm].
             load: Whether that is the load torque, not the motor torque.
         """
-        named, shifts, states = self.named(), self._moved(motion)[0], self.states(motion)
-        base, total, result = self.recorded(motion, true), _summed(shifts, motion), []
+        named, result = self.named(), []
         first = np.cumsum([0, *(len(effect.parameters) for effect, *_ in named)])
         for i in numbers:
             effect, theta, _ = named[i]
-            columns = np.empty((*base.shape, len(effect.parameters)))
+            columns = np.empty((*true.shape, len(effect.parameters)))
             for k, parameter in enumerate(effect.parameters):
                 value = theta[parameter.name]
                 step = DIFFERENCE * max(abs(value), 1.0 if value else DIFFERENCE)
-                there = replace(self, theta=self.theta + step * (np.arange(len(self.theta)) == first[i] + k))
-                torque = true
-                if effect.side != "sensor":
-                    shift = total
-                    if i in shifts:
-                        shift = total - shifts[i][1] + shifts[i][0](theta | {parameter.name: value + step})
-                    torque = there._moving(motion, shift, there.states(motion) if effect.states else states)[load]
-                columns[:, :, k] = (there.recorded(motion, torque) - base) / step
+                if effect.side == "sensor":
+                    there = replace(self, theta=self.theta + step * (np.arange(len(self.theta)) == first[i] + k))
+                    columns[:, :, k] = (there.recorded(motion, true) - self.recorded(motion, true)) / step
+                    continue
+                change = self._change(motion, i, theta | {parameter.name: value + step}, load) / step
+                if effect.states:
+                    change += self._partials(motion, load)["theta", int(first[i]) + k]
+                columns[:, :, k] = self.passed_on(motion, change)
             result.append(columns)
         return result
+
+    def _change(self, motion: Motion, i: int, theta: Mapping[str, float], load: bool) -> np.ndarray:
+        """Change of the true torque (n, K) [Nm], to first order, as effect i moves the links or its states as with other parameters."""
+        effect, _, width = self.named()[i]
+        shifts, partials, result = self._moved(motion)[0], self._partials(motion, load), np.zeros(motion.q.shape)
+        if i in shifts:
+            change = shifts[i][0](theta) - shifts[i][1]
+            for row in np.flatnonzero(np.any(change, axis=1)).tolist():
+                result += partials["shift", row] * change[row]
+        before = sum(len(one.states) for one in self.model.effects[:i])
+        for k, course in enumerate(self._courses(motion, effect, theta, width) if effect.states else ()):
+            result += partials["states", before + k] * (course - self.states(motion)[before + k])
+        return result
+
+    def _courses(self, motion: Motion, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
+        return states_along(motion, effect, theta, width, self._load(motion) if effect.dynamics == "load_states" else None)
 
     def starts(self, motion: Motion, load: bool) -> np.ndarray:
         """Change of the recorded torque with the unknown initial states of links behind elastic gears, (number, n, K) [Nm].
@@ -163,20 +196,18 @@ class Physics:
         To first order, for an initial deviation as large as the root mean square displacement of the link. `load`: whether the load
         torque is recorded, not the motor torque.
         """
-        (shifts, reaction), states, n = self._moved(motion), self.states(motion), len(motion.q)
-        total, base, named, found = _summed(shifts, motion), self.torques(motion)[load], self.named(), []
+        (shifts, reactions), n, named, found = self._moved(motion), len(motion.q), self.named(), []
         for i, (effect, theta, _) in ((i, named[i]) for i in shifts if named[i][0].moves_link):
             (j,) = effect.joints
-            assert reaction is not None
-            stiffness, inertia = reaction(j)
+            stiffness, inertia = reactions[j]
             parts = [effect.free(motion.t[s], stiffness[s], inertia[s], theta) for s in motion.segments]
             for k in range(len(parts[0])):
-                there = total.copy()
-                usual = float(np.sqrt(np.mean(shifts[i][1][k * n + j] ** 2)))
+                usual, free = float(np.sqrt(np.mean(shifts[i][1][k * n + j] ** 2))), np.zeros((3, len(motion.t)))
                 for s, part in zip(motion.segments, parts, strict=True):
-                    there[[j, n + j, 2 * n + j], s] += DIFFERENCE * usual * part[k]
-                found.append(self._moving(motion, there, states)[load] - base)
-        return np.array([self.passed_on(motion, x) for x in found]).reshape(-1, n, len(motion.t)) / DIFFERENCE
+                    free[:, s] = usual * part[k]
+                by = [self._partials(motion, load)["shift", d * n + j] for d in range(3)]
+                found.append(self.passed_on(motion, np.einsum("dnk,dk->nk", by, free)))
+        return np.array(found).reshape(-1, n, len(motion.t))
 
     def recorded(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
         """Torque that the sensors record of a true torque (n, K), by the effects of the side "sensor", (n, K) [Nm]."""
@@ -197,9 +228,7 @@ class Physics:
     @_kept
     def states(self, motion: Motion) -> np.ndarray:
         """Internal states of the effects along the motion, (number of states, K)."""
-        named = [one for one in self.named() if one[0].states]
-        load = self._load(motion, self.shift(motion)) if any(effect.dynamics == "load_states" for effect, *_ in named) else None
-        found = [states_along(motion, *one, load) for one in named]
+        found = [self._courses(motion, *one) for one in self.named() if one[0].states]
         return np.concatenate([*found, np.zeros((0, len(motion.t)))])
 
     def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
@@ -211,8 +240,32 @@ class Physics:
         ]
 
 
+@lru_cache(maxsize=KEPT)
+def _with_reactions(load: ca.Function, joints: tuple[int, ...]) -> ca.Function:
+    """Arguments of `Model.recorded_load` -> load torque, and the derivatives of joints' own by their positions and accelerations."""
+    arguments = load.sx_in()
+    shift, torque = arguments[load.index_in("shift")], load.call(arguments)[0]
+    n = torque.numel()
+    own = [ca.vertcat(*(ca.jacobian(torque[j], shift[d * n + j]) for j in joints)) for d in (0, 2)]
+    return ca.Function("reactions", arguments, ca.cse([torque, *map(ca.densify, own)]))
+
+
+@lru_cache(maxsize=KEPT)
+def _with_partials(inverse: ca.Function, output: int, keys: tuple[tuple[str, int], ...]) -> ca.Function:
+    """Arguments of `Model.recorded_inverse` -> derivatives of one of its outputs by elements of its arguments, (n, number of keys)."""
+    arguments = inverse.sx_in()
+    by = ca.vertcat(*(arguments[inverse.index_in(name)][k] for name, k in keys))
+    partials = ca.densify(ca.jacobian(inverse.call(arguments)[output], by))
+    return ca.Function("partials", arguments, ca.cse([partials]))
+
+
 def _summed(shifts: Shifts, motion: Motion) -> np.ndarray:
     return sum((shift for _, shift in shifts.values()), np.zeros((3 * len(motion.q), len(motion.t))))
+
+
+def felt_load(motion: Motion, effect: Effect, load: np.ndarray) -> np.ndarray:
+    """The load torque (K,) [Nm] that `Effect.motion` is given: smoothed where the effect says so."""
+    return motion.smoothing(effect.window) @ load if effect.window else load
 
 
 def moved(
@@ -220,25 +273,23 @@ def moved(
     effect: Effect,
     theta: Mapping[str, float],
     width: Any,
-    load: np.ndarray | None = None,
-    reaction: Reaction | None = None,
+    felt: np.ndarray | None = None,
+    reaction: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Motion of the links less the recorded one because of one effect: q, dq, ddq, one below the other, (3 n, K).
 
     Args:
-        load: Load torque of links that move with their drives (n, K) [Nm].
-        reaction: As `Reaction`. Both are required where the link moves relative to its drive.
+        felt: As `felt_load` returns it for the load torque of a link that moves with its drive (K,) [Nm].
+        reaction: Of the effect's joint, as in `Reactions`. Both are required where the link moves relative to its drive.
     """
     n = len(motion.q)
     result = np.zeros((3 * n, len(motion.t)))
     if effect.moves_link:
-        assert load is not None
+        assert felt is not None
         assert reaction is not None
-        for j in effect.joints:
-            stiffness, inertia = reaction(j)
-            felt = motion.smoothing(effect.window) @ load[j] if effect.window else load[j]
-            for s in motion.segments:
-                result[[j, n + j, 2 * n + j], s] = effect.motion(motion.t[s], felt[s], stiffness[s], inertia[s], theta)
+        (j,), (stiffness, inertia) = effect.joints, reaction
+        for s in motion.segments:
+            result[[j, n + j, 2 * n + j], s] = effect.motion(motion.t[s], felt[s], stiffness[s], inertia[s], theta)
         return result
     for j, shift in zip(effect.joints, effect.shift(Signals(motion.q), theta, width), strict=True):
         result[j] = np.array(shift).reshape(-1)
@@ -269,24 +320,22 @@ def states_along(
             assert load is not None
             states[:, s] = effect.course(motion.t[s], load[effect.joints[0], s], theta)
             continue
-        signals = Signals(*(_finely(x[:, s]) for x in (motion.q, motion.dq, motion.ddq)))
-        count = signals.q.shape[1]
-        h = np.repeat(np.diff(motion.t[s]) / PARTS, PARTS)
+        signals = Signals(*(_Fine(x[:, s]) for x in (motion.q, motion.dq, motion.ddq)))
+        count = (s.stop - s.start - 1) * PARTS + 1
         at = [effect.rate(replace(signals, states=np.full((len(states), count), z)), theta, width) for z in (0.0, 1.0)]
         constant, unit = ([np.broadcast_to(np.array(rate).reshape(-1), (count,)) for rate in rates] for rates in at)
         for i, state in enumerate(effect.states):
-            slope = unit[i] - constant[i]
-            a, b = (((x[1:] + x[:-1]) / 2) * h for x in (constant[i], slope))
-            bounded = np.clip(b, -700, 50)
-            keep = np.exp(bounded)
-            gain = np.where(np.abs(b) > 1e-8, np.expm1(bounded) / np.where(b == 0, 1, b), 1.0) * a
-            steps = np.array([np.ones(count), np.append(-keep, 0.0)])  # z_k+1 − keep_k z_k = gain_k
-            states[i, s] = substituted(steps, np.append(state.nominal, gain))[::PARTS]
+            states[i, s] = relaxed(motion.t[s], constant[i], unit[i] - constant[i], state.nominal)
     return states
 
 
-def _finely(x: np.ndarray) -> np.ndarray:
-    """Signals (n, K) interpolated linearly at the substeps, (n, (K − 1) PARTS + 1)."""
-    share = np.arange(PARTS) / PARTS
-    between = x[:, :-1, None] + np.diff(x, axis=1)[:, :, None] * share
-    return np.concatenate([between.reshape(len(x), -1), x[:, -1:]], axis=1)
+@dataclass(frozen=True)
+class _Fine:
+    """Signals (n, K) interpolated linearly at the substeps, (K − 1) PARTS + 1, of those joints that are asked for."""
+
+    coarse: np.ndarray
+
+    def __getitem__(self, joint: Any) -> np.ndarray:
+        x = self.coarse[joint]
+        between = x[..., :-1, None] + np.diff(x)[..., None] * (np.arange(PARTS) / PARTS)
+        return np.concatenate([between.reshape(*x.shape[:-1], -1), x[..., -1:]], axis=-1)

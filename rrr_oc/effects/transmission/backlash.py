@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Prior, Trial
+from rrr_oc.numerics.gap import across_gap
 from rrr_oc.robot.parameters import Parameter
 
-STEPS = 2  # integration steps per sample of a link in the gap; twice as many halve the step and double the time
 SLOWED = 10.0  # [1/s], damping over inertia of a trial's link in the gap; fits start from `SLOWER` times that, so it need not be exact
 SLOWER = (0.3, 1.0, 3.0)
 
@@ -36,38 +36,11 @@ class Backlash(Effect):
     impacts: bool = True
 
     def motion(self, t, load, stiffness, inertia, theta):
-        half, count = float(theta["gap"]) / 2, len(t)
-        result = np.zeros((3, count))
-        if half <= 0.0:
-            return result
-        mass = np.maximum(inertia, 1e-9)
-        steps = np.append(np.diff(t), t[-1] - t[-2] if count > 1 else 1.0)
-        leaving = {1: np.flatnonzero(load + stiffness * half > 0), -1: np.flatnonzero(load - stiffness * half < 0)}
-        numbers = (load, stiffness, mass, theta["damping"] / mass, steps)
-        samples = list(zip(*(x.tolist() for x in numbers), strict=True))  # floats are quicker than numpy scalars
-        side, k, v = -1 if load[0] > 0 else 1, 0, 0.0
-        while True:
-            later = leaving[side][leaving[side].searchsorted(k) :]
-            end = int(later[0]) if len(later) else count
-            result[0, k:end] = x = side * half
-            motion = []
-            for k in range(end, count):  # in the gap
-                pull, spring, inert, slowing, step = samples[k]
-                before, part, start = v, step / STEPS, (x, v)
-                for _ in range(STEPS):
-                    v = (v - (pull + spring * x) / inert * part) / (1 + slowing * part)
-                    x += v * part
-                    if abs(x) >= half:
-                        x, v = (half if x > 0 else -half), 0.0
-                motion.append((*start, (v - before) / step))
-                if abs(x) == half:
-                    break
-            k = end + len(motion)
-            if motion:
-                result[:, end:k] = np.transpose(motion)
-            if k == count:
-                return result * np.array([[1.0], [self.impacts], [self.impacts]])
-            side = 1 if x > 0 else -1
+        half = float(theta["gap"]) / 2
+        if half <= 0.0 or len(t) < 2:
+            return np.zeros((3, len(t)))
+        found = across_gap(t, load, stiffness, np.maximum(inertia, 1e-9), half, theta["damping"])
+        return found * np.array([[1.0], [self.impacts], [self.impacts]])
 
     def gear(self, twist, theta, stiffest):
         """The joint's range, with ends as hard as MuJoCo's constraints allow, and its `damping`."""

@@ -1,0 +1,101 @@
+"""Derivatives of recorded torques, of effects that move the links or have internal states, against differences of the whole model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import Plant, as_set, multisine, record
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects.black_box.echo import Echo
+from rrr_oc.numerics.along import along
+from rrr_oc.recordings.recording import Recording
+
+STEP = 1e-3  # share of a parameter, over which differences are taken on both sides
+GEARS, STATES = (CATALOGUE[name] for name in ("joint_elasticity", "presliding_hysteresis"))
+OTHERS = (CATALOGUE[name] for name in ("encoder_offset", "torque_gain", "time_delay", "load_dependent_friction"))
+OFFSET, GAIN, DELAY, BY_LOAD = OTHERS
+MODELS = {
+    "a gear": [Term(GEARS((1,)), (Estimate(900.0), Estimate(0.004)))],
+    "two gears, an offset": [
+        Term(GEARS((0,)), (Estimate(2000.0), Estimate(0.003))),
+        Term(GEARS((1,)), (Estimate(900.0), Estimate(0.004))),
+        Term(OFFSET((2,)), (Estimate(0.05),)),
+    ],
+    "bristles": [Term(STATES((2,)), (Estimate(300.0), Estimate(0.8)), 0.05)],
+    "an echo behind a gear, with friction by load": [
+        Term(GEARS((1,)), (Estimate(900.0), Estimate(0.004))),
+        Term(BY_LOAD((1,)), (Estimate(0.05),), 0.05),
+        Term(Echo((1,)), (Estimate(8.0), Estimate(0.3), Estimate(0.2), Estimate(0.1))),
+    ],
+    "bristles, a gear and sensors": [
+        Term(STATES((1,)), (Estimate(300.0), Estimate(0.8)), 0.05),
+        Term(GEARS((1,)), (Estimate(900.0), Estimate(0.004))),
+        Term(GAIN((1,)), (Estimate(-0.1),)),
+        Term(DELAY(()), (Estimate(0.023),)),
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def arm() -> tuple[CalibratedModel, Recording]:
+    plant = Plant("rrr", np.array([2.0, 3.0, 1.5]), np.array([3.0, 4.0, 2.0]), np.array([0.2, 0.3, 0.1]))
+    rng = np.random.default_rng(61)
+    recordings = as_set(plant, [record(plant, "0.csv", rng, 6.0, motion=multisine(3, np.arange(600) / 100, rng))])
+    model = plain_model(recordings)
+    drives = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
+    model = replace(model, terms=tuple(t.with_values(v) for t, v in zip(model.terms, drives, strict=True)))
+    return model, recordings.recordings[0]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_derivatives_are_those_of_the_whole_model(arm, name):
+    """To first order: derivatives neglect that a gear's own load changes with its link's motion, and an echo behind it with both."""
+    (plain, recording), added = arm, MODELS[name]
+    model, echo = replace(plain, terms=(*plain.terms, *added)), any(isinstance(term.effect, Echo) for term in added)
+    found, column = Prediction(model, recording).by_parameters()[:, :, len(plain.values) :], 0
+    for i, term in enumerate(added, len(plain.terms)):
+        for k, value in enumerate(term.values):
+            there = []
+            for sign in (1, -1):
+                moved = term.with_values(term.values + sign * STEP * value * (np.arange(len(term.values)) == k))
+                terms = (*model.terms[:i], moved, *model.terms[i + 1 :])
+                there.append(replace(model, terms=terms).output_torque(recording))
+            slope = (there[0] - there[1]) / (2 * STEP * value)
+            off = np.sqrt(np.mean((found[:, :, column] - slope) ** 2) / np.mean(slope**2))
+            tolerance = 0.2 if echo and term.effect.moves_link else 0.03 if term.effect.side == "motion" else 5e-3
+            assert off < tolerance, f"{term.effect.name} {term.effect.parameters[k].name}: {off:.2g}"
+            column += 1
+    assert column == found.shape[2]
+
+
+@pytest.mark.parametrize("name", ["a gear", "two gears, an offset"])
+def test_starts_are_changes_of_the_torque_by_the_links_own_motion(arm, name):
+    """Against the inverse dynamics at the displaced motion, with stiffness and inertia by differences."""
+    (plain, recording), added = arm, MODELS[name]
+    physics = replace(plain, terms=(*plain.terms, *added)).physics(recording)
+    found, shift, n = physics.starts(recording, False), physics.shift(recording), 3
+    states, base = np.zeros((0, len(recording.t))), physics.torques(recording)[0]
+    gears = [(e, theta, e.joints[0]) for e, theta, _ in physics.named() if e.moves_link]
+    assert len(found) == 2 * len(gears)
+    for number, (effect, theta, j) in enumerate(gears):
+        here, there = (along_shift(physics, recording, shift, states, [2 * n + j], a) for a in (-1.0, 1.0))
+        inertia = (there[1][j] - here[1][j]) / 2
+        here, there = (along_shift(physics, recording, shift, states, [j], a) for a in (-1e-5, 1e-5))
+        stiffness = (there[1][j] - here[1][j]) / 2e-5
+        for k, free in enumerate(effect.free(recording.t, stiffness, inertia, theta)):
+            usual = np.sqrt(np.mean(physics.twist(recording)[k * n + j] ** 2))
+            moved = along_shift(physics, recording, shift, states, [j, n + j, 2 * n + j], 1e-3 * usual * free)[0]
+            expected = (moved - base) / 1e-3
+            np.testing.assert_allclose(found[2 * number + k], expected, atol=0.01 * np.abs(expected).max())
+
+
+def along_shift(physics, motion, shift, states, rows, more):
+    """Motor and load torque with some rows of the shift increased."""
+    there = shift.copy()
+    there[rows] += more
+    values = physics.theta, physics.widths, physics.inertial
+    return along(physics.model.recorded_inverse, *physics.inputs(motion), *values, there, states)
