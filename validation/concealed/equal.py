@@ -183,8 +183,9 @@ def equal_effects(jacobian: Jacobian, noise: np.ndarray, effect: Effect, rows_pe
     target = fit.residual * weight[:, None]
     total = float(np.sum(target**2)) * rows_per_sample
     best: dict[tuple, float] = {}
+    samples = mask[:, None] if fit.inside is None else mask[:, None] * fit.inside
     for c in jacobian.candidates():
-        left = remaining(c.columns * mask[:, None, None, None], basis, weight, target) * rows_per_sample
+        left = remaining(c.columns * samples[:, None, :, None], basis, weight, target) * rows_per_sample
         key = (c.effect, tuple(c.joint) if isinstance(c.joint, list) else c.joint)
         best[key] = min(best.get(key, np.inf), left)
 
