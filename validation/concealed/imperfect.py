@@ -31,6 +31,7 @@ COLOURED = (0.3, 0.7)  # share of the noise's variance that is coloured
 SPEED_NOISE = (5e-4, 2e-3)  # of the drives' speeds [rad/s]
 ACCELERATION_NOISE = (0.02, 0.1)  # [rad/s²]
 WIDTHS = np.geomspace(0.3, 4.0, 10)  # of the sign's change that the plain calibration tries, over the arm's own
+RIVAL = 0.05  # share of an effect's squared residual that another effect may leave and still count as its equal
 TAIL = 0.1  # [s] that the simulation goes on, for clocks that run ahead
 FINE = 1e-3  # step of an arm whose dry friction has bristles [s]
 RECORDING = (Clocks, SpeedFilter)  # faults of the recording, which come after all others
@@ -126,17 +127,20 @@ class ImperfectBench(Bench):
         finite = bool(np.all(np.isfinite(history.ddtheta)))
         return signals(history, self.arm, self.together(effects) if finite else [], self.case.torque)
 
+    def thin(self, x: Signals, rate: float = 25.0) -> Signals:
+        """The seen recordings at a lower rate [Hz], smoothed where transmissions ring."""
+        return subset(thinned(smoothed(x) if self.rings else x, rate), slice(self.seen))
+
     def calibrated(self, x: Signals, width: np.ndarray) -> PlainFit:
-        """As the tool would: with the URDF that it is told, and a width (n,) of the sign's change."""
-        x = subset(smoothed(x) if self.rings else x, slice(self.seen))
+        """As the tool would, of seen recordings: with the URDF that it is told, and a width (n,) of the sign's change."""
         return calibrate(self.told, self.listed, x, width, x.t <= self.ends[: self.seen, None])
 
     def fit(self, x: Signals) -> PlainFit:
-        return self.calibrated(thinned(x, 50.0), self.width)
+        return self.calibrated(self.thin(x, 50.0), self.width)
 
     def best_width(self) -> np.ndarray:
         """Of each joint's dry friction, by the residual that it leaves (n,) [rad/s]."""
-        x, widths = thinned(self.signals([]), 50.0), np.outer(WIDTHS, self.width)
+        x, widths = self.thin(self.signals([]), 50.0), np.outer(WIDTHS, self.width)
         left = np.array([self.calibrated(x, w).rms() for w in widths])
         return np.take_along_axis(widths, left.argmin(axis=0)[None], axis=0)[0]
 
@@ -144,7 +148,7 @@ class ImperfectBench(Bench):
         return replace(fit, residual=fit.residual - self.floor).rms(has) / self.level
 
     def equal(self, effect: Effect) -> dict | None:
-        x, without = (thinned(self.signals(e), 25.0) for e in ([effect], []))
+        x, without = (self.thin(self.signals(e)) for e in ([effect], []))
         fit = self.calibrated(x, self.width)
         fit = replace(fit, residual=fit.residual - self.calibrated(without, self.width).residual)
-        return equal_effects(Jacobian(self.told, self.listed, self.thin(self.signals([effect])), fit), self.level, effect, 4.0)
+        return equal_effects(Jacobian(self.told, self.listed, x, fit), self.level, effect, 4.0, RIVAL)

@@ -13,11 +13,9 @@ from validation.concealed.effects_body import LinkInertial, inertial_parameters
 from validation.concealed.effects_sensor import TimeDelay, TorqueGain
 from validation.concealed.imperfect import ImperfectBench
 from validation.concealed.imperfections import Clocks, SmallFriction, SpeedFilter
-from validation.concealed.plain import inverse_dynamics, subset, thinned
+from validation.concealed.plain import inverse_dynamics
 from validation.concealed.plant import bodies
 from validation.concealed.stated import inertial_errors
-
-RATE = 25.0  # of the samples from which the residuals are computed [Hz]
 
 
 @dataclass(frozen=True)
@@ -65,11 +63,9 @@ class Seen:
 
     def __init__(self, bench: ImperfectBench, effects: Sequence[Effect]):
         self.bench = bench
-        self.recorded = subset(thinned(bench.signals(list(effects)), RATE), slice(bench.seen))
+        self.recorded = bench.thin(bench.signals(list(effects)))
         h = bench.history(list(effects))
-        self.motor, load = (
-            subset(thinned(Signals(h.t, h.theta, h.dtheta, h.ddtheta, x), RATE), slice(bench.seen)) for x in (h.motor, h.load)
-        )
+        self.motor, load = (bench.thin(Signals(h.t, h.theta, h.dtheta, h.ddtheta, x)) for x in (h.motor, h.load))
         self.load = load.tau
         fit = bench.calibrated(self.recorded, bench.width)
         assert fit.inside is not None
