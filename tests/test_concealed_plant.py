@@ -15,12 +15,25 @@ from validation.concealed.arms import PROTOTYPE_MOTOR, Arm, generated_arm, rrr_a
 from validation.concealed.build import Bench, Built, build, make_arm
 from validation.concealed.cases import Case, Concealed, declare
 from validation.concealed.catalogue import CATALOGUE, OUTSIDE, effect_type
-from validation.concealed.effect import Effect
-from validation.concealed.effects_friction import Backlash, JointElasticity, LoadDependentFriction
+from validation.concealed.effect import Effect, Forces, Signals, State
+from validation.concealed.effects_friction import (
+    Backlash,
+    JointElasticity,
+    LoadDependentFriction,
+    PositionDependentFriction,
+    Stribeck,
+    TorqueRipple,
+)
+from validation.concealed.imperfect import ImperfectBench, imperfect_arm, motions
+from validation.concealed.imperfections import LAWS, SIZES, Clocks, SmallFriction, SpeedFilter
 from validation.concealed.plain import calibrate, thinned
 from validation.concealed.plant import Plant, Setup, bodies, signals
 from validation.concealed.sensors import sample
+from validation.concealed.small_parts import small_parts
 from validation.concealed.springs import SpringBank, spring_torque
+from validation.concealed.stated import distorted, inertial_errors, possible
+from validation.concealed.trajectories import reference
+from validation.concealed.work import WORK
 from validation.concealed.write import write_case
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -302,3 +315,255 @@ def test_declarations():
         assert ratios == {3.0, 1.0, 0.5}
     assert [c.id for c in declare(0)] == [c.id for c in cases]
     assert not {c.id for c in declare(1)} & {c.id for c in cases}
+
+
+# --- imperfect arms ---
+
+
+def imperfect_case(robot: str, *concealed: Concealed, key: str = "imperfect/test") -> Case:
+    return Case(key, "imperfect", 4, robot, concealed)
+
+
+@pytest.mark.parametrize("robot", ["rrr", "rrr_prototype", "arm1", "arm7"])
+def test_the_stated_urdf_is_off_and_possible(robot):
+    arm = imperfect_arm(imperfect_case(robot))
+    assert arm.stated_urdf is not None
+    stated, true = pin.buildModelFromXML(arm.stated_urdf), pin.buildModelFromXML(arm.urdf)
+    assert possible(stated)
+    assert [str(p) for p in stated.jointPlacements] == [str(p) for p in true.jointPlacements]
+    for a, b in zip(stated.inertias[1:], true.inertias[1:], strict=True):
+        assert 0.0199 < abs(a.mass / b.mass - 1) < 0.0501
+        assert 0.0014 < np.linalg.norm(a.lever - b.lever) < 0.0046
+        assert 0.002 < np.linalg.norm(a.inertia - b.inertia) / np.linalg.norm(b.inertia) < 0.3
+    for error, a, b in zip(inertial_errors(arm), stated.inertias[1:], true.inertias[1:], strict=True):
+        assert error[0] == pytest.approx(b.mass - a.mass)
+        np.testing.assert_allclose(error[1:4], b.mass * b.lever - a.mass * a.lever, atol=1e-12)
+
+
+def test_inertias_are_off_by_five_per_cent_and_keep_the_triangle_inequality():
+    """Of a thin rod, whose inertias lie on that inequality's edge."""
+    rng, rod = np.random.default_rng(0), np.diag([0.0, 1.0, 1.0])
+    drawn = np.array([distorted(rod, rng) for _ in range(500)])
+    moments = np.linalg.eigvalsh(drawn)
+    assert np.all(moments[:, 0] + moments[:, 1] >= moments[:, 2] - 1e-12)
+    assert drawn[:, 1, 1].std() == pytest.approx(0.05, rel=0.15)  # 500 draws: 3 %, five σ
+
+
+def state(arm: Arm, seed: int, batch: int = 6) -> tuple[State, Forces]:
+    rng = np.random.default_rng(seed)
+    q, w, load = (rng.normal(0.0, x, (batch, arm.n)) for x in (1.0, 0.3, 5.0))
+    zero = np.zeros_like(q)
+    sign = np.tanh(w / arm.width)
+    friction = Forces(zero.copy(), zero.copy(), zero.copy(), sign, (1 - sign**2) / arm.width, *(zero.copy() for _ in range(4)))
+    return State(0.0, q, w, zero, q, w, zero, load, load), friction
+
+
+@pytest.mark.parametrize("effect", ["stribeck", "load_dependent_friction", "torque_ripple", "position_dependent_friction"])
+def test_a_small_part_is_the_catalogues_effect(effect):
+    """One part alone pushes as the class of that effect does with the parameters that the truth states."""
+    arm, j = generated_arm(3, np.random.default_rng(1)), 1
+    whole = SmallFriction.of_arm(arm, np.random.default_rng(2)).on(np.ones(6))
+    fixed = {"law": "tanh", "width": np.full(3, arm.width), "reach": np.zeros(3)}
+    alone = dataclasses.replace(whole, shape=whole.shape | fixed)
+    for other in SIZES:
+        alone = alone.without(other, (0, 1, 2) if other != effect else (0, 2))
+    assert list(alone.parts(j)) == [effect]
+    assert not alone.parts(0)
+    p = {k: v for k, (v, _) in alone.parts(j)[effect].items()}
+    twin = {
+        "stribeck": lambda: Stribeck((j,), p["excess"], {"velocity": p["velocity"]}),
+        "load_dependent_friction": lambda: LoadDependentFriction((j,), p["mu"]),
+        "torque_ripple": lambda: TorqueRipple((j,), p["amplitude"], {"order": p["order"], "phase": p["phase"]}),
+        "position_dependent_friction": lambda: PositionDependentFriction(
+            (j,), p["amplitude"], {"order": p["order"], "phase": p["phase"]}
+        ),
+    }[effect]().on(np.ones(6))
+    (s, f), (_, g) = state(arm, 0), state(arm, 0)
+    alone.push(s, f, np.zeros((6, 3)))
+    twin.push(s, g, None)
+    for field in dataclasses.fields(Forces):
+        np.testing.assert_allclose(getattr(f, field.name), getattr(g, field.name), atol=1e-12)
+    assert any(np.any(getattr(f, name)) for name in ("dry", "mu", "rotor"))
+
+
+@pytest.mark.parametrize("law", sorted(set(LAWS) - {"bristles"}))
+def test_signs_change_by_their_law(law):
+    arm = generated_arm(2, np.random.default_rng(1))
+    friction = SmallFriction.of_arm(arm, np.random.default_rng(0))
+    friction = dataclasses.replace(friction, shape=friction.shape | {"law": law})
+    v = np.linspace(-3, 3, 601)[:, None] * np.ones(2)
+    sign, slope = friction.sign(v)
+    np.testing.assert_allclose(sign, -sign[::-1], atol=1e-12)
+    assert 0.95 < sign[-1].min() <= sign[-1].max() <= 1
+    np.testing.assert_allclose(slope[300], 1 / friction.shape["width"], rtol=1e-9)  # all laws begin with the same slope
+    h = 1e-6
+    np.testing.assert_allclose((friction.sign(v + h)[0] - friction.sign(v - h)[0]) / (2 * h), slope, rtol=1e-4, atol=1e-6)
+
+
+def test_clocks_are_apart_and_drift():
+    arm = generated_arm(2, np.random.default_rng(1))
+    ends = np.array([4.0, 2.0])
+    clocks = Clocks.of_arm(arm, ends, np.random.default_rng(3))
+    t = np.arange(-500, 2050) * 2e-3
+    ramp = np.tile(t, (2, 2, 1))
+    x = Signals(t, np.sin(ramp), np.cos(ramp), ramp.copy(), ramp.copy())
+    clocks.sense(x, arm)
+    for b, end in enumerate(ends):
+        for j in range(2):
+            at = (t > 0) & (t < end)
+            late = clocks.shape["offset"][j] + clocks.shape["drift"][b, j] * t[at] / end
+            np.testing.assert_allclose(x.tau[b, j, at] - t[at], late, atol=1e-12)  # a ramp is its own clock
+            np.testing.assert_allclose(x.q[b, j, at], np.sin(t[at] + late), atol=1e-10)
+    assert np.ptp(clocks.shape["offset"]) > 1e-4
+    assert np.abs(clocks.shape["drift"]).max() > 1e-4
+
+
+def test_the_drives_filter_lags():
+    arm = generated_arm(1, np.random.default_rng(1))
+    t = np.arange(0, 5000) * 2e-3
+    slow = np.sin(2 * t)[None, None]
+    x = Signals(t, slow.copy(), slow.copy(), slow.copy(), slow.copy())
+    SpeedFilter((), 4e-3).sense(x, arm)
+    late = t > 1  # after the filter has settled
+    # at 2 rad/s an error of 0.25 ms is 5e-4; a sampled filter lags a little less than a continuous one
+    np.testing.assert_allclose(x.dq[0, 0, late], np.sin(2 * (t - 0.004))[late], atol=5e-4)
+    np.testing.assert_allclose(x.ddq[0, 0, late], np.sin(2 * (t - 0.008))[late], atol=1e-3)
+    np.testing.assert_array_equal(x.q, slow)
+
+
+@pytest.mark.parametrize("kind", sorted(WORK))
+@pytest.mark.parametrize("n", [1, 4])
+def test_work_stays_within_the_joints_and_rests(kind, n):
+    arm, t = generated_arm(n, np.random.default_rng(n)), np.arange(0, 20, 0.01)
+    for seed in range(5):
+        q = reference(kind, arm, t, np.random.default_rng(seed))
+        assert q.shape == (n, len(t))
+        assert np.all(q >= arm.lower[:, None])
+        assert np.all(q <= arm.upper[:, None])
+        speed = np.abs(np.gradient(q, t, axis=1))
+        assert np.all(speed.max(axis=1) <= 1.01 * arm.speed)
+        assert speed[:, 0].max() < 1e-2  # starts at rest
+        assert speed.max() > 0.05
+        assert np.mean(speed.max(axis=0) < 1e-3) > 0.02  # and rests between
+
+
+@pytest.fixture(scope="module")
+def imperfect_built() -> tuple[Case, Built]:
+    case = imperfect_case("arm2", Concealed("stribeck", 4.0))
+    return case, build(case, duration=4.0)
+
+
+def test_a_strong_effect_stands_out_of_the_small_ones(imperfect_built):
+    case, built = imperfect_built
+    bench = ImperfectBench(case, 4.0)
+    assert built.scaled[0].reached == pytest.approx(4.0, rel=0.15)
+    assert np.all(bench.level > bench.sensing.torque_noise)
+    strong = built.scaled[0].effect
+    joint = built.arm.joints[strong.j]
+    small = [(p["effect"], p["joint"]) for p in built.small]
+    assert ("stribeck", joint) not in small  # its place is taken
+    assert len(small) == len(set(small))
+    for effect in ("load_dependent_friction", "torque_ripple", "torque_gain", "link_inertial", "coulomb_asymmetry", "clock"):
+        assert {(effect, j) for j in built.arm.joints} <= set(small)
+    assert ("time_delay", None) in small
+    shown = [p["ratio"]["reached"] for p in built.small if p["ratio"]]
+    assert max(shown) < 3.0  # each is about as large as all of them together, or smaller
+    assert all(r > 1e-4 for r in shown[:5])
+
+
+def without_a_part(bench: ImperfectBench, part: str, joints: tuple[int, ...]) -> Signals:
+    """What is recorded of the same arm less one of its faults."""
+    every = bench.faults
+    bench.faults = [
+        f.without(part, joints) if isinstance(f, SmallFriction) else f for f in every if f.name != part or f.joints != joints
+    ]
+    bench.histories.clear()
+    x = bench.signals([])
+    bench.faults = every
+    bench.histories.clear()
+    return x
+
+
+def test_small_parts_act():
+    """The ratio that the truth states, of a linearised residual, is about that of a simulation without the part."""
+    bench = ImperfectBench(imperfect_case("arm2"), 4.0)
+    whole = bench.signals([])
+    stated = {(p["effect"], p["joint"]): p["ratio"] for p in small_parts(bench, [])}
+    assert len(bench.faults) >= 5  # friction, two gains, delay, clocks
+    for part, j in (
+        ("stribeck", 0),
+        ("torque_ripple", 1),
+        ("load_dependent_friction", 0),
+        ("torque_gain", 1),
+        ("clocks", None),
+    ):
+        joints = (0, 1) if j is None else (j,)
+        x = without_a_part(bench, part, joints)
+        change = bench.fit(whole).residual - bench.fit(x).residual
+        if j is None:
+            assert np.abs(change).max() > 1e-5
+            continue
+        ratio = dataclasses.replace(bench.fit(x), residual=change).rms()[j] / bench.level[j]
+        # the motion changes a little, and 25 samples a second resolve a reversal coarsely
+        assert stated[part, bench.arm.joints[j]]["per_joint"][j] == pytest.approx(ratio, rel=0.3), part
+    np.testing.assert_array_equal(bench.signals([]).tau, whole.tau)
+
+
+def test_files_of_an_imperfect_arm(imperfect_built, tmp_path):
+    case, built = imperfect_built
+    write_case(built, tmp_path / "a")
+    write_case(build(case, duration=4.0), tmp_path / "b")
+    one, two = (sorted(p for p in (tmp_path / x).rglob("*") if p.is_file()) for x in "ab")
+    assert all(p.read_bytes() == r.read_bytes() for p, r in zip(one, two, strict=True))
+    data = tmp_path / "a" / case.id / "data"
+    head = json.loads((data / "recordings.json").read_text())
+    assert head["inertial"] == "nominal"
+    assert (data / head["robot"]).read_text() == built.arm.stated_urdf != built.arm.urdf
+    columns = (data / "rec01.csv").read_text().splitlines()[0].split(",")
+    filtered = any(p["effect"] == "speed_filter" for p in built.small)
+    assert ({"dq_joint1", "ddq_joint2"} <= set(columns)) == filtered
+    truth = json.loads((tmp_path / "a" / "sealed" / f"{case.id}.json").read_text())
+    assert truth["verdict"] == "missing_physics"
+    assert [e["effect"] for e in truth["effects"]] == ["stribeck"]
+    assert {"effect", "joint", "recordings", "parameters", "ratio"} <= set(truth["small"][0])
+    assert np.all(np.array(truth["floor"]["floor_Nm"]) > truth["noise"]["torque_std_Nm"])
+
+
+def test_without_a_strong_effect_only_small_parts_are_left(tmp_path):
+    case = imperfect_case("arm1")
+    built = build(case)
+    write_case(built, tmp_path)
+    truth = json.loads((tmp_path / "sealed" / f"{case.id}.json").read_text())
+    assert truth["verdict"] == "only_small_parts"
+    assert truth["effects"] == []
+    seconds = [r["rows"] / 100 for r in truth["recordings"]]
+    assert min(seconds) >= 8.0
+    assert max(seconds) <= 20.1
+    assert len(set(seconds)) > 1
+
+
+def test_a_body_on_a_link_that_is_stated_wrongly():
+    """The truth states all that the link lacks of what the tool is told."""
+    case = imperfect_case("arm2", Concealed("link_inertial", 5.0))
+    built = build(case, duration=3.0)
+    effect = built.scaled[0].effect
+    error = inertial_errors(built.arm)[effect.j]
+    told = effect.parameters(built.arm)
+    assert told["mass"][0] == pytest.approx(effect.strength + error[0])
+    np.testing.assert_allclose(told["first_moment"][0], effect.strength * effect.shape["centre"] + error[1:4], atol=1e-12)
+    assert ("link_inertial", built.arm.joints[effect.j]) not in [(p["effect"], p["joint"]) for p in built.small]
+
+
+def test_declarations_of_imperfect_arms():
+    cases = [c for c in declare(7) if c.kind == "imperfect"]
+    assert [c.key for c in cases] == [f"imperfect/{i}" for i in range(130)]
+    strong = [c for c in cases if c.concealed]
+    assert len(strong) == 65
+    assert {len(c.concealed) for c in strong} == {1, 2}
+    assert {e.effect for c in strong for e in c.concealed} == set(CATALOGUE)
+    assert all(3 <= e.ratio <= 8 for c in strong for e in c.concealed)
+    for case in cases:
+        kinds, seen = motions(case)
+        assert 3 <= seen <= 5
+        assert kinds.count("sweep_up") <= 1
+        assert len(kinds) == seen + 2

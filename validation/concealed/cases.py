@@ -12,6 +12,9 @@ from validation.concealed.catalogue import CATALOGUE, OUTSIDE, TWO_JOINTS
 RATIOS = (3.0, 1.0, 0.5)  # residual after plain calibration / noise
 OWN = tuple(f"set-up {b + 1}" for b in range(8))  # of recordings that share none
 FAINT = (0.3, 0.2, 0.1, 0.05)
+IMPERFECT = "imperfect"  # the kind whose arms have small faults everywhere
+IMPERFECT_CASES = 130  # of a seed
+STRONG = (3.0, 8.0)  # strong effects of imperfect arms, over the floor that noise and small faults leave
 ROBOTS = ("rrr", "rrr_prototype", "arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "arm7")
 
 
@@ -58,7 +61,7 @@ def fitting_robot(names: tuple[str, ...], rng: np.random.Generator, choices: tup
 def declare(seed: int = 0) -> list[Case]:
     """All cases of a seed, in a fixed order."""
     cases: list[Case] = []
-    for make in (clean, single, short_single, faint, some_recordings, several, outside, other_data, one_recording):
+    for make in (clean, single, short_single, faint, some_recordings, several, outside, other_data, one_recording, imperfect):
         cases += make(seed)
     keys = [c.key for c in cases]
     if len(set(keys)) != len(keys):
@@ -219,4 +222,23 @@ def other_data(seed: int) -> list[Case]:
             if kind == "motor" and name == "load_dependent_friction":
                 continue  # the motors have it already
             out.append(Case(key, kind, seed, robot, concealed, **extra))
+    return out
+
+
+def imperfect(seed: int) -> list[Case]:
+    """Arms with small faults everywhere. Half of them have one or two strong effects besides, dealt evenly from the catalogue."""
+    out = []
+    rng = draw(seed, IMPERFECT)
+    deck = [str(x) for _ in range(1 + IMPERFECT_CASES // len(CATALOGUE)) for x in rng.permutation(list(CATALOGUE))]
+    for i in range(IMPERFECT_CASES):
+        key = f"{IMPERFECT}/{i}"
+        rng = draw(seed, key)
+        names: tuple[str, ...] = ()
+        if i % 2:
+            names = (deck.pop(), deck.pop()) if rng.random() < 0.3 else (deck.pop(),)
+        if len(set(names)) < len(names) or {"joint_elasticity", "backlash"} <= set(names):
+            names = names[:1]
+        concealed = tuple(Concealed(name, round(float(rng.uniform(*STRONG)), 1)) for name in names)
+        torque = "current" if rng.random() < 0.2 else "motor"
+        out.append(Case(key, IMPERFECT, seed, fitting_robot(names, rng), concealed, torque=torque))
     return out

@@ -242,6 +242,8 @@ class LinkInertial(Effect):
             body.model.appendBodyToJoint(self.j + 1, self.inertia(), pin.SE3.Identity())
 
     def parameters(self, arm: Arm):
+        if "beside" in self.shape:  # of a link whose stated parameters are off already
+            return inertial_parameters(self.inertia().toDynamicParameters() + self.shape["beside"])
         c, m = self.shape["centre"], self.strength
         about_origin = 0.4 * m * self.shape["radius"] ** 2 * np.eye(3) + m * (c @ c * np.eye(3) - np.outer(c, c))
         return {
@@ -249,6 +251,12 @@ class LinkInertial(Effect):
             "first_moment": ((m * c).tolist(), "kg m"),
             "inertia": (about_origin.tolist(), "kg m²"),
         }
+
+
+def inertial_parameters(p: np.ndarray) -> dict[str, tuple[Any, str]]:
+    """As the truth has them, of Pinocchio's ten: m, m c, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the link frame's origin."""
+    inertia = p[[4, 5, 7, 5, 6, 8, 7, 8, 9]].reshape(3, 3)
+    return {"mass": (float(p[0]), "kg"), "first_moment": (p[1:4].tolist(), "kg m"), "inertia": (inertia.tolist(), "kg m²")}
 
 
 @dataclass(frozen=True)

@@ -169,12 +169,15 @@ class Jacobian:
                     yield Candidate("biarticular_spring", names, on_a + on_b)
 
 
-def equal_effects(jacobian: Jacobian, noise: np.ndarray, effect: Effect, rows_per_sample: float) -> dict:
+def equal_effects(
+    jacobian: Jacobian, noise: np.ndarray, effect: Effect, rows_per_sample: float, largest: float = np.inf
+) -> dict:
     """The candidates that take up all but 0.1 % of the residual's variance, and those that do so within the noise.
 
     Candidates are confined to the recordings that have the effect. `rows_per_sample`: how many recorded samples stand
     behind each sample of the Jacobian. "Within the noise": what they leave would raise χ² by less than 9, or by no more
-    than 1.5 times what the linearised truth itself leaves. "Nearest" are the best six, equal or not.
+    than 1.5 times what the linearised truth itself leaves, nor by more than the share `largest` of the whole. "Nearest" are
+    the best six, equal or not.
     """
     fit, arm = jacobian.fit, jacobian.arm
     mask = effect.mask[: len(fit.residual)]
@@ -183,8 +186,9 @@ def equal_effects(jacobian: Jacobian, noise: np.ndarray, effect: Effect, rows_pe
     target = fit.residual * weight[:, None]
     total = float(np.sum(target**2)) * rows_per_sample
     best: dict[tuple, float] = {}
+    samples = mask[:, None] if fit.inside is None else mask[:, None] * fit.inside
     for c in jacobian.candidates():
-        left = remaining(c.columns * mask[:, None, None, None], basis, weight, target) * rows_per_sample
+        left = remaining(c.columns * samples[:, None, :, None], basis, weight, target) * rows_per_sample
         key = (c.effect, tuple(c.joint) if isinstance(c.joint, list) else c.joint)
         best[key] = min(best.get(key, np.inf), left)
 
@@ -199,7 +203,7 @@ def equal_effects(jacobian: Jacobian, noise: np.ndarray, effect: Effect, rows_pe
     return {
         "chi2_of_residual": round(total, 1),
         "equal": named(k for k in order if best[k] < 1e-3 * total),
-        "within_noise": named(k for k in order if best[k] < max(9.0, 1.5 * own)),
+        "within_noise": named(k for k in order if best[k] < max(9.0, min(1.5 * own, largest * total))),
         "nearest": named(order[:6]),
     }
 

@@ -20,10 +20,14 @@ class PlainFit:
     residual: np.ndarray
     coefficients: np.ndarray
     regressor: np.ndarray  # (B, n, N, 3)
+    inside: np.ndarray | None = (
+        None  # samples that belong to their recording (B, N), bool; the others have no residual; None: all
+    )
 
     def rms(self, recordings: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Root mean square over recordings and time, per joint (n,) [Nm]."""
-        return np.sqrt(np.mean(self.residual[recordings] ** 2, axis=(0, 2)))
+        mean = np.mean(self.residual[recordings] ** 2, axis=(0, 2))
+        return np.sqrt(mean if self.inside is None else mean / np.mean(self.inside[recordings]))
 
 
 def thinned(x: Signals, rate: float) -> Signals:
@@ -63,22 +67,29 @@ def nominal_torque(arm: Arm, setup: Setup, x: Signals) -> np.ndarray:
     )
 
 
-def friction_columns(arm: Arm, x: Signals) -> np.ndarray:
+def friction_columns(width: float | np.ndarray, x: Signals) -> np.ndarray:
     """tanh(dq / width), dq and ddq, (B, n, N, 3)."""
-    return np.stack([np.tanh(x.dq / arm.width), x.dq, x.ddq], axis=-1)
+    return np.stack([np.tanh(x.dq / width), x.dq, x.ddq], axis=-1)
 
 
-def calibrate(arm: Arm, setup: Setup, x: Signals) -> PlainFit:
-    """Per joint: τ − nominal ≈ f_c tanh(dq/width) + f_v dq + J ddq, over all recordings together."""
-    columns = friction_columns(arm, x)
+def calibrate(
+    arm: Arm, setup: Setup, x: Signals, width: np.ndarray | None = None, inside: np.ndarray | None = None
+) -> PlainFit:
+    """Per joint: τ − nominal ≈ f_c tanh(dq/width) + f_v dq + J ddq, over all recordings together.
+
+    `width` (n,) [rad/s] replaces the arm's own; samples that are not `inside` (B, N) are left out.
+    """
+    columns = friction_columns(arm.width if width is None else width[:, None], x)
     gap = x.tau - nominal_torque(arm, setup, x)
+    if inside is not None:
+        columns, gap = columns * inside[:, None, :, None], gap * inside[:, None]
     theta = np.empty((arm.n, 3))
     residual = np.empty_like(gap)
     for j in range(arm.n):
         a, y = columns[:, j].reshape(-1, 3), gap[:, j].reshape(-1)
         theta[j] = np.linalg.lstsq(a, y)[0]
         residual[:, j] = (y - a @ theta[j]).reshape(gap[:, j].shape)
-    return PlainFit(residual, theta, columns)
+    return PlainFit(residual, theta, columns, inside)
 
 
 def calibrate_inertials(arm: Arm, setup: Setup, x: Signals) -> PlainFit:
@@ -90,7 +101,7 @@ def calibrate_inertials(arm: Arm, setup: Setup, x: Signals) -> PlainFit:
     rows = batch * samples
     q, dq, ddq = (np.moveaxis(v, 1, -1).reshape(rows, n) for v in (x.q, x.dq, x.ddq))
     bodies_part = np.array([pin.computeJointTorqueRegressor(model, data, *z).copy() for z in zip(q, dq, ddq, strict=True)])
-    columns = friction_columns(arm, x)
+    columns = friction_columns(arm.width, x)
     friction_part = np.zeros((rows, n, 3 * n))
     for j in range(n):
         friction_part[:, j, 3 * j : 3 * j + 3] = columns[:, j].reshape(rows, 3)

@@ -21,11 +21,13 @@ class Sensing:
     lost: float = 0.0  # share of rows lost one by one [1]; one burst of 0.2 s goes too
     speeds: bool = False  # record dq as well
     speed_noise: float = 2e-3  # [rad/s]
+    accelerations: bool = False  # record ddq as well
+    acceleration_noise: float = 0.05  # [rad/s²]
 
 
-def sample(x: Signals, b: int, sensing: Sensing, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Recording b as arrays: t (N,), q, tau and perhaps dq (n, N)."""
-    t = sample_times(x.t[-1], sensing, rng)
+def sample(x: Signals, b: int, sensing: Sensing, rng: np.random.Generator, end: float | None = None) -> dict[str, np.ndarray]:
+    """Recording b as arrays: t (N,), q, tau and perhaps dq and ddq (n, N); it ends at `end` [s], or with the simulation."""
+    t = sample_times(x.t[-1] if end is None else end, sensing, rng)
     n = x.q.shape[1]
     q = np.array([CubicHermiteSpline(x.t, x.q[b, j], x.dq[b, j])(t) for j in range(n)])
     tau = np.array([np.interp(t, x.t, x.tau[b, j]) for j in range(n)])
@@ -35,6 +37,9 @@ def sample(x: Signals, b: int, sensing: Sensing, rng: np.random.Generator) -> di
     if sensing.speeds:
         dq = np.array([np.interp(t, x.t, x.dq[b, j]) for j in range(n)])
         out["dq"] = dq + sensing.speed_noise * rng.standard_normal(dq.shape)
+    if sensing.accelerations:
+        ddq = np.array([np.interp(t, x.t, x.ddq[b, j]) for j in range(n)])
+        out["ddq"] = ddq + sensing.acceleration_noise * rng.standard_normal(ddq.shape)
     return out
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from validation.concealed.arms import Arm
+from validation.concealed.work import WORK
 
 STANDARD = ("sweep_up", "sweep_down", "multisine", "spline", "sweep_slow", "multisine", "pick_and_place", "spline")
 SHORT = ("sweep_up", "multisine", "spline", "sweep_down")
@@ -93,4 +94,4 @@ KINDS = {
     "multisine": multisine,
     "spline": spline,
     "pick_and_place": pick_and_place,
-}
+} | WORK

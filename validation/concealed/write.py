@@ -13,6 +13,7 @@ from validation.concealed.sensors import sample
 from validation.concealed.strength import Scaled
 
 VERSION = 1
+ONLY_SMALL = "only_small_parts"  # verdict on an imperfect arm without a strong effect
 
 
 def write_case(built: Built, out: Path) -> None:
@@ -49,7 +50,7 @@ def write_set(built: Built, folder: Path, which: range) -> list[int]:
     if not built.arm.bundled:
         (folder / "arm.urdf").write_text(built.arm.stated_urdf or built.arm.urdf, encoding="utf-8")
     else:
-        (folder / f"{built.arm.name}.urdf").write_text(built.arm.urdf, encoding="utf-8")
+        (folder / f"{built.arm.name}.urdf").write_text(built.arm.stated_urdf or built.arm.urdf, encoding="utf-8")
     return rows
 
 
@@ -82,16 +83,17 @@ def header(built: Built, which: range) -> dict:
 def write_csv(built: Built, b: int, path: Path) -> int:
     """One recording; short sets have a few rows with a NaN besides. Returns the number of rows."""
     rng = built.case.rng(f"noise of recording {b}")
-    x = sample(built.signals, b, built.sensing, rng)
+    x = sample(built.signals, b, built.sensing, rng, None if built.ends is None else built.ends[b])
     effort, tau = "tau", x["tau"]
     if built.constants is not None:
         effort, tau = "current", tau / built.constants[:, None]
     joints = built.arm.joints
     columns = ["t", *(f"q_{j}" for j in joints), *(f"{effort}_{j}" for j in joints)]
     table = [x["t"], *x["q"], *tau]
-    if "dq" in x:
-        columns += [f"dq_{j}" for j in joints]
-        table += [*x["dq"]]
+    for derivative in ("dq", "ddq"):
+        if derivative in x:
+            columns += [f"{derivative}_{j}" for j in joints]
+            table += [*x[derivative]]
     values = np.array(table)
     if built.case.short:
         values[1 + rng.integers(2 * len(joints)), rng.integers(10, values.shape[1] - 10, 3)] = np.nan
@@ -114,7 +116,7 @@ def truth(built: Built, rows: list[int]) -> dict:
         "key": case.key,
         "kind": case.kind,
         "seed": case.seed,
-        "verdict": "missing_physics" if effects else "nothing_missing",
+        "verdict": "missing_physics" if effects else "nothing_missing" if built.small is None else ONLY_SMALL,
         "robot": case.robot,
         "joints": list(arm.joints),
         "short": case.short,
@@ -122,6 +124,7 @@ def truth(built: Built, rows: list[int]) -> dict:
         "inertial": case.inertial,
         "locked_joints": case.locked,
         "effects": effects,
+        **imperfect_truth(built),
         "baseline": {
             "coulomb_Nm": arm.coulomb,
             "viscous_Nms_per_rad": arm.viscous,
@@ -150,6 +153,15 @@ def truth(built: Built, rows: list[int]) -> dict:
             for b, k in enumerate(built.kinds)
         ],
     }
+
+
+def imperfect_truth(built: Built) -> dict:
+    """What only an imperfect arm has: `small`, its faults, and `floor`, over which its ratios are."""
+    if built.small is None or built.imperfections is None:
+        return {}
+    noise = built.sensing.torque_noise
+    floor = {"imperfections_Nm": built.imperfections, "floor_Nm": np.hypot(noise, built.imperfections)}
+    return {"small": list(built.small), "floor": floor}
 
 
 def truth_of(built: Built, scaled: Scaled, index: int) -> dict:
