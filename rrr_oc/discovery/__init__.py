@@ -1,0 +1,1 @@
+"""Discovery of missing physics: one posterior over models. See docs/discovery.md."""

@@ -1,0 +1,231 @@
+"""Models fitted under their evidence: Gauss–Newton on the exact equations, with priors, noise and discrepancy estimated on the way."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import comb
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.friction_width import WIDTHS, widened
+from rrr_oc.calibration.term_fit import bounds, with_parameter_values
+from rrr_oc.discovery.data import Data
+from rrr_oc.discovery.evidence import Posterior, Prior, solve
+from rrr_oc.effects import Effect, Trial, View
+from rrr_oc.effects.priors import Priors
+
+STEPS = 10  # most steps of Gauss–Newton
+GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
+BEND = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
+FRACTIONS = (1.0, 0.4, 0.1, 0.02)  # of a step, tried until the cost falls
+BEYOND = 0.3  # share of the range of a shape's trials by which a fit may leave it
+WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
+DIFFERENCE = 0.01  # of a width, for derivatives by it
+
+
+@dataclass(frozen=True)
+class Span:
+    """Prior of one parameter of an effect: normal about 0 with `std`, or uniform over a range of length `std` √12, in its logarithm if `log`."""
+
+    std: float
+    normal: bool
+    centre: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+    log: bool = False
+
+
+def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -> list[Span]:
+    """The priors of an effect's parameters, from its declared prior and the values that its trials take."""
+    own = [t for t in family if type(t.effect) is type(effect)] or [effect.trial(view)]
+    same = next((t for t in own if t.effect == effect), own[0])
+    sizes, typical = priors.scales(view, same), priors.of(type(effect)).typical
+    if len(sizes) >= len(effect.amplitudes):
+        scales = dict(zip(effect.amplitudes, sizes, strict=False))
+    else:
+        scales = {}
+    if len(set(effect.amplitudes)) == 1 and len(sizes) > 1:
+        scales = {effect.amplitudes[0]: float(np.max(sizes))}
+    zero, result = effect.combined(same.points, np.zeros(len(same.points))), []
+    for p in effect.parameters:
+        if p.name in scales and (p.name in typical or effect.black_box or not typical):
+            result.append(Span(float(scales[p.name]), True, zero[p.name]))
+            continue
+        values = np.array([point[p.name] for t in own for point in t.points], float)
+        log = p.lower >= 0 and bool(np.all(values > 0))
+        values = np.log(values) if log else values
+        reach = max(float(np.ptp(values)), 1.0 if log else 0.3)
+        low, high = float(values.min()) - BEYOND * reach, float(values.max()) + BEYOND * reach
+        if p.unit == "rad" and p.name == "phase":
+            low, high, reach = -np.inf, np.inf, 2 * np.pi
+        low, high = (float(np.exp(low)), float(np.exp(high))) if log else (low, high)
+        result.append(Span(reach / np.sqrt(12), False, 0.0, low, high, log))
+    return result
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to data.
+
+    Attributes:
+        model: At the estimates.
+        links: Errors of the links in standard deviations of their prior, (k,).
+        posterior: Of the parameters, from which the model was reached.
+        residual: Of the model, (n, M) [Nm].
+        extra: Number of terms beyond the plain ones.
+    """
+
+    model: CalibratedModel
+    links: np.ndarray
+    posterior: Posterior
+    residual: np.ndarray
+    base: int
+
+    @property
+    def log_evidence(self) -> float:
+        return self.posterior.log_evidence
+
+    @property
+    def extra(self) -> tuple[Term, ...]:
+        """The effects that were added to the plain model."""
+        return self.model.terms[self.base :]
+
+
+@dataclass(frozen=True)
+class Fitter:
+    """Fits of models to data.
+
+    Attributes:
+        data: The data.
+        view: What the recordings show.
+        families: Trials by name and joints of their effect.
+        exact: Whether the links' inertial parameters are exact.
+    """
+
+    data: Data
+    view: View
+    families: dict[tuple, list[Trial]]
+    plain_std: np.ndarray
+    priors: Priors = Priors()
+
+    def fit(self, model: CalibratedModel, links: np.ndarray, start: Posterior | None = None, steps: int = STEPS) -> Fitted:
+        """All parameters of a model fitted."""
+        data = self.data
+        found = data.rows(model)
+        columns, residual = self.columns(model, found), found.residual
+        best = None
+        for _ in range(steps):
+            post = solve(data, residual, columns, self.prior(model, links), start)
+            start = post
+            before = post.misfit + post.prior_cost(0 * post.step)
+            expected = before - (post.misfit - 2 * post.right @ post.step + post.step @ post.likelihood @ post.step + post.prior_cost(post.step))
+            best = Fitted(model, links, post, residual, len(data.start.terms))
+            if expected < GAIN:
+                break
+            for fraction in FRACTIONS:
+                step = fraction * post.step
+                there, errors = self.moved(model, links, step)
+                after = data.residual(found, there)
+                cost = post.cost(after) + post.prior_cost(step)
+                if cost < before:
+                    break
+            else:
+                break
+            missed = np.sum((after - (residual - columns @ step)) ** 2)
+            linear = missed <= BEND**2 * np.sum((after - residual) ** 2)
+            model, links, residual = there, errors, after
+            if linear and fraction == 1.0:
+                best = Fitted(model, links, post, residual, len(data.start.terms))
+                break
+            if missed > BEND * np.sum((found.residual - after) ** 2):
+                found = data.rows(model)
+                columns = self.columns(model, found)
+        assert best is not None
+        return best
+
+    def columns(self, model: CalibratedModel, found) -> np.ndarray:
+        """Derivatives by the terms' parameters, the links' errors and the logarithms of the widths of dry friction, (n, M, p)."""
+        size = len(model.values)
+        links = found.jacobian[:, :, size:] @ self.data.links
+        widths = []
+        for joints, width in self.widths(model).items():
+            there = replace(model, terms=tuple(widened(t, {joints: width * (1 + DIFFERENCE)}) for t in model.terms))
+            change = found.residual - self.data.residual(found, there)
+            widths.append(change[:, :, None] / DIFFERENCE)
+        return np.concatenate([found.jacobian[:, :, :size], links, *widths], axis=2)
+
+    def widths(self, model: CalibratedModel) -> dict[tuple[int, ...], float]:
+        """Width of the sign of each joint's dry friction [rad/s]."""
+        return {t.effect.joints: float(t.width) for t in model.terms if t.effect.sign_forms and t.width}
+
+    def moved(self, model: CalibratedModel, links: np.ndarray, step: np.ndarray) -> tuple[CalibratedModel, np.ndarray]:
+        """The model after a change of its parameters, and the links' errors."""
+        size, k = len(model.values), len(links)
+        terms = with_parameter_values(model.terms, model.values + step[:size])
+        errors = links + step[size : size + k]
+        robot = model.robot
+        inertial = robot.inertial + (self.data.links @ step[size : size + k]).reshape(robot.n, 10).T
+        there = replace(model, terms=terms, robot=replace(robot, inertial=inertial))
+        new = {
+            joints: float(np.clip(w * np.exp(s), WIDTHS[0], WIDTHS[-1]))
+            for (joints, w), s in zip(self.widths(model).items(), step[size + k :], strict=True)
+        }
+        return replace(there, terms=tuple(widened(t, new) for t in there.terms)), errors
+
+    def prior(self, model: CalibratedModel, links: np.ndarray) -> Prior:
+        """The prior of changes of a model's parameters."""
+        base, precision, mean, flat, proper = len(self.data.start.terms), [], [], [], []
+        plain = sum(len(t.estimates) for t in model.terms[:base])
+        precision += list(self.plain_std[:plain] ** -2.0)
+        mean += [0.0] * plain  # so wide that it draws nothing
+        flat += [0.0] * plain
+        proper += [False] * plain
+        low, high = bounds(model.terms)
+        at = plain
+        for term in model.terms[base:]:
+            own = self.families.get((term.effect.name, term.effect.joints), [])
+            for span, value in zip(spans(own, term.effect, self.view, self.priors), term.values, strict=True):
+                std = max(span.std * (abs(value) if span.log else 1.0), 1e-12)
+                precision.append(std**-2 if span.normal else 0.0)
+                flat.append(0.0 if span.normal else std**-2)
+                mean.append(span.centre - value if span.normal else 0.0)
+                proper.append(True)
+                low[at], high[at] = max(low[at], span.low), min(high[at], span.high)
+                at += 1
+        k = len(links)
+        precision += [1.0] * k
+        mean += list(-links)
+        flat += [0.0] * k
+        proper += [True] * k
+        widths = self.widths(model)
+        precision += [1.0] * len(widths)
+        mean += [0.0] * len(widths)
+        flat += [0.0] * len(widths)
+        proper += [False] * len(widths)
+        lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
+        values = model.values
+        factor = np.array([p.factor for t in model.terms for p in t.effect.parameters], float)
+        f = np.flatnonzero(np.isfinite(factor))
+        low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
+        lower[: len(low)], upper[: len(high)] = np.minimum(low - values, 0), np.maximum(high - values, 0)
+        at = np.array(list(widths.values()))
+        lower[len(mean) - len(at) :], upper[len(mean) - len(at) :] = np.log(WIDTHS[0] / at), np.log(WIDTHS[-1] / at)
+        which = np.zeros(len(mean), bool)
+        which[len(mean) - len(at) - k : len(mean) - len(at)] = self.data.free
+        return Prior(np.array(mean), np.array(precision), np.array(proper), which, lower, upper, np.array(flat))
+
+    def log_prior(self, effect, scope) -> float:
+        """Logarithm of the prior odds that an effect is present, in all groups or in these."""
+        groups = len(self.data.labels)
+        chance, partly = self.priors.chance(effect, self.view), effect.partly
+        odds = float(np.log(chance / (1 - chance)))
+        if groups == 1 or partly == 0.0:
+            return odds
+        if scope is None:
+            return odds + float(np.log(1 - partly))
+        choices = comb(groups, len(scope)) * max(groups - 1, 1)
+        return odds + float(np.log(partly) - np.log(choices))
+
+    def data_least_payload(self, scope) -> float:
+        inside = [p for p in self.data.prepared if scope is None or p.recording.group in scope]
+        return min((float(p.recording.payload.min()) for p in inside), default=0.0)
