@@ -126,9 +126,9 @@ class RealSet:
 
     Attributes:
         name: Its path below the folder of all sets.
-        train: The folder that the diagnosis is given.
+        train: The folder that the diagnosis is given; in its source's layout where there is a variant.
         test: The folder that it is not given; None where there is none.
-        variant: Which of the prototype's labels are left; None for any other set.
+        variant: Which of the prototype's labels are left; None for sets in our own format.
     """
 
     name: str
@@ -151,7 +151,7 @@ class Part:
 
 
 def sets_below(folder: Path, out: Path) -> list[RealSet]:
-    """All sets below a folder, or the folder itself, by name; the prototype's recordings are converted into `out`."""
+    """All sets below a folder, or the folder itself, by name; nothing in the folder of results is one."""
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder; one that holds recording sets is required")
     found = list(_sets(folder, "", out))
@@ -167,10 +167,7 @@ def _sets(folder: Path, name: str, out: Path) -> Iterator[RealSet]:
     elif (folder / HEADER).is_file():
         yield RealSet(shown, folder)
     elif any(PATTERN.fullmatch(path.name) for path in folder.iterdir()):
-        converted = out / "converted" / shown
-        if not (converted / HEADER).is_file():
-            import_prototype(folder, converted)
-        yield from (RealSet(f"{shown}/{labels}", converted, None, labels) for labels in VARIANTS)
+        yield from (RealSet(f"{shown}/{labels}", folder, None, labels) for labels in VARIANTS)
     else:
         for below in sorted(path for path in folder.iterdir() if path.is_dir() and path.resolve() != out.resolve()):
             yield from _sets(below, f"{name}/{below.name}".lstrip("/"), out)
@@ -191,9 +188,7 @@ def chosen(sets: Sequence[RealSet], only: Sequence[str]) -> list[RealSet]:
 def examine(one: RealSet, out: Path, report: Callable[[str], None]) -> dict[str, Any]:
     """Diagnose a set, write the report of its diagnosis, and predict the held-out recordings in all ways."""
     began = time.perf_counter()
-    recordings = load_recordings(one.train)
-    if one.variant is not None:
-        recordings = variant(recordings, one.variant)
+    recordings = loaded(one, out)
     diagnosis = diagnose(recordings, report, jobs=1)
     content = write_diagnosis(diagnosis, out / "diagnoses" / one.name)
     wall, memory = time.perf_counter() - began, peak_memory()
@@ -219,6 +214,16 @@ def examine(one: RealSet, out: Path, report: Callable[[str], None]) -> dict[str,
         "peak_memory_MB": memory,
         "notes": list(recordings.notes),
     }
+
+
+def loaded(one: RealSet, out: Path) -> RecordingSet:
+    """The recordings that the diagnosis is given; the prototype's are converted into `out` before."""
+    if one.variant is None:
+        return load_recordings(one.train)
+    converted = out / "converted" / one.name
+    if not converted.exists():
+        import_prototype(one.train, converted)
+    return variant(load_recordings(converted), one.variant)
 
 
 def mean_errors(model: CalibratedModel, recordings: RecordingSet) -> dict[str, float | None]:
