@@ -505,12 +505,14 @@ def in_words(count: Mapping[str, int]) -> str:
     if not count["sets"]:
         return "Nothing is published about these sets, or no file says so.\n"
     numbers = "; ".join(f"{word}: {number}" for word, number in count.items() if word != "sets")
-    return f"Claims in the {count['sets']} sets about which something is published, by what is: {numbers}.\n"
+    return f"Claims by what is published: {numbers}. Sets about which something is published: {count['sets']}.\n"
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> Table:
     """The table for the console."""
-    result = Table(*WORDS, pad_edge=False, padding=(0, 1, 0, 0))
+    result = Table(pad_edge=False, padding=(0, 1, 0, 0))
+    for heading in WORDS:
+        result.add_column(heading, overflow="fold")
     for heading in HEADINGS[len(WORDS) :]:
         result.add_column(heading.replace(" [", "\n["), justify="right", no_wrap=True)
     for r in results:
