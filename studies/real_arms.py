@@ -62,12 +62,11 @@ from rrr_oc.storage import check_folder, number, write_json, write_text
 
 STEP = 0.01  # [s] between the samples that a regression is trained on; doubled, half the time, and noise counts for more
 BLOCKS = 4  # contiguous pieces of a lone recording, each held out once from the regressions; more leave more to train on
+SURE = 0.999  # probabilities above it are not shown closer; nearer to 1, digits that no data support
 LARGEST = 1e16  # inverse of the smallest p-value that is shown as a number; below it, rounding decides
 KNOTS = 8  # of the splines over each input; more follow finer shapes, and need more samples
-PENALTIES = np.logspace(-4, 4, 17)  # of the ridge, of which it picks one; a wider range would not be picked from
-FIFTHS = KFold(
-    5
-)  # contiguous, to pick the penalty by; neighbouring samples are alike, so that single ones would choose too little
+PENALTIES = np.logspace(-4, 4, 17)  # of which a ridge picks one; a narrower range restricts it
+FIFTHS = KFold(5)  # by which it picks: contiguous, since samples alike their neighbours would make it pick too small a one
 REGRESSIONS: dict[str, Callable[[], Any]] = {  # without physics, for one joint; nothing is tuned to a set by hand
     "trees": lambda: HistGradientBoostingRegressor(max_iter=200, learning_rate=0.05, random_state=0),
     "splines": lambda: make_pipeline(StandardScaler(), SplineTransformer(KNOTS), RidgeCV(PENALTIES, cv=FIFTHS)),
@@ -395,7 +394,7 @@ def judged(result: Mapping[str, Any], published: Published | None) -> dict[str, 
         rivals = [{"joint": claim["joint"], **r} for r in claim["rivals"]]
         itself = [k for k in published.effects if k.means(claim)]
         rival = [k for k in published.effects if any(k.means(r) for r in rivals)]
-        named = itself or rival
+        named = itself or rival[:1]  # one claim is not several effects at once
         left = [k for k in left if k not in named]
         absent = any(k.means(claim) for k in published.absent)
         word = "known" if itself else "known, as rival" if rival else "known to be absent" if absent else "not published"
@@ -448,7 +447,7 @@ def _cells(claim: Mapping[str, Any], joint: str | None) -> list[str]:
 def chance(claim: Mapping[str, Any]) -> str:
     """The probability that a claim states, or else its p-value, or nothing."""
     if claim["probability"] is not None:
-        return f"{claim['probability']:.3f}"
+        return f"{claim['probability']:.3f}" if claim["probability"] < SURE else f"> {SURE}"
     p = claim["p_value"]
     return "" if p is None else f"p = {p:.0e}" if p * LARGEST > 1 else f"p < {1 / LARGEST:.0e}"
 

@@ -148,6 +148,9 @@ def test_claims_are_compared_with_what_is_published():
     found = study.judged(result(*(c for c, _ in claims)), about)
     assert [c["published"] for c in found["claims"]] == [word for _, word in claims]
     assert found["published"]["missed"] == [{"effect": "backlash", "joint": "a"}]
+    both = claim("torque_offset", "b", rivals=[{"effect": e, "joint": j} for e, j in (("stribeck", "b"), ("backlash", "a"))])
+    once = study.judged(result(both), about)
+    assert [m["effect"] for m in once["published"]["missed"]].count("backlash") == 1  # one claim stands for one effect
     count = study.totals([found, study.judged(result(), None)])
     assert count == {
         "known": 2, "known, as rival": 1, "known to be absent": 2, "not published": 2, "known, not claimed": 1, "sets": 1,
@@ -177,6 +180,7 @@ def test_each_claim_stands_in_the_row_of_its_joint():
     assert a[1:7] == ["a", "(backlash)", "", "", "known, not claimed", "0.100"]
     assert coupled[1:7] == ["b", "coupled friction with a in 1 of 3 recordings", "", "p < 1e-16", "not published", "–"]
     assert left[1:5] == ["", "unexplained", "depends on q_b, sign(dq_b)", "p = 2e-05"]
+    assert study.chance(claim("stribeck", "a", probability=0.99999)) == "> 0.999"
     console = Console(width=160, record=True, file=io.StringIO())
     console.print(study.table([study.judged(result(*claims), known)]))
     assert "coupled friction" in console.export_text()
