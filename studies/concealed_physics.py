@@ -9,6 +9,10 @@ is opened when no diagnosis is left to do, or with --score-only.
 
 An effect counts as named where name and joint are right of what the diagnosis lists (of a single effect: lists first), or of
 what it says cannot be told from that, or where what it lists is, by the plant's own Jacobian, equal to the truth on these data.
+
+An imperfect arm has small faults everywhere, and perhaps strong effects. Strong ones are to be named, first. A further claim is true
+where the arm has that fault; it is wrong where neither that nor a strong effect is there, or where it is only the equal of one that
+is named already. So is a stated probability judged. What is called unexplained on such an arm is counted, not judged.
 """
 
 import json
@@ -17,6 +21,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -56,9 +61,25 @@ FEW = ("single", "faint", "short", "some", "alone", "current", "load", "identify
 SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
 ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
+NEAR = 1.1  # error over the oracle's up to which a repaired model is as good
+IMPERFECT = "imperfect"  # the kind whose arms have small faults everywhere
+BINS = (0.5, 0.8, 0.95, 1.0)  # of stated probabilities; the last one is of what is claimed
 SLOPES, LAPSES = (0.3, 30.0), (0.0, 0.1)  # of the curve of what is named over the strength's logarithm
 NORMAL = 1.96  # standard errors of a 95 % interval
 NOTHING, UNEXPLAINED, FAILED = "nothing", "unexplained", "failed"
+COSTS = ("median [s]", "longest [s]", "median [MB]", "most [MB]")  # columns of what a diagnosis takes
+IMPERFECT_ROWS = {
+    "strong_first": "the strong effect first (with two: both, before all others)",
+    "every_strong_named": "every strong effect named",
+    "something_not_there": "something that is not there was claimed",
+    "something_unexplained": "something was called unexplained",
+    "claims_that_are_there": "claims that are there",
+    "coverage_of_small": "95 % intervals of small parts that hold the true value",
+}  # shares of imperfect arms, and what the report calls them
+CLEAR_REFS, STATUS = (
+    Path("/proc/self/clear_refs"),
+    Path("/proc/self/status"),
+)  # where Linux resets and tells a process's peak memory
 console = wide_console()
 
 
@@ -67,17 +88,33 @@ console = wide_console()
 
 def diagnose_case(folder: Path, out: Path) -> str:
     """Diagnose the `data` of a case, predict its `unseen`, write both to `out`; the case's id. A crash is a result, too."""
+    measurable, peak = forget_peak(), None
     start = time.perf_counter()
     try:
         diagnosis = diagnose(load_recordings(folder / "data"), jobs=1)
-        wall = time.perf_counter() - start
+        wall, peak = time.perf_counter() - start, peak_memory() if measurable else None
         unseen = load_recordings(folder / "unseen")
         errors = {"before": mean_errors(diagnosis.plain, unseen), "after": mean_errors(diagnosis.model, unseen)}
         found: dict[str, Any] = {"diagnosis": to_json(diagnosis), "unseen": errors}
     except Exception:
         wall, found = time.perf_counter() - start, {"failed": traceback.format_exc()}
-    write_json(out / f"{folder.name}.json", without_nan({"case": folder.name, "wall_s": wall, **found}))
+    write_json(out / f"{folder.name}.json", without_nan({"case": folder.name, "wall_s": wall, "peak_MB": peak, **found}))
     return folder.name
+
+
+def forget_peak() -> bool:
+    """Begin to measure this process's peak memory again, for a process diagnoses many cases; whether the system can (Linux)."""
+    try:
+        CLEAR_REFS.write_text("5", encoding="utf-8")
+    except OSError:
+        return False
+    return True
+
+
+def peak_memory() -> float | None:
+    """Most memory that this process has held since `forget_peak` [MB], with what it kept from before."""
+    lines = STATUS.read_text(encoding="utf-8").splitlines()
+    return next((float(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("VmHWM")), None)
 
 
 def mean_errors(model: CalibratedModel, unseen: RecordingSet) -> dict[str, float | None]:
@@ -177,6 +214,41 @@ def matched(truths: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, An
     return result
 
 
+def judged(truths: Sequence[Mapping[str, Any]], found: Sequence[Mapping[str, Any]]) -> list[bool]:
+    """Which of the found effects are there: those that are among the true ones, and those that name one as `matched` has it."""
+    named = {match[0] for match in matched(truths, found) if match is not None}
+    true = [key(t) for t in truths]
+    return [k in named or key(f) in true for k, f in enumerate(found)]
+
+
+def claims(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What a diagnosis says is there or may be there, with its probability, if stated, and whether it is there.
+
+    `right` is None for what an imperfect arm leaves unexplained. `size`: the truth's ratio, of a small part that is there.
+    """
+    effects, possible = diagnosis["effects"], diagnosis.get("possible") or []
+    truths = [e for e in truth["effects"] if e["in_catalogue"]] + small(truth)
+    sizes = {key(e): (e.get("ratio") or {}).get("reached") for e in small(truth)}
+    entries, found = [], [*effects, *possible]
+    equal = [any(how_named(t, f) == "equal" for t in truth["effects"] if not t["in_catalogue"]) for f in found]
+    for k, (f, right) in enumerate(zip(found, judged(truths, found), strict=True)):
+        entries.append({
+            "effect": f["effect"], "joint": f["joint"], "claimed": k < len(effects), "right": right or equal[k],
+            "probability": f.get("probability"), "size": sizes.get(key(f)),
+        })  # fmt: skip
+    outside = [e for e in truth["effects"] if not e["in_catalogue"]]
+    for u in diagnosis["unexplained"]:
+        right = None if truth["kind"] == IMPERFECT else any(outside_named(e, [u]) for e in outside)
+        entry = {"effect": UNEXPLAINED, "joint": u["joint"], "claimed": True, "right": right}
+        entries.append(entry | {"probability": u.get("probability"), "size": None})
+    return entries
+
+
+def small(truth: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The faults of an imperfect arm for which the catalogue has a name."""
+    return [e for e in truth.get("small", []) if e["in_catalogue"]]
+
+
 def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     """Fit the effects that a case really has, where and in the recordings that have them; the case's id.
 
@@ -237,6 +309,7 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
                 "how": "equal" if equal else None, "outside": True, "covered": [],
             })  # fmt: skip
     first = effects[0]["effect"] if effects else UNEXPLAINED if unexplained else NOTHING
+    strong_first = matched(inside, effects[: len(inside)])
     return {
         "case": truth["case"],
         "key": truth["key"],
@@ -247,6 +320,9 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
         "found": [key(e)[0] + "".join(f" {j}" for j in key(e)[1]) for e in effects]
         + [f"{UNEXPLAINED} {u['joint']}: {', '.join(u['depends_on'])}" for u in unexplained],
         "first": FAILED if "failed" in result else first,
+        "strong_first": all(match is not None for match in strong_first) if inside else None,
+        "claims": claims(truth, diagnosis),
+        "covered_small": [c for e in small(truth) for f in effects if key(f) == key(e) for c in covered(e, f)],
         "extra": len(effects) + len(unexplained) - sum(e["named"] for e in entries),
         "alarm": diagnosis["verdict"] != "nothing_missing",
         "unseen": mean_over_joints(
@@ -254,6 +330,7 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
         ),
         "visible": visible(oracle),
         "wall_s": result["wall_s"],
+        "peak_MB": result.get("peak_MB"),
     }
 
 
@@ -331,7 +408,7 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     every = {k: share([all(e["named"] for e in inside(s)) for s in of[k] if inside(s)]) for k in SEVERAL if k in of}
     told = [all(e["named"] or e["how"] == "contained" for e in inside(s)) for k in SEVERAL for s in of.get(k, []) if inside(s)]
     outside = [(s, e) for s in scores for e in s["true"] if e.get("outside")]
-    clean = [s for s in scores if not s["true"]]
+    clean = [s for s in scores if not s["true"] and s["kind"] != IMPERFECT]
     before_after = [s["unseen"] for s in scores if s["unseen"] and s["true"]]
     effects = sorted({e["effect"] for s in scores for e in s["true"]})
     return {
@@ -347,16 +424,21 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "outside_unexplained": share([e["named"] for _, e in outside]),
         "outside_or_equal": share([e["named"] or e["how"] == "equal" for _, e in outside]),
         "false_alarms": share([s["alarm"] for s in clean]),
-        "with_extra_effects": share([s["extra"] > 0 for s in scores if s["true"]]),
+        "with_extra_effects": share([s["extra"] > 0 for s in scores if s["true"] and s["kind"] != IMPERFECT]),
         "coverage": share([c for s in scores for e in s["true"] for c in e["covered"]]),
+        "imperfect": of_imperfect_arms(of.get(IMPERFECT, [])),
+        "reliability": {"all": reliability(scores), IMPERFECT: reliability(of.get(IMPERFECT, []))},
         "unseen_nrmse": quartiles(before_after),
+        "near_oracle": share([p["after"] <= NEAR * p["oracle"] for p in before_after if "oracle" in p]),
         "sensitivity": sensitivity(scores),
         "seconds": {
             f"{n} joints": [float(x) for x in np.quantile([s["wall_s"] for s in scores if s["joints"] == n], [0.5, 1.0])]
             for n in sorted({s["joints"] for s in scores})
         },
+        "by_kind": {kind: cost_of(group) for kind, group in of.items()},
         "by_effect": {
-            name: {
+            name: cost_of([s for s in scores if any(e["effect"] == name for e in s["true"])])
+            | {
                 "named": share([e["named"] for s in scores for e in s["true"] if e["effect"] == name]),
                 "coverage": share([c for s in scores for e in s["true"] if e["effect"] == name for c in e["covered"]]),
             }
@@ -364,6 +446,44 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         },
         "scores": list(scores),
     }
+
+
+def cost_of(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Median and largest wall time and peak memory; the latter where it is known."""
+    memory = [s["peak_MB"] for s in scores if s["peak_MB"] is not None]
+    middle_and_top = [float(x) for x in np.quantile(memory, [0.5, 1.0])] if memory else None
+    return {
+        "cases": len(scores),
+        "seconds": [float(x) for x in np.quantile([s["wall_s"] for s in scores], [0.5, 1.0])],
+        "peak_MB": middle_and_top,
+    }
+
+
+def of_imperfect_arms(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Strong effects named, each and first; what else was claimed, and whether it is there."""
+    claimed = [c for s in scores for c in s["claims"] if c["claimed"]]
+    absent = [c["effect"] for c in claimed if c["right"] is False]
+    strong = [s for s in scores if s["true"]]
+    return {
+        "strong_first": share([s["strong_first"] for s in strong if s["strong_first"] is not None]),
+        "every_strong_named": share([all(e["named"] for e in s["true"]) for s in strong]),
+        "something_not_there": share([any(c["claimed"] and c["right"] is False for c in s["claims"]) for s in scores]),
+        "something_unexplained": share([any(c["effect"] == UNEXPLAINED for c in s["claims"]) for s in scores]),
+        "claims_that_are_there": share([c["right"] for c in claimed if c["right"] is not None]),
+        "not_there": dict(Counter(absent).most_common()),
+        "coverage_of_small": share([c for s in scores for c in s["covered_small"]]),
+    }
+
+
+def reliability(scores: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """By bins of the stated probability: how many, their mean, and the share that is right."""
+    stated = [c for s in scores for c in s["claims"] if c["probability"] is not None and c["right"] is not None]
+    bins = []
+    for low, high in pairwise(BINS):
+        inside = [c for c in stated if low <= c["probability"] < high or c["probability"] == high == BINS[-1]]
+        mean = float(np.mean([c["probability"] for c in inside])) if inside else None
+        bins.append({"from": low, "to": high, "stated": mean, "right": share([c["right"] for c in inside])})
+    return bins
 
 
 def quartiles(pairs: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
@@ -379,9 +499,13 @@ def quartiles(pairs: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
 
 
 def lone(scores: Sequence[Mapping[str, Any]]) -> list[tuple[float, str, bool]]:
-    """Of each case with one effect that the oracle has looked for: how visible it is, its name, whether it was named."""
+    """Of each case with one effect that the oracle has looked for: how visible it is, its name, whether it was named.
+
+    Not of imperfect arms, where what the oracle does not know of tells more than the noise."""
     return [
-        (s["visible"], s["true"][0]["effect"], s["true"][0]["named"]) for s in scores if s["visible"] and len(s["true"]) == 1
+        (s["visible"], s["true"][0]["effect"], s["true"][0]["named"])
+        for s in scores
+        if s["visible"] and len(s["true"]) == 1 and s.get("kind") != IMPERFECT
     ]
 
 
@@ -426,7 +550,7 @@ def confusion(scores: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[str]
             e = s["true"][0]
             right = UNEXPLAINED if e.get("outside") else e["effect"]
             pairs.append((e["effect"], right if e["named"] else s["first"]))
-        elif not s["true"]:
+        elif not s["true"] and s["kind"] != IMPERFECT:
             pairs.append((NOTHING, s["first"]))
     rows = sorted({t for t, _ in pairs})
     columns = [*[r for r in rows if any(f == r for _, f in pairs)], *sorted({f for _, f in pairs} - set(rows))]
@@ -441,7 +565,8 @@ def draw_confusion(scores: Sequence[Mapping[str, Any]]) -> Any:
     rows, columns, counts = confusion(scores)
     figure, axis = plt.subplots(figsize=(2.5 + 0.36 * len(columns), 2.0 + 0.3 * len(rows)))
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    axis.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    if counts.size:
+        axis.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     for i, k in np.argwhere(counts):
         colour = "white" if shares[i, k] > 0.5 else "black"
         axis.text(k, i, str(counts[i, k]), ha="center", va="center", fontsize=7, color=colour)
@@ -450,6 +575,39 @@ def draw_confusion(scores: Sequence[Mapping[str, Any]]) -> Any:
     axis.set(xlabel="answer", ylabel="truth", title="Cases with one effect or none")
     figure.tight_layout()
     return figure
+
+
+def draw_reliability(summary: Mapping[str, Any]) -> Any:
+    """Stated against observed probabilities, and the coverage of 95 % intervals by effect; bars are 95 % intervals."""
+    covered = {k: v["coverage"] for k, v in summary["by_effect"].items() if v["coverage"]["of"]}
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, max(4.2, 1.2 + 0.24 * len(covered))))
+    left.plot([BINS[0], 1], [BINS[0], 1], color="grey", linewidth=0.8)
+    for (of, bins), colour in zip(summary["reliability"].items(), ("tab:blue", "tab:orange"), strict=True):
+        known = [b for b in bins if b["stated"] is not None]
+        if known:
+            x, y = [b["stated"] for b in known], [b["right"]["share"] for b in known]
+            left.errorbar(x, y, yerr=bars([b["right"] for b in known]), fmt="o-", capsize=3, color=colour, label=of)
+            for b in known:
+                left.annotate(
+                    f"{b['right']['of']}", (b["stated"], b["right"]["share"]), textcoords="offset points", xytext=(5, -11)
+                )
+    if left.has_data() and left.get_legend_handles_labels()[0]:
+        left.legend()
+    left.set(xlabel="stated probability", ylabel="share that is there", xlim=(BINS[0], 1.02), ylim=(0, 1.02), title="Claims")
+    places = range(len(covered))
+    shares = [c["share"] for c in covered.values()]
+    right.errorbar(shares, places, xerr=bars(list(covered.values())), fmt="o", capsize=2)
+    right.axvline(0.95, color="grey", linewidth=0.8)
+    right.set_yticks(places, [f"{name} ({c['of']})" for name, c in covered.items()], fontsize=8)
+    right.set(xlabel="95 % intervals that hold the true value", xlim=(0, 1.02), title="Parameters")
+    figure.tight_layout()
+    return figure
+
+
+def bars(shares: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Lengths of the intervals below and above the shares, (2, N), as Matplotlib wants them."""
+    middle, ends = np.array([s["share"] for s in shares]), np.array([s["interval"] for s in shares]).reshape(-1, 2)
+    return np.maximum([middle - ends[:, 0], ends[:, 1] - middle], 0.0)
 
 
 def report(summary: Mapping[str, Any]) -> str:
@@ -464,6 +622,8 @@ def report(summary: Mapping[str, Any]) -> str:
         ("false alarms where nothing is missing", summary["false_alarms"]),
         ("cases with an effect in which more was found", summary["with_extra_effects"]),
         ("95 % intervals that hold the true value", summary["coverage"]),
+        *((f"imperfect: {name}", summary["imperfect"][k]) for k, name in IMPERFECT_ROWS.items()),
+        (f"error on unseen motions at most {NEAR:g} times the oracle's", summary["near_oracle"]),
     ]
     lines = ["# Concealed physics", "", f"{summary['cases']} sealed cases, {len(summary['failed'])} of them failed.", ""]
     lines += [markdown(["", "of", "share", "its own 95 % interval"], [row(*r) for r in rows])]
@@ -480,18 +640,62 @@ def report(summary: Mapping[str, Any]) -> str:
             f"for detects them (p < {DETECTED:g}; {curve['cases']} cases, of which {percent(curve['lapse'])} are missed however strong).",
             "",
         ]
-    seconds = [[k, f"{a:.1f}", f"{b:.1f}"] for k, (a, b) in summary["seconds"].items()]
-    lines += [markdown(["time per case", "median [s]", "longest [s]"], seconds)]
+    lines += [*not_there(summary["imperfect"]), *reliability_tables(summary["reliability"]), *cost_tables(summary)]
     lines += ["`half at`: the same of each effect; a bound where all or none of its cases were named.", ""]
     effects = []
     for name, s in summary["by_effect"].items():
         c, half = s["coverage"], curve and curve["by_effect"].get(name)
         at = f"{half['bound'] or ''} {half['half_named']:.2f}".strip() if half else ""
-        effects.append([*row(name, s["named"]), at, str(c["of"]), percent(c["share"])])
-    lines += [markdown(["effect", "of", "named", "its own 95 % interval", "half at", "intervals", "hold"], effects)]
-    missed = [s for s in summary["scores"] if (not s["true"] and s["alarm"]) or not all(e["named"] for e in s["true"])]
-    cases = [[s["case"], s["key"], "; ".join(s["found"]) or str(s["first"])] for s in missed]
-    return "\n".join([*lines, "## Missed", "", markdown(["case", "key", "found"], cases), "![confusion](confusion.png)"]) + "\n"
+        effects.append([*row(name, s["named"]), at, str(c["of"]), percent(c["share"]), *cost_row(s)[1:]])
+    head = ["effect", "of", "named", "its own 95 % interval", "half at", "intervals", "hold", *COSTS]
+    lines += [markdown(head, effects)]
+    cases = [[s["case"], s["key"], "; ".join(s["found"]) or str(s["first"])] for s in summary["scores"] if missed(s)]
+    lines += ["## Missed", "", markdown(["case", "key", "found"], cases)]
+    return "\n".join([*lines, "![confusion](confusion.png)", "", "![reliability](reliability.png)"]) + "\n"
+
+
+def missed(s: Mapping[str, Any]) -> bool:
+    """Whether a case was judged wrongly: something was not named, or something was claimed that is not there."""
+    if not all(e["named"] for e in s["true"]):
+        return True
+    if s["kind"] == IMPERFECT:
+        return any(c["claimed"] and c["right"] is False for c in s["claims"])
+    return s["alarm"] and not s["true"]
+
+
+def not_there(imperfect: Mapping[str, Any]) -> list[str]:
+    """What was claimed of imperfect arms that they do not have."""
+    if not imperfect["not_there"]:
+        return []
+    counts = ", ".join(f"{n} {name}" for name, n in imperfect["not_there"].items())
+    return [f"Claimed of imperfect arms and not there: {counts}.", ""]
+
+
+def reliability_tables(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[str]:
+    """Stated and observed probabilities, of all cases and of imperfect arms; nothing where none is stated."""
+    lines = []
+    for of, bins in found.items():
+        if any(b["stated"] is not None for b in bins):
+            table = [
+                [f"{b['from']:g} to {b['to']:g}", percent(b["stated"]), *row("", b["right"])[1:]]
+                for b in bins
+                if b["stated"] is not None
+            ]
+            lines += [markdown([f"probability, {of}", "mean", "of", "right", "its own 95 % interval"], table)]
+    return lines
+
+
+def cost_row(cost: Mapping[str, Any]) -> list[str]:
+    """Cases, seconds and megabytes."""
+    memory = [f"{x:.0f}" for x in cost["peak_MB"] or []] or ["", ""]
+    return [str(cost["cases"]), *(f"{x:.1f}" for x in cost["seconds"]), *memory]
+
+
+def cost_tables(summary: Mapping[str, Any]) -> list[str]:
+    """Time and memory of a diagnosis, by number of joints and by kind."""
+    seconds = [[k, f"{a:.1f}", f"{b:.1f}"] for k, (a, b) in summary["seconds"].items()]
+    kinds = [[kind, *cost_row(cost)] for kind, cost in summary["by_kind"].items()]
+    return [markdown(["time per case", "median [s]", "longest [s]"], seconds), markdown(["kind", "cases", *COSTS], kinds)]
 
 
 def row(name: str, s: Mapping[str, Any]) -> list[str]:
@@ -526,7 +730,7 @@ def main(
     only: Annotated[str | None, typer.Option(help="only cases of this kind, as single, clean, pair")] = None,
     score_only: Annotated[bool, typer.Option("--score-only", help="diagnose nothing more; score what there is")] = False,
 ) -> None:
-    """Diagnose sealed cases, then open and score them; writes cases/<id>.json, summary.json, report.md and confusion.png."""
+    """Diagnose sealed cases, then open and score them; writes cases/<id>.json, summary.json, report.md and two figures."""
     folders = chosen(cases, only, limit)
     if not score_only:
         run_all("diagnosing", diagnose_case, {f.name: (f,) for f in folders}, out / "cases", jobs)
@@ -540,6 +744,7 @@ def main(
     text = report(summary)
     write_text(out / "report.md", text)
     save_figure(draw_confusion(scores), out / "confusion.png", dpi=110)
+    save_figure(draw_reliability(summary), out / "reliability.png", dpi=110)
     console.print(Markdown(text))
     console.print(f"Everything is in {out}.", highlight=False, soft_wrap=True)
 

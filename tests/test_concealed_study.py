@@ -42,9 +42,15 @@ def test_blind_then_opened(cases, tmp_path, monkeypatch):
     assert summary["named"]["short, 3 times the noise"]["count"] == 1
     assert summary["unseen_nrmse"]["repaired / plain"][1] < 1
     assert summary["unseen_nrmse"]["repaired / oracle"][1] < 1.1
+    assert summary["near_oracle"]["count"] == 1
+    assert set(summary["by_kind"]) == {"clean", "short"}
+    memory = summary["by_effect"]["quadratic_drag"]["peak_MB"]
+    if study.CLEAR_REFS.exists():  # Linux
+        assert 50 < memory[0] <= memory[1] < 5000
     text = (tmp_path / "out" / "report.md").read_text()
     assert "2 sealed cases, 0 of them failed" in text
-    assert (tmp_path / "out" / "confusion.png").stat().st_size > 1000
+    for figure in ("confusion.png", "reliability.png"):
+        assert (tmp_path / "out" / figure).stat().st_size > 1000
 
 
 def test_a_crash_is_a_result(cases, tmp_path):
@@ -85,11 +91,22 @@ def true(name: str, joint=None, recordings="all", ratio=1.0, equal=(), depends_o
     return found if depends_on is None else {**found, "depends_on": depends_on}
 
 
-def scored(kind: str, effects: list, found: list, unexplained: list | None = None) -> dict:
+def scored(
+    kind: str,
+    effects: list,
+    found: list,
+    unexplained: list | None = None,
+    small: list | None = None,
+    possible: list | None = None,
+) -> dict:
     truth = {"case": "x", "key": f"{kind}/x", "kind": kind, "robot": "rrr", "joints": ["a", "b"], "effects": effects,
              "recordings": [{"file": f"{k}.csv", "unseen": k == 3} for k in range(4)]}  # fmt: skip
+    if small is not None:
+        truth["small"] = small
     verdict = "missing_physics" if found or unexplained else "nothing_missing"
     diagnosis = {"verdict": verdict, "effects": found, "unexplained": unexplained or []}
+    if possible is not None:
+        diagnosis["possible"] = possible
     unseen = {"before": {"a": 0.2, "b": None}, "after": {"a": 0.1, "b": None}}
     return study.score_case(truth, {"diagnosis": diagnosis, "wall_s": 1.0, "unseen": unseen})
 
@@ -218,3 +235,93 @@ def test_summary_and_confusion():
         ("stribeck", "nothing"): 1,
     }
     assert "single, 3 times the noise" in study.report(summary)
+
+
+def test_strong_effects_of_imperfect_arms_are_to_be_named_first():
+    strong, ripple = true("cable_harness", "a", equal=[("parallel_spring", "a")]), true("torque_ripple", "b")
+
+    def first(*found, effects=(strong,)):
+        return scored("imperfect", list(effects), list(found), small=[ripple])["strong_first"]
+
+    assert first(effect("cable_harness", "a"), effect("torque_ripple", "b"))
+    assert first(effect("parallel_spring", "a"))
+    assert not first(effect("torque_ripple", "b"), effect("cable_harness", "a"))  # named, but not first
+    assert not first()
+    both = strong, true("payload_mass")
+    assert first(effect("payload_mass"), effect("cable_harness", "a"), effects=both)
+    assert not first(effect("payload_mass"), effect("torque_ripple", "b"), effect("cable_harness", "a"), effects=both)
+    assert first(effect("torque_ripple", "b"), effects=()) is None  # no strong effect
+
+
+def test_small_parts_are_true_and_others_are_not():
+    strong = true("cable_harness", "a", equal=[("parallel_spring", "a")])
+    clock = {**true("clock", "a"), "in_catalogue": False}
+    small = [true("torque_ripple", "b", amplitude=1.0), true("link_inertial", "b"), clock]
+    found = [
+        effect("cable_harness", "a"),
+        effect("torque_ripple", "b", amplitude=(1.1, 0.1)),
+        effect("torque_ripple", "a"),
+        effect("payload_mass", None, rivals=[("link_inertial", "b")]),
+        effect("parallel_spring", "a"),  # only the equal of what is named already
+        effect("clock", "a"),  # not an effect of the catalogue
+    ]
+    s = scored("imperfect", [strong], found, [{"joint": "a", "depends_on": ["q_a"]}], small)
+    assert [c["right"] for c in s["claims"]] == [True, True, False, True, False, False, None]
+    assert s["covered_small"] == [True]
+    numbers = study.summarise([s, scored("imperfect", [], [], small=small), scored("imperfect", [], [found[1]], small=small)])
+    of = numbers["imperfect"]
+    assert (of["something_not_there"]["count"], of["something_not_there"]["of"]) == (1, 3)
+    assert (of["something_unexplained"]["count"], of["something_unexplained"]["of"]) == (1, 3)
+    assert (of["strong_first"]["count"], of["strong_first"]["of"]) == (1, 1)
+    assert (of["claims_that_are_there"]["count"], of["claims_that_are_there"]["of"]) == (4, 7)
+    assert of["not_there"] == {"torque_ripple": 1, "parallel_spring": 1, "clock": 1}
+    assert numbers["false_alarms"]["of"] == 0  # an arm with small parts is no clean one
+    text = study.report(numbers)
+    assert "imperfect: something that is not there was claimed" in text
+    assert "not there: 1 torque_ripple" in text
+
+
+def test_stated_probabilities_are_compared_with_what_is_there():
+    drag = true("quadratic_drag", "a")
+
+    def claim(name: str, probability: float | None, joint="a") -> dict:
+        return {**effect(name, joint), "probability": probability}
+
+    scores = [
+        scored("single", [drag], [claim("quadratic_drag", 0.99)], possible=[claim("stribeck", 0.6)]),
+        scored("single", [drag], [claim("stribeck", 1.0)], possible=[claim("quadratic_drag", 0.8)]),
+        scored("single", [drag], [claim("quadratic_drag", None)]),  # states none
+        scored("single", [drag], [effect("quadratic_drag", "a")]),  # an old result
+        scored(
+            "clean", [], [], [{"joint": "a", "depends_on": ["q_a"], "probability": 0.97}], possible=[claim("stribeck", 0.2)]
+        ),
+    ]
+    low, middle, high = study.summarise(scores)["reliability"]["all"]
+    assert (low["right"]["count"], low["right"]["of"], low["stated"]) == (0, 1, 0.6)
+    assert (middle["right"]["count"], middle["right"]["of"], middle["stated"]) == (1, 1, 0.8)
+    assert (high["right"]["count"], high["right"]["of"]) == (1, 3)
+    assert high["stated"] == pytest.approx((0.99 + 1.0 + 0.97) / 3)
+    outside = true("cross_fan", "a", depends_on=["dq_a"])
+    u = {"joint": "a", "depends_on": ["dq_a"], "probability": 0.96}
+    assert [c["right"] for c in scored("outside", [outside], [], [u])["claims"]] == [True]
+    assert len(study.draw_reliability(study.summarise(scores)).axes) == 2
+    none = study.summarise(scores[2:4])["reliability"]["all"]
+    assert [b["stated"] for b in none] == [None] * 3
+
+
+def test_imperfect_cases_alone(tmp_path):
+    """Made, scored from results without a word of probabilities, and reported, with --only."""
+    (tmp_path / "sealed").mkdir()
+    write_case(build(Case("imperfect/test", "imperfect", 5, "arm1", ()), 3.0), tmp_path)
+    write_case(build(Case("clean/test", "clean", 5, "arm1", (), short=True), 3.0), tmp_path)
+    for folder in study.chosen(tmp_path, None, None):
+        found = {"verdict": "missing_physics", "effects": [effect("torque_gain", "joint1")], "unexplained": []}
+        errors = {"before": {"joint1": 0.2}, "after": {"joint1": 0.1}}
+        result = {"case": folder.name, "wall_s": 2.0, "diagnosis": found, "unseen": errors}
+        study.write_json(tmp_path / "out" / "cases" / f"{folder.name}.json", result)
+    study.main(tmp_path, tmp_path / "out", 1, None, "imperfect", True)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["cases"] == 1
+    assert summary["imperfect"]["something_not_there"]["count"] == 0
+    assert summary["by_kind"]["imperfect"] == {"cases": 1, "seconds": [2.0, 2.0], "peak_MB": None}
+    assert (tmp_path / "out" / "reliability.png").stat().st_size > 1000

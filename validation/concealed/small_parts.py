@@ -2,7 +2,7 @@
 """What of the small faults the truth lists, and how large each shows: linearised, as if it were alone, beside the plain model."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -93,7 +93,8 @@ class Seen:
         q, w, a, load, motor = (np.moveaxis(s, 1, -1).reshape(rows) for s in (x.q, x.dq, x.ddq, self.load, x.tau))
         state = State(0.0, q, w, a, q, w, a, load, motor)
         zero = np.zeros_like(q)
-        f = Forces(*(zero.copy() for _ in range(5)), zero + self.bench.arm.coulomb, *(zero.copy() for _ in range(3)))
+        f = Forces(**{x.name: zero.copy() for x in fields(Forces)})
+        f.dry += self.bench.arm.coulomb
         fault.push(state, f, np.tanh(w / fault.shape["width"]))
         torque = f.dry * f.sign - f.rotor + f.mu * np.abs(load) * f.sign
         return np.moveaxis(torque.reshape(len(x.q), -1, self.bench.arm.n), -1, 1)
