@@ -11,6 +11,8 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.black_box.echo import Echo
+from rrr_oc.model.motion import Motion
+from rrr_oc.model.recorded_physics import later
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 
@@ -99,3 +101,13 @@ def along_shift(physics, motion, shift, states, rows, more):
     there[rows] += more
     values = physics.theta, physics.widths, physics.inertial
     return along(physics.model.recorded_inverse, *physics.inputs(motion), *values, there, states)
+
+
+def test_delayed_signals_are_interpolated_within_each_segment():
+    rng = np.random.default_rng(62)
+    t = np.cumsum(rng.uniform(0.5, 1.5, 60)) / 100
+    x, segments = rng.normal(size=(3, 60)), (slice(0, 30), slice(30, 31), slice(31, 60))
+    motion = Motion(t, x, x, x, 0 * t, segments)
+    for delay in (0.0, 0.013, -0.02, 5.0):
+        expected = [np.interp(t[s] - delay, t[s], row[s]) for row in x for s in segments]
+        np.testing.assert_allclose(later(motion, x, delay).ravel(), np.concatenate(expected), atol=1e-12)

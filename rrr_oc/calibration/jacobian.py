@@ -53,14 +53,14 @@ class Prediction:
         terms, physics, r = self.model.terms[-1:] if last else self.model.terms, self.physics, self.recording
         sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
         inexact = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in terms]  # no torque of the instant
-        result = np.zeros((self.model.robot.n, len(r.t), sum(sizes)))
+        result = _by_sample(self.model.robot.n, len(r.t), sum(sizes) + (10 * self.model.robot.n if inertial else 0))
         if not all(inexact):
-            by_theta, columns = self._sensitivity("theta"), np.repeat(holds, sizes)
-            result[:, :, columns] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(columns) :]
+            by_theta, columns = self._sensitivity("theta"), np.flatnonzero(np.repeat(holds, sizes))
+            result[:, :, columns] = by_theta[:, :, by_theta.shape[2] - len(columns) :]
         if inertial:
-            result = np.concatenate([result, self._sensitivity("inertial")], axis=2)
+            result[:, :, sum(sizes) :] = self._sensitivity("inertial")
         if any(t.effect.side == "sensor" for t in self.model.terms):
-            for k in range(result.shape[2]):
+            for k in np.flatnonzero(np.any(result, axis=(0, 1))):
                 result[:, :, k] = physics.passed_on(r, result[:, :, k])
         if which := [i for i in range(len(terms)) if inexact[i] and holds[i]]:
             numbers = len(physics.model.effects) - sum(holds) + np.cumsum(holds) - 1  # of the terms among the effects
@@ -69,6 +69,19 @@ class Prediction:
             for i, part in zip(which, found, strict=True):
                 result[:, :, ends[i] - sizes[i] : ends[i]] = part
         return result
+
+    @property
+    def regressor_depends_on(self) -> Hashable | None:
+        """The parts of the model on which derivatives by the inertial parameters depend; None where on nearly all of it."""
+        named = self.physics.named()
+        if any(effect.side == "sensor" or ("load" in effect.inputs and self.model.torque != "load") for effect, *_ in named):
+            return None
+        robot, bodies = self.model.robot, [(e, tuple(theta.values())) for e, theta, _ in named if e.side == "body"]
+        return (*bodies, *(x.tobytes() for x in (robot.placements, robot.axes, robot.gravity)))
+
+    def by_inertial(self) -> np.ndarray:
+        """d `CalibratedModel.output_torque` / d inertial parameters (10, n), link by link, without the model's sensors, (n, K, 10 n)."""
+        return self._sensitivity("inertial")
 
     def by_trial(self, trial: Trial) -> np.ndarray:
         """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm]."""
@@ -87,9 +100,9 @@ class Prediction:
             changes = {"body": self._of_body, "motion": self._of_motion, "sensor": self._of_sensor}
             change = changes.get(effect.side, self._of_torque)
             result = np.array([change(effect, theta, trial.width) for theta in trial.points]).reshape(-1, *shape)
-        if effect.side not in ("sensor", "drive"):
+        if effect.side not in ("sensor", "drive") and self._at_work["through"]:
             result *= self.through
-        return result / trial.size
+        return result if trial.size == 1.0 else result / trial.size
 
     def depends_on(self, effect: Effect) -> Hashable | None:
         """The parts of the model on which `before_sensors` depends for an effect; None where on nearly all of it."""
@@ -195,7 +208,7 @@ class Prediction:
         if columns == 0:
             return np.zeros((n, len(r.t), 0))
         (found,) = along(function, *physics.inputs(r), physics.theta, physics.widths, physics.inertial)
-        return found.reshape(n, len(r.t), columns)
+        return np.moveaxis(found.reshape((n, columns, len(r.t)), order="F"), 1, 2)
 
     def _of_series(self, trial: Trial) -> np.ndarray | None:
         """Of an effect that is a sum of given functions times coefficients; None of any other."""
@@ -251,8 +264,15 @@ class Prediction:
             shift = moved(self.recording, effect, theta, width, *own)
         else:
             shift = moved(self.recording, effect, theta, width)
-        parts = np.split(shift, 3)
-        return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(self.partials[:3], parts, strict=True)], axis=0)
+        n, result = len(by_q), np.zeros(self.recording.q.shape)
+        for row in np.flatnonzero(np.any(shift, axis=1)).tolist():
+            result += self.partials[row // n][:, row % n] * shift[row]
+        return result
+
+
+def _by_sample(n: int, count: int, columns: int) -> np.ndarray:
+    """Zeros (n, count, columns) that lie sample by sample in memory, as `along` finds derivatives and the filter takes them."""
+    return np.moveaxis(np.zeros((count, columns, n)), 2, 0)
 
 
 def _gravity(body: Body) -> ca.SX:

@@ -223,7 +223,12 @@ class Physics:
         """Change of the recorded torque with a change (n, K) of the true torque, (n, K) [Nm]."""
         if all(effect.side != "sensor" for effect in self.model.effects):
             return change
-        return self.recorded(motion, change) - self.recorded(motion, np.zeros_like(change))
+        return self.recorded(motion, change) - self._of_nothing(motion)
+
+    @_kept
+    def _of_nothing(self, motion: Motion) -> np.ndarray:
+        """What the sensors record of no torque, (n, K) [Nm]."""
+        return self.recorded(motion, np.zeros(motion.q.shape))
 
     @_kept
     def states(self, motion: Motion) -> np.ndarray:
@@ -301,8 +306,10 @@ def later(motion: Motion, x: np.ndarray, delay: float) -> np.ndarray:
     result = np.array(x)
     for s in motion.segments:
         t = motion.t[s]
-        for row in result:
-            row[s] = np.interp(t - delay, t, row[s])
+        if len(t) > 1:
+            before = np.clip(np.searchsorted(t, t - delay, "right") - 1, 0, len(t) - 2)
+            share = np.clip((t - delay - t[before]) / (t[before + 1] - t[before]), 0.0, 1.0)
+            result[:, s] = x[:, s][:, before] * (1 - share) + x[:, s][:, before + 1] * share
     return result
 
 
