@@ -71,3 +71,14 @@ def test_columns_are_filtered_as_single_signals_are(arm, name):
             np.testing.assert_allclose(found[:, :, k], expected, rtol=1e-9, atol=1e-9)  # rounding, and what counts as none
         else:
             assert np.sum(found[:, :, k] ** 2) <= np.sum(expected**2) * (1 + 1e-9)
+
+
+def test_a_term_that_holds_for_no_recording_has_columns_of_zeros(arm):
+    plain, prepared = arm
+    gear = replace(ADDED["gear"][0], recordings=("elsewhere.csv",))
+    for terms, inertial, columns in (((gear,), False, 2), ((gear,), True, 32), ((*plain.terms, gear), False, 11)):
+        found = rows(prepared, replace(plain, terms=terms), inertial).jacobian
+        assert found.shape[2] == columns
+        assert not np.any(found[:, :, columns - (32 if inertial else 2) :][:, :, :2])
+    anew = rows(prepared, replace(plain, terms=(*plain.terms, gear)), without_last=rows(prepared, plain))
+    np.testing.assert_array_equal(anew.jacobian, found)

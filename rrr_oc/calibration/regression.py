@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.jacobian import Columns, Prediction
 from rrr_oc.calibration.samples import Prepared, kept_rows, residuals
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import CHAIN
@@ -168,19 +168,16 @@ def _derivatives(prepared: Prepared, at: Prediction, inertial: bool, last: bool)
     """Filtered derivatives at the rows that are kept, (n, kept, p); those by inertial parameters once for as long as they hold."""
     depends_on = at.regressor_depends_on if inertial else None
     if depends_on is None:
-        return _filtered_columns(prepared, at.by_parameters(inertial, last))
+        return _filtered(prepared, at.nonzero_by_parameters(inertial, last))
     if _REGRESSORS.get(prepared, (None,))[0] != depends_on:
-        _REGRESSORS[prepared] = depends_on, _filtered_columns(prepared, at.by_inertial())
-    return np.concatenate([_filtered_columns(prepared, at.by_parameters()), _REGRESSORS[prepared][1]], axis=2)
+        _REGRESSORS[prepared] = depends_on, _filtered(prepared, at.by_inertial())
+    return np.concatenate([_filtered(prepared, at.nonzero_by_parameters()), _REGRESSORS[prepared][1]], axis=2)
 
 
-def _filtered_columns(prepared: Prepared, torques: np.ndarray) -> np.ndarray:
-    """Torques of each joint (n, K, p), as `Prepared.passed` filters them, (n, kept, p); those that are 0 everywhere are left out."""
-    by_sample = np.moveaxis(torques, 0, 2)
-    where = np.any(by_sample != 0, axis=0)
-    joints = np.nonzero(where)[1]
-    passed = prepared.matrix @ (by_sample[:, where] * prepared.moving.T[:, joints]) * prepared.counted.T[:, joints]
-    result = np.zeros((len(torques), len(passed), torques.shape[2]))
+def _filtered(prepared: Prepared, found: Columns) -> np.ndarray:
+    """Derivatives as `Prepared.passed` filters torques, at the rows that are kept, (n, kept, p)."""
+    passed = prepared.matrix @ (found.values * prepared.moving.T[:, found.joints]) * prepared.counted.T[:, found.joints]
+    result = np.zeros((len(prepared.measured), len(passed), found.size))
     for j, columns in enumerate(result):
-        columns[:, where[:, j]] = passed[:, joints == j]
+        columns[:, found.numbers[found.joints == j]] = passed[:, found.joints == j]
     return result
