@@ -333,7 +333,7 @@ def _nonzero(jacobian: ca.Function) -> tuple[ca.Function, np.ndarray, np.ndarray
     arguments = jacobian.sx_in()
     found = ca.sparsify(jacobian.call(arguments)[0])
     rows, columns = (np.array(x, int) for x in found.sparsity().get_triplet())
-    return ca.Function("nonzero", arguments, [ca.densify(found.nz[:])]), rows, columns
+    return ca.Function("nonzero", arguments, [ca.densify(ca.vec(found.nz[:]))]), rows, columns
 
 
 def _gravity(body: Body) -> ca.SX:
