@@ -11,6 +11,8 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.black_box.echo import Echo
+from rrr_oc.model.motion import Motion
+from rrr_oc.model.recorded_physics import later
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 
@@ -99,3 +101,36 @@ def along_shift(physics, motion, shift, states, rows, more):
     there[rows] += more
     values = physics.theta, physics.widths, physics.inertial
     return along(physics.model.recorded_inverse, *physics.inputs(motion), *values, there, states)
+
+
+def test_delayed_signals_are_interpolated_within_each_segment():
+    rng = np.random.default_rng(62)
+    t = np.cumsum(rng.uniform(0.5, 1.5, 60)) / 100
+    x, segments = rng.normal(size=(3, 60)), (slice(0, 30), slice(30, 31), slice(31, 60))
+    motion = Motion(t, x, x, x, 0 * t, segments)
+    for delay in (0.0, 0.013, -0.02, 5.0):
+        expected = [np.interp(t[s] - delay, t[s], row[s]) for row in x for s in segments]
+        np.testing.assert_allclose(later(motion, x, delay).ravel(), np.concatenate(expected), atol=1e-12)
+
+
+def test_what_is_kept_of_the_links_holds_for_other_models(arm):
+    """Against a copy of the recording, for which nothing is kept, and against the model's inverse dynamics in one piece."""
+    plain, recording = arm
+    spring = Term(CATALOGUE["parallel_spring"]((1,)), (Estimate(20.0), Estimate(0.3)), 0.05)
+    tilt = Term(CATALOGUE["gravity_tilt"](()), (Estimate(0.05), Estimate(-0.1)))
+    by_load = Term(BY_LOAD((1,)), (Estimate(0.05),), 0.05)
+    heavier = replace(plain.robot, inertial=1.1 * plain.robot.inertial)
+    models = [replace(plain, terms=(*plain.terms, *added)) for added in ([], [spring], [tilt], [by_load], *MODELS.values())]
+    models += [replace(plain, robot=heavier), replace(plain, robot=replace(plain.robot, gravity=np.array([0.0, 1.0, -9.0])))]
+    loads = []
+    for model in (*models, *reversed(models)):
+        found = model.output_torque(recording)
+        np.testing.assert_allclose(found, model.output_torque(replace(recording)), rtol=1e-12, atol=1e-12)  # rounding
+        physics = model.physics(recording)
+        loads.append(physics.torques(recording)[1])
+        if all(effect.dynamics == "instantaneous" and effect.side != "motion" for effect in physics.model.effects):
+            values = physics.theta, physics.widths, physics.inertial
+            whole = along(physics.model.motor_inverse, *physics.inputs(recording), *values)
+            np.testing.assert_allclose(physics.torques(recording), whole, rtol=1e-12, atol=1e-12)
+    changed = [np.abs(load - loads[0]).max() > 1e-3 for load in loads[: len(models)]]
+    assert changed == [False, True, True, False, True, True, False, True, True, True, True]

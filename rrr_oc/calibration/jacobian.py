@@ -10,7 +10,7 @@ and with no model built: there are hundreds of such effects, and a model of each
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import casadi as ca
@@ -23,7 +23,60 @@ from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.rigid_body import with_payload
 
+KEPT = 500  # Jacobians without their zeros, the least recently used is dropped; doubled, no change, as of the models themselves
 LOAD_STEP = 1e-6  # [Nm], for derivatives of friction by the load torque; doubled, no change
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Derivatives of torques (n, K, p), those that are not 0 at all samples.
+
+    Attributes:
+        joints, numbers: Joint and parameter of each, (m,).
+        values: (K, m): sample by sample, as `along` finds them and the filter takes them.
+        size: p.
+    """
+
+    joints: np.ndarray
+    numbers: np.ndarray
+    values: np.ndarray
+    size: int
+
+    @classmethod
+    def of(cls, torques: np.ndarray) -> "Columns":
+        """Of derivatives (n, K, p)."""
+        joints, numbers = np.nonzero(np.any(torques != 0, axis=1))
+        return cls(joints, numbers, torques[joints, :, numbers].T, torques.shape[2])
+
+    @classmethod
+    def none(cls, count: int) -> "Columns":
+        """No derivatives at that number of samples."""
+        return cls(np.zeros(0, int), np.zeros(0, int), np.zeros((count, 0)), 0)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Columns"], size: int) -> "Columns":
+        """Derivatives by parameters whose numbers differ, of `size` in all."""
+        parts = [part for part in parts if len(part.joints)] or parts[:1]
+        joints, numbers, values = ([getattr(part, name) for part in parts] for name in ("joints", "numbers", "values"))
+        return cls(np.concatenate(joints), np.concatenate(numbers), values[0] if len(parts) == 1 else np.hstack(values), size)
+
+    def moved(self, first: int) -> "Columns":
+        """The same behind `first` other parameters."""
+        return replace(self, numbers=self.numbers + first, size=self.size + first)
+
+    def placed(self, holds: np.ndarray, wanted: np.ndarray) -> "Columns":
+        """The same among parameters (p,), of which these are the last for which `holds` is true; only those `wanted`."""
+        at = np.flatnonzero(holds)
+        among = np.concatenate([np.full(self.size - len(at), -1), np.where(wanted[at], at, -1)])[self.numbers]
+        keep = among >= 0
+        values = self.values if keep.all() else self.values[:, keep]
+        return Columns(self.joints[keep], among[keep], values, len(holds))
+
+    def dense(self, n: int) -> np.ndarray:
+        """The derivatives (n, K, p) of all n joints by all parameters."""
+        result = np.zeros((len(self.values), self.size, n))
+        result[:, self.numbers, self.joints] = self.values
+        return np.moveaxis(result, 2, 0)
 
 
 @dataclass(frozen=True)
@@ -50,25 +103,43 @@ class Prediction:
             inertial: Whether the derivatives by the inertial parameters (10, n) are wanted too, link by link.
             last: Whether only those by the parameters of the last term are wanted.
         """
+        return self.nonzero_by_parameters(inertial, last).dense(self.model.robot.n)
+
+    def nonzero_by_parameters(self, inertial: bool = False, last: bool = False) -> "Columns":
+        """As `by_parameters`, without those that are 0."""
         terms, physics, r = self.model.terms[-1:] if last else self.model.terms, self.physics, self.recording
         sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
         inexact = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in terms]  # no torque of the instant
-        result = np.zeros((self.model.robot.n, len(r.t), sum(sizes)))
+        n, parts = self.model.robot.n, [Columns.none(len(r.t))]
+        size = sum(sizes) + (10 * n if inertial else 0)
         if not all(inexact):
-            by_theta, columns = self._sensitivity("theta"), np.repeat(holds, sizes)
-            result[:, :, columns] = by_theta[:, :, by_theta.shape[2] - np.count_nonzero(columns) :]
+            parts.append(self._sensitivity("theta").placed(np.repeat(holds, sizes), ~np.repeat(inexact, sizes)))
         if inertial:
-            result = np.concatenate([result, self._sensitivity("inertial")], axis=2)
+            parts.append(self._sensitivity("inertial").moved(sum(sizes)))
         if any(t.effect.side == "sensor" for t in self.model.terms):
-            for k in range(result.shape[2]):
-                result[:, :, k] = physics.passed_on(r, result[:, :, k])
+            dense = Columns.joined(parts, size).dense(n)
+            for k in np.flatnonzero(np.any(dense, axis=(0, 1))):
+                dense[:, :, k] = physics.passed_on(r, dense[:, :, k])
+            parts = [Columns.of(dense)]
         if which := [i for i in range(len(terms)) if inexact[i] and holds[i]]:
             numbers = len(physics.model.effects) - sum(holds) + np.cumsum(holds) - 1  # of the terms among the effects
             true, ends = self.model.true_torque(r, physics), np.cumsum(sizes)
             found = physics.by_differences(r, [int(numbers[i]) for i in which], true, self.model.torque == "load")
-            for i, part in zip(which, found, strict=True):
-                result[:, :, ends[i] - sizes[i] : ends[i]] = part
-        return result
+            parts += [Columns.of(part).moved(int(ends[i]) - sizes[i]) for i, part in zip(which, found, strict=True)]
+        return Columns.joined(parts, size)
+
+    @property
+    def regressor_depends_on(self) -> Hashable | None:
+        """The parts of the model on which derivatives by the inertial parameters depend; None where on nearly all of it."""
+        named = self.physics.named()
+        if any(effect.side == "sensor" or ("load" in effect.inputs and self.model.torque != "load") for effect, *_ in named):
+            return None
+        robot, bodies = self.model.robot, [(e, tuple(theta.values())) for e, theta, _ in named if e.side == "body"]
+        return (*bodies, *(x.tobytes() for x in (robot.placements, robot.axes, robot.gravity)))
+
+    def by_inertial(self) -> "Columns":
+        """d `CalibratedModel.output_torque` / d inertial parameters (10, n), link by link, without the model's sensors."""
+        return self._sensitivity("inertial")
 
     def by_trial(self, trial: Trial) -> np.ndarray:
         """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm]."""
@@ -87,9 +158,9 @@ class Prediction:
             changes = {"body": self._of_body, "motion": self._of_motion, "sensor": self._of_sensor}
             change = changes.get(effect.side, self._of_torque)
             result = np.array([change(effect, theta, trial.width) for theta in trial.points]).reshape(-1, *shape)
-        if effect.side not in ("sensor", "drive"):
+        if effect.side not in ("sensor", "drive") and self._at_work["through"]:
             result *= self.through
-        return result / trial.size
+        return result if trial.size == 1.0 else result / trial.size
 
     def depends_on(self, effect: Effect) -> Hashable | None:
         """The parts of the model on which `before_sensors` depends for an effect; None where on nearly all of it."""
@@ -188,14 +259,13 @@ class Prediction:
             "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
         }
 
-    def _sensitivity(self, by: Literal["theta", "inertial"]) -> np.ndarray:
+    def _sensitivity(self, by: Literal["theta", "inertial"]) -> "Columns":
         physics, r = self.physics, self.recording
-        function = physics.model.sensitivity("load" if self.model.torque == "load" else "motor", by)
-        n, columns = physics.model.robot.n, function.size2_out(0)
-        if columns == 0:
-            return np.zeros((n, len(r.t), 0))
-        (found,) = along(function, *physics.inputs(r), physics.theta, physics.widths, physics.inertial)
-        return found.reshape(n, len(r.t), columns)
+        function, joints, numbers = _nonzero(physics.model.sensitivity("load" if self.model.torque == "load" else "motor", by))
+        values = np.zeros((0, len(r.t)))
+        if len(joints):
+            (values,) = along(function, *physics.inputs(r), physics.theta, physics.widths, physics.inertial)
+        return Columns(joints, numbers, values.T, physics.theta.size if by == "theta" else physics.inertial.size)
 
     def _of_series(self, trial: Trial) -> np.ndarray | None:
         """Of an effect that is a sum of given functions times coefficients; None of any other."""
@@ -251,8 +321,19 @@ class Prediction:
             shift = moved(self.recording, effect, theta, width, *own)
         else:
             shift = moved(self.recording, effect, theta, width)
-        parts = np.split(shift, 3)
-        return np.sum([np.einsum("ijk,jk->ik", by, x) for by, x in zip(self.partials[:3], parts, strict=True)], axis=0)
+        n, result = len(by_q), np.zeros(self.recording.q.shape)
+        for row in np.flatnonzero(np.any(shift, axis=1)).tolist():
+            result += self.partials[row // n][:, row % n] * shift[row]
+        return result
+
+
+@lru_cache(maxsize=KEPT)
+def _nonzero(jacobian: ca.Function) -> tuple[ca.Function, np.ndarray, np.ndarray]:
+    """A Function with the elements of a Jacobian that are not 0 at all arguments, and their rows and columns."""
+    arguments = jacobian.sx_in()
+    found = ca.sparsify(jacobian.call(arguments)[0])
+    rows, columns = (np.array(x, int) for x in found.sparsity().get_triplet())
+    return ca.Function("nonzero", arguments, [ca.densify(ca.vec(found.nz[:]))]), rows, columns
 
 
 def _gravity(body: Body) -> ca.SX:

@@ -4,19 +4,22 @@ Derivatives are exact, from the model's expressions, for effects that add a torq
 move the links, have internal states or act in the sensors.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.jacobian import Columns, Prediction
 from rrr_oc.calibration.samples import Prepared, kept_rows, residuals
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import CHAIN
 from rrr_oc.recordings.recording import Recording
 
 START_EFFECT = 1e-3  # of a recording's torque: a smaller effect of a stretch's unknown start is neglected; doubled, no change
+# Derivatives by the inertial parameters that `_derivatives` found last, and what they depend on; they last as long as the recording
+_REGRESSORS: WeakKeyDictionary[Prepared, tuple[Hashable, np.ndarray]] = WeakKeyDictionary()
 ROUNDING = 1e-10  # [Nm]: a parameter (of 1, or of its value if that is more) whose derivatives are all smaller has none
 
 
@@ -69,8 +72,8 @@ def rows(
         jacobian = np.concatenate([without_last.jacobian[:, :, :at], jacobian, without_last.jacobian[:, :, at:]], axis=2)
     values = model.values
     sizes = np.maximum(np.abs(np.append(values, np.zeros(jacobian.shape[2] - len(values)))), 1.0)
-    rounding = np.max(np.abs(jacobian), axis=(0, 1), initial=0.0) * sizes < ROUNDING  # such as by a mass that nothing moves
-    jacobian[:, :, rounding] = 0.0
+    largest = np.maximum(jacobian.max(axis=(0, 1), initial=0.0), -jacobian.min(axis=(0, 1), initial=0.0))
+    jacobian[:, :, largest * sizes < ROUNDING] = 0.0  # such as by a mass that nothing moves
     return Rows(
         residual=np.concatenate([p.residual for p in parts], axis=1),
         jacobian=jacobian,
@@ -149,15 +152,32 @@ def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarra
 def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
     at = Prediction(model, prepared.recording)
     residual = residuals(prepared, model, at.physics)
-    where, passed = prepared.nonzero_passed(np.moveaxis(at.by_parameters(inertial and not last, last), 2, 1), 0)
-    kept, stretches, durations = kept_rows(prepared.recording)
-    columns = np.zeros((*where.shape, len(kept)))
-    columns[where] = passed
+    jacobian = _derivatives(prepared, at, inertial and not last, last)
+    _, stretches, durations = kept_rows(prepared.recording)
     starts = _starts(prepared, model, at.physics)
     return Rows(
         residual=_cleared(prepared.passed(residual, range(len(residual))), starts),
-        jacobian=_cleared(np.moveaxis(columns, 1, 2), starts),
+        jacobian=_cleared(jacobian, starts),
         moving=prepared.counted,
         stretches=stretches,
         durations=durations,
     )
+
+
+def _derivatives(prepared: Prepared, at: Prediction, inertial: bool, last: bool) -> np.ndarray:
+    """Filtered derivatives at the rows that are kept, (n, kept, p); those by inertial parameters once for as long as they hold."""
+    depends_on = at.regressor_depends_on if inertial else None
+    if depends_on is None:
+        return _filtered(prepared, at.nonzero_by_parameters(inertial, last))
+    if _REGRESSORS.get(prepared, (None,))[0] != depends_on:
+        _REGRESSORS[prepared] = depends_on, _filtered(prepared, at.by_inertial())
+    return np.concatenate([_filtered(prepared, at.nonzero_by_parameters()), _REGRESSORS[prepared][1]], axis=2)
+
+
+def _filtered(prepared: Prepared, found: Columns) -> np.ndarray:
+    """Derivatives as `Prepared.passed` filters torques, at the rows that are kept, (n, kept, p)."""
+    passed = prepared.matrix @ (found.values * prepared.moving.T[:, found.joints]) * prepared.counted.T[:, found.joints]
+    result = np.zeros((len(prepared.measured), len(passed), found.size))
+    for j, columns in enumerate(result):
+        columns[:, found.numbers[found.joints == j]] = passed[:, found.joints == j]
+    return result

@@ -1,9 +1,10 @@
 """The physics of one recording, with numbers: the torques that its motion needs, and what the sensors record of them."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial, wraps
+from functools import cached_property, lru_cache, partial, wraps
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -24,6 +25,10 @@ Reactions = dict[int, tuple[np.ndarray, np.ndarray]]
 Result = TypeVar("Result")
 # By the index of an effect: its displacement of the links as a function of its parameters, and at their present values (3 n, K)
 Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray]]
+
+# By motion: load torques, and reactions of joints, of the last links that were asked for, and what they depend on
+_OF_LINKS: WeakKeyDictionary[Motion, dict[Hashable, tuple[Hashable, Any]]] = WeakKeyDictionary()
+_DRIVES: dict[tuple[int, tuple[Effect, ...]], ca.Function] = {}  # of `_drive_torque`, the most recently used last
 
 
 def _kept(find: Callable[..., Result]) -> Callable[..., Result]:
@@ -70,12 +75,32 @@ class Physics:
     def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that the motion needs, each (n, K) [Nm]."""
         states = self.states(motion)
-        if not len(states) and all(effect.side != "motion" for effect in self.model.effects):
-            values = (self.theta, self.widths, self.inertial)
-            motor, load = along(self.model.motor_inverse, *self.inputs(motion), *values)
+        if self._load_depends_on is None or any(effect.side == "motion" for effect in self.model.effects):
+            motor, load = self._evaluated(self.model.recorded_inverse, motion, self.shift(motion), states)
             return motor, load
-        motor, load = self._evaluated(self.model.recorded_inverse, motion, self.shift(motion), states)
-        return motor, load
+        load = self._load(motion)
+        (drive,) = along(_drive_torque(self.model), *self.inputs(motion), self.theta, self.widths, load, states)
+        return load - drive, load
+
+    @cached_property
+    def _load_depends_on(self) -> Hashable | None:
+        """The parts of the physics on which the load torque of a rigid arm depends; None where on the drives as well."""
+        links = [one for one in self.named() if one[0].side in ("link", "body")]
+        if any(effect.states or {"load", "friction"} & set(effect.inputs) for effect, *_ in links):
+            return None
+        robot, tool = self.model.robot, self.model.tool
+        arrays = robot.placements, robot.axes, robot.gravity, tool.position, self.inertial
+        of_links = ((effect, tuple(theta.values()), width) for effect, theta, width in links)
+        return (tool.joint, *of_links, *(np.asarray(x, float).tobytes() for x in arrays))
+
+    def _shared(self, motion: Motion, name: Hashable, find: Callable[[], Result]) -> Result:
+        """What follows from the load torque of a rigid arm along a motion, found once for all physics with the same links."""
+        known, depends_on = _OF_LINKS.setdefault(motion, {}), self._load_depends_on
+        if depends_on is None:
+            return find()
+        if name not in known or known[name][0] != depends_on:
+            known[name] = depends_on, find()
+        return known[name][1]
 
     def _evaluated(self, function: ca.Function, motion: Motion, shift: np.ndarray, states: np.ndarray) -> list[np.ndarray]:
         """Outputs of a function of the arguments of `Model.recorded_inverse`, with the links displaced by `shift` (3 n, K)."""
@@ -101,7 +126,9 @@ class Physics:
             shift = partial(moved, motion, effect, width=width)
             found[i] = shift, shift(theta)
         for _ in range(SWEEPS if elastic else 0):  # a link's motion behind its gear follows from that of all other links
-            load, reactions = self._reactions(motion, _summed(found, motion), tuple(one[1].joints[0] for one in elastic))
+            joints = tuple(one[1].joints[0] for one in elastic)
+            react = partial(self._reactions, motion, _summed(found, motion), joints)
+            load, reactions = react() if found else self._shared(motion, joints, react)
             for i, effect, theta, width in elastic:
                 (j,) = effect.joints
                 needed = load[j].copy()  # load torque of a link that moves with its drive
@@ -116,8 +143,12 @@ class Physics:
     @_kept
     def _load(self, motion: Motion) -> np.ndarray:
         """Load torque by which internal states follow, (n, K) [Nm]: without their own part in it."""
-        states = np.zeros((len(self.model.states), len(motion.t)))
-        return self._evaluated(self.model.recorded_load, motion, self.shift(motion), states)[0]
+
+        def find() -> np.ndarray:
+            states = np.zeros((len(self.model.states), len(motion.t)))
+            return self._evaluated(self.model.recorded_load, motion, self.shift(motion), states)[0]
+
+        return find() if any(effect.side == "motion" for effect in self.model.effects) else self._shared(motion, "load", find)
 
     def _reactions(self, motion: Motion, shift: np.ndarray, joints: tuple[int, ...]) -> tuple[np.ndarray, Reactions]:
         """Load torque (n, K) [Nm] with the links displaced by `shift` (3 n, K), and the reactions of some joints."""
@@ -223,7 +254,12 @@ class Physics:
         """Change of the recorded torque with a change (n, K) of the true torque, (n, K) [Nm]."""
         if all(effect.side != "sensor" for effect in self.model.effects):
             return change
-        return self.recorded(motion, change) - self.recorded(motion, np.zeros_like(change))
+        return self.recorded(motion, change) - self._of_nothing(motion)
+
+    @_kept
+    def _of_nothing(self, motion: Motion) -> np.ndarray:
+        """What the sensors record of no torque, (n, K) [Nm]."""
+        return self.recorded(motion, np.zeros(motion.q.shape))
 
     @_kept
     def states(self, motion: Motion) -> np.ndarray:
@@ -238,6 +274,33 @@ class Physics:
             (e, {p.name: next(numbers) for p in e.parameters}, next(widths) if e.width is not None else None)
             for e in self.model.effects
         ]
+
+
+def _drive_torque(model: Model) -> ca.Function:
+    """(q, dq, ddq, time, payload, theta, widths, tau_load, states) -> torque of the effects in the drives (n,) [Nm]."""
+    key = model.robot.n, model.effects
+    function = _DRIVES.pop(key, None)
+    if function is None:
+        sizes = (
+            model.robot.n,
+            model.robot.n,
+            model.robot.n,
+            1,
+            1,
+            len(model.parameters),
+            len(model.widths),
+            model.robot.n,
+            len(model.states),
+        )
+        q, dq, ddq, time, payload, theta, widths, load, states = arguments = [
+            ca.SX.sym(f"x{i}", k) for i, k in enumerate(sizes)
+        ]
+        signals = Signals(q, dq, ddq, load=load, time=time, payload=payload, states=states)
+        function = ca.Function("drive_torque", arguments, [ca.densify(model.side_torque("drive", signals, theta, widths))])
+    _DRIVES[key] = function
+    if len(_DRIVES) > KEPT:
+        del _DRIVES[next(iter(_DRIVES))]
+    return function
 
 
 @lru_cache(maxsize=KEPT)
@@ -301,8 +364,10 @@ def later(motion: Motion, x: np.ndarray, delay: float) -> np.ndarray:
     result = np.array(x)
     for s in motion.segments:
         t = motion.t[s]
-        for row in result:
-            row[s] = np.interp(t - delay, t, row[s])
+        if len(t) > 1:
+            before = np.clip(np.searchsorted(t, t - delay, "right") - 1, 0, len(t) - 2)
+            share = np.clip((t - delay - t[before]) / (t[before + 1] - t[before]), 0.0, 1.0)
+            result[:, s] = x[:, s][:, before] * (1 - share) + x[:, s][:, before + 1] * share
     return result
 
 
