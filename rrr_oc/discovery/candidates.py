@@ -117,7 +117,7 @@ class Screen:
         prior = self.fitter.prior(self.fitted.model, self.fitted.links)
         prior = at_size(prior, self.post.sizes.links)
         slope = self.slope + prior.precision * prior.mean
-        scale = np.sqrt(np.diag(self.post.matrix))
+        scale = np.sqrt(np.maximum(np.diag(self.post.matrix), 1e-30))
         factor = cho_factor(self.post.matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
         ahead = cho_solve(factor, slope / scale) / scale
         right = self.right - np.einsum("p,gpd->gd", ahead, self.cross)

@@ -329,7 +329,7 @@ def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, residual, column
     off = step - at.mean
     cost = misfit - 2 * right @ step + step @ likelihood @ step + off @ (at.precision * off)
     volume = matrix + np.diag(at.flat)
-    scale = np.sqrt(np.diag(volume))
+    scale = np.sqrt(np.maximum(np.diag(volume), 1e-30))
     log_det = np.linalg.slogdet(volume / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))[1] + 2 * np.sum(np.log(scale))
     widths = (at.precision + at.flat)[at.proper]
     log = -0.5 * cost - 0.5 * log_det + 0.5 * np.sum(np.log(widths))

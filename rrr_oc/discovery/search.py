@@ -147,6 +147,10 @@ class Search:
             self.report("an effect is superfluous")
             at = best
 
+    def worths(self, at: State) -> list[float]:
+        """By how much the log posterior falls without each effect."""
+        return [at.score - self._without(at, [t]).score for t in at.fitted.extra]
+
     def _without(self, at: State, out: Sequence[Term]) -> State:
         terms = tuple(t for t in at.fitted.model.terms if not any(t is o for o in out))
         return self.scored(self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior))
