@@ -5,7 +5,7 @@ LOWEST ?= .venv-lowest
 ARGS ?=
 # Recording which statements run takes a quarter to a third more processor time; `make test COVERAGE=` leaves it out.
 COVERAGE ?= --cov=rrr_oc --cov-report=term
-BUILT_FROM = pyproject.toml setup.py rrr_oc/robot/_rigid_body.cpp rrr_oc/numerics/_along.cpp
+BUILT_FROM = pyproject.toml setup.py rrr_oc/robot/_rigid_body.cpp rrr_oc/numerics/_along.cpp rrr_oc/numerics/_stepping.cpp
 # A short part of the tests that touches every dependency.
 SHORT = tests/test_akima.py tests/test_robot.py tests/test_rigid_body.py tests/test_task.py tests/test_effects.py \
   tests/test_recordings.py tests/test_importers.py tests/test_cli.py tests/test_metrics.py tests/test_solver.py \

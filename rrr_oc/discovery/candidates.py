@@ -8,13 +8,14 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.diagnosis.signatures import table
+from rrr_oc.diagnosis.signatures import Table, table
 from rrr_oc.discovery.data import Data
 from rrr_oc.discovery.evidence import Posterior, Prior, at_size, solve
 from rrr_oc.discovery.fitting import Fitted, Fitter
 from rrr_oc.effects import Trial
 
 SHARES = (1.0, 0.85, 0.7, 0.5)  # of the best coefficients, tried until they are within the effect's bounds
+LEAST_SOME = 8.0  # nats that all groups by themselves must gain together for the same
 LEAST_APART = 4.0  # nats: with less, an effect of some groups only is not sought
 UNIQUE = 1e-7  # share of a signature that the model's parameters do not reproduce, below which it says nothing
 
@@ -51,6 +52,12 @@ class Candidate:
         return Term(effect, estimates, self.trial.width, "all" if self.scope is None else (), groups)
 
 
+def signatures(data: Data, model: CalibratedModel, every: Sequence[Trial]) -> Table:
+    """Signatures of trials at a model, at the rows that are used."""
+    found = table(data.prepared, model, every, data.signatures)
+    return replace(found, values=tuple(v[data.at] for v in found.values))
+
+
 @dataclass(frozen=True)
 class Screen:
     """A fitted model with the signatures of trials, whitened.
@@ -77,10 +84,8 @@ class Screen:
     slope: np.ndarray
 
     @classmethod
-    def of(cls, fitter: Fitter, fitted: Fitted, every: Sequence[Trial], post: Posterior | None = None) -> "Screen":
-        data, post = fitter.data, post or fitted.posterior
-        found = table(data.prepared, fitted.model, every, data.signatures)
-        found = replace(found, values=tuple(v[data.at] for v in found.values))
+    def of(cls, fitter: Fitter, fitted: Fitted, found: Table, post: Posterior) -> "Screen":
+        data = fitter.data
         labels, total, p = len(data.labels), int(found.start[-1]), post.columns.shape[2]
         cross, right = np.zeros((labels, p, total)), np.zeros((labels, total))
         sizes, slope = np.diff(found.start), np.zeros(p)
@@ -158,7 +163,7 @@ class Screen:
                 if g not in chosen:
                     some = tuple(sorted((*chosen, g)))
                     options += self._option(k, c, some, tuple(data.labels[i] for i in some), trial, scales, solved, right)
-            if not options:
+            if not options or (not chosen and sum(max(o[1], 0.0) for o in options) < LEAST_SOME):
                 return
             best = max(options, key=lambda o: o[1])
             if chosen and best[1] < last - 3.0:
@@ -215,8 +220,7 @@ class Screen:
     def evaluated(self, candidate: Candidate) -> Posterior:
         """The evidence of a candidate with all sizes estimated anew, its prediction linear in its coefficients."""
         data, post, trial = self.fitter.data, self.post, candidate.trial
-        found = table(data.prepared, self.fitted.model, [trial], data.signatures)
-        found = replace(found, values=tuple(v[data.at] for v in found.values))
+        found = signatures(data, self.fitted.model, [trial])
         m = len(trial.points)
         columns = np.zeros((data.n, post.columns.shape[1], m))
         for j in range(data.n):

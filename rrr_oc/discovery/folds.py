@@ -93,7 +93,7 @@ def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple
     rest = [i for i in range(len(fitter.data.prepared)) if i not in held]
     train, test = replace(fitter, data=fitter.data.part(rest)), fitter.data.part(held)
     plain = train.fit(begin.model, begin.links)
-    search = Search(train, trials)
+    search = Search(train, trials, black_box=any(t.effect.black_box for t in terms))
     searched = search.run(plain).fitted if terms else plain
     here = [[t.holds_for(p.recording) for p in train.data.prepared] for t in terms]
     there = [[t.holds_for(p.recording) for p in test.prepared] for t in terms]

@@ -7,7 +7,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.signatures import black_box_trials
-from rrr_oc.discovery.candidates import Candidate, Screen
+from rrr_oc.discovery.candidates import Candidate, Screen, signatures
 from rrr_oc.discovery.evidence import Posterior, solve
 from rrr_oc.discovery.fitting import Fitted, Fitter
 from rrr_oc.effects import Trial
@@ -46,12 +46,14 @@ class Search:
         fitter: Fits models.
         trials: All trials of the catalogue.
         report: Receives one line of progress at a time.
+        black_box: Whether black-box terms are sought.
         visited: Log posterior of each structure that was scored, by its effects.
     """
 
     fitter: Fitter
     trials: tuple[Trial, ...]
     report: Callable[[str], None] = lambda _: None
+    black_box: bool = True
     visited: dict[frozenset, float] = field(default_factory=dict)
     foreseen: dict[frozenset, float] = field(default_factory=dict)
 
@@ -72,7 +74,7 @@ class Search:
             better = self._added(at)
             if better is None:
                 better = self._exchanged(at)
-            if better is None:
+            if better is None and self.black_box:
                 better = self._unexplained(at)
             if better is None:
                 break
@@ -84,19 +86,22 @@ class Search:
     def _added(self, at: State, every: Sequence[Trial] | None = None, under: Posterior | None = None, out: Sequence[Term] = (), goal: float | None = None) -> State | None:
         """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
         goal, kept = at.score if goal is None else goal, at.fitted.extra
+        table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
         hopeful: list[tuple[Screen, Candidate]] = []
         seen: set = set()
         for post, count in ((under or at.fitted.posterior, EXACT), (self._exact(at, under), EXACT // 2)):
             if post is None:
                 continue
-            screen = Screen.of(self.fitter, at.fitted, every or self.trials, post)
+            screen = Screen.of(self.fitter, at.fitted, table, post)
             candidates = [c for c in screen.candidates() if not _present(c, kept) and not _same(c, out)]
+            # of the structure without the candidate, under the sizes of the screen
+            base = at.score + post.log_evidence - at.fitted.log_evidence
             if count == EXACT:
                 for c in candidates[:KEPT]:
                     key = frozenset([*(name_of(t) for t in kept), name_of(c.term)])
-                    self.foreseen[key] = max(at.score + c.gain, self.foreseen.get(key, -np.inf))
-            lack = goal - at.score
-            least = [lack - max(NEAR if _bent(c) else NEAR / 3, SLACK * lack) if count == EXACT else NEAR for c in candidates]
+                    self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
+            slack = SLACK * (goal - at.score)
+            least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, slack) for c in candidates]
             own = [(screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low and (c.key, c.scope) not in seen]
             hopeful += own[:count]
             seen |= {(c.key, c.scope) for _, c in own[:count]}
