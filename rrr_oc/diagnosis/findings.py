@@ -8,9 +8,9 @@ from scipy.special import logsumexp
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.discovery.fitting import Fitted
-from rrr_oc.discovery.knobs import CLAIM
-from rrr_oc.discovery.search import Search, State
+from rrr_oc.diagnosis.fitting import Fitted
+from rrr_oc.diagnosis.knobs import CLAIM
+from rrr_oc.diagnosis.search import Search, State
 
 RIVAL = 0.05  # odds of another effect in an effect's place from which it is named beside it
 POSSIBLE = 0.05  # probability from which an effect that is not claimed is mentioned

@@ -1,18 +1,21 @@
-"""Recordings as the data of a discovery: which rows count, where joints turn, and what no law is exact enough for."""
+"""Recordings as the data of a diagnosis: which rows count, where joints turn, their noise, and what no law is exact enough for."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import Rows, rows, with_residuals
-from rrr_oc.calibration.samples import Prepared, _turning, kept_rows
+from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
+from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR, MEMORY
 from rrr_oc.diagnosis.signatures import SignatureCache
-from rrr_oc.discovery.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.numerics.smooth import sign
 
+ROWS_PER_LAG = 30  # rows that each lag needs; with fewer the order is lower
+LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimated
 EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
 TURNS = 0.3  # share of a row's filter on samples at a reversal from which the row counts as one
 ORDERS = {"q": 8, "dq": 4, "load": 4}  # of the cosines of a discrepancy over each variable
@@ -40,7 +43,12 @@ class Data:
     def part(self, keep: Sequence[int]) -> "Data":
         """The data of some of the recordings."""
         return Data(
-            tuple(self.prepared[i] for i in keep), self.start, self.links, self.free, self.signatures, self.whole or self.prepared
+            tuple(self.prepared[i] for i in keep),
+            self.start,
+            self.links,
+            self.free,
+            self.signatures,
+            self.whole or self.prepared,
         )
 
     @property
@@ -94,6 +102,11 @@ class Data:
     def labels(self) -> tuple[str, ...]:
         """The distinct groups."""
         return tuple(dict.fromkeys(self.groups))
+
+    def least_payload(self, scope: Sequence[str] | None) -> float:
+        """The smallest listed payload in recordings of these groups (None: all groups) [kg]."""
+        inside = [p for p in self.prepared if scope is None or p.recording.group in scope]
+        return min((float(p.recording.payload.min()) for p in inside), default=0.0)
 
     @cached_property
     def label(self) -> np.ndarray:
@@ -183,3 +196,65 @@ def link_errors(inertial: np.ndarray) -> np.ndarray:
 def _packed(matrix: np.ndarray) -> np.ndarray:
     """xx, xy, yy, xz, yz, zz."""
     return matrix[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Prediction-error filters of the residual of one joint.
+
+    Attributes:
+        filters: For each order k = 0 … p the weights of the k rows before, (k,).
+        spreads: Standard deviation of the prediction error of each order over that of the last, (p + 1,).
+        turning: Standard deviation at rows where the joint turns, over that elsewhere.
+    """
+
+    filters: tuple[np.ndarray, ...]
+    spreads: np.ndarray
+    turning: float
+
+    @classmethod
+    def of(cls, residual: np.ndarray, place: np.ndarray, turning: np.ndarray) -> "Noise":
+        """Estimated by least squares from a residual (M,).
+
+        Args:
+            place: Number of rows without a gap before each row; −1 where a row does not count, (M,).
+            turning: Where the joint turns, (M,).
+        """
+        count = np.count_nonzero(place >= 0)
+        order = int(np.clip(count // ROWS_PER_LAG, 0, round(MEMORY / STRIDE / EVERY)))
+        lags = np.zeros((len(residual), order))
+        for k in range(order):
+            lags[k + 1 :, k] = residual[: -k - 1]
+        calm = ~turning
+        filters, spreads, factor = [], [], 1.0
+        for k in range(order + 1):
+            rows = (place >= k) & calm
+            if np.count_nonzero(rows) < max(3 * k, 10):
+                rows = place >= k
+            x, y = lags[rows, :k], residual[rows]
+            weights = np.linalg.solve(x.T @ x + 1e-9 * (y @ y + 1e-300) * np.eye(k), x.T @ y) if k else np.zeros(0)
+            filters.append(weights)
+            spreads.append(float(np.sqrt(np.mean((y - x @ weights) ** 2))) if len(y) else 1.0)
+        turned = (place >= order) & turning
+        if np.count_nonzero(turned) > LEAST_TURNING and spreads[-1] > 0:
+            error = residual[turned] - lags[turned] @ filters[-1]
+            factor = max(1.0, float(np.sqrt(np.mean(error**2))) / spreads[-1])
+        last = spreads[-1] or 1.0
+        return cls(tuple(filters), np.maximum(np.array(spreads) / last, 1e-6), factor)
+
+    def whitening(self, place: np.ndarray, turning: np.ndarray) -> tuple[csr_matrix, float]:
+        """The matrix (M, M) that turns the noise white, rows that do not count being 0, and the logarithm of its determinant."""
+        order, size = len(self.filters) - 1, len(place)
+        at = np.clip(place, 0, order)
+        table = np.zeros((order + 1, order + 1))
+        for k, weights in enumerate(self.filters):
+            table[k] = np.concatenate([[1.0], -weights, np.zeros(order - k)]) / self.spreads[k]
+        scale = np.where(place >= 0, np.where(turning, 1 / self.turning, 1.0), 0.0)
+        bands = table[at] * scale[:, None]  # (M, order + 1)
+        rows = np.repeat(np.arange(size), order + 1)
+        columns = rows - np.tile(np.arange(order + 1), size)
+        values = bands.ravel()
+        kept = (values != 0) & (columns >= 0)
+        matrix = csr_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
+        counted = place >= 0
+        return matrix, float(np.sum(np.log(scale[counted] / self.spreads[at[counted]])))

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis.candidates import Candidate, Screen, signatures
+from rrr_oc.diagnosis.evidence import Posterior, solve
+from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.signatures import black_box_trials
-from rrr_oc.discovery.candidates import Candidate, Screen, signatures
-from rrr_oc.discovery.evidence import Posterior, solve
-from rrr_oc.discovery.fitting import Fitted, Fitter
 from rrr_oc.effects import Trial
 
 EXACT, FITTED = 4, 3  # candidates of a round whose sizes are estimated anew, and those fitted exactly
@@ -83,7 +83,14 @@ class Search:
 
     # moves
 
-    def _added(self, at: State, every: Sequence[Trial] | None = None, under: Posterior | None = None, out: Sequence[Term] = (), goal: float | None = None) -> State | None:
+    def _added(
+        self,
+        at: State,
+        every: Sequence[Trial] | None = None,
+        under: Posterior | None = None,
+        out: Sequence[Term] = (),
+        goal: float | None = None,
+    ) -> State | None:
         """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
         goal, kept = at.score if goal is None else goal, at.fitted.extra
         table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
@@ -102,7 +109,9 @@ class Search:
                     self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
             slack = SLACK * (goal - at.score)
             least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, slack) for c in candidates]
-            own = [(screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low and (c.key, c.scope) not in seen]
+            own = [
+                (screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low and (c.key, c.scope) not in seen
+            ]
             hopeful += own[:count]
             seen |= {(c.key, c.scope) for _, c in own[:count]}
         return self._best(at, hopeful, goal)

@@ -1,23 +1,32 @@
 """Candidates for a further effect: the gain in evidence of every trial, by linear algebra at one fitted model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.diagnosis.data import Data
+from rrr_oc.diagnosis.evidence import Posterior, Prior, at_size, solve
+from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.signatures import Table, table
-from rrr_oc.discovery.data import Data
-from rrr_oc.discovery.evidence import Posterior, Prior, at_size, solve
-from rrr_oc.discovery.fitting import Fitted, Fitter
 from rrr_oc.effects import Trial
 
 SHARES = (1.0, 0.85, 0.7, 0.5)  # of the best coefficients, tried until they are within the effect's bounds
 LEAST_SOME = 8.0  # nats that all groups by themselves must gain together for the same
 LEAST_APART = 4.0  # nats: with less, an effect of some groups only is not sought
 UNIQUE = 1e-7  # share of a signature that the model's parameters do not reproduce, below which it says nothing
+
+
+class Option(NamedTuple):
+    """A trial in some groups (None: all), its gain in evidence, and its coefficients (m,)."""
+
+    scope: tuple[str, ...] | None
+    gain: float
+    coefficients: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -70,7 +79,7 @@ class Screen:
         own: Blocks of the trials: for each, (L, m, m).
         through: For each joint the products of its discrepancy with columns, (L, F, D).
         right: Products with the residual, (L, D).
-        """
+    """
 
     fitter: Fitter
     fitted: Fitted
@@ -129,7 +138,7 @@ class Screen:
         solved = np.stack([cho_solve(factor, c / scale[:, None]) / scale[:, None] for c in self.cross])
         found: dict[tuple, list[Candidate]] = {}
         for k, trial in enumerate(self.trials):
-            for scope, gain, coefficients in self._options(k, trial, solved, right):
+            for scope, gain, coefficients in self._options(k, solved, right):
                 one = Candidate(trial, scope, coefficients, gain, 0.0)
                 name = trial.effect if trial.effect.black_box else trial.effect.name
                 found.setdefault((name, trial.effect.joints, scope), []).append(one)
@@ -145,77 +154,81 @@ class Screen:
             result.append(replace(best, gain=gain, log_prior=prior))
         return sorted(result, key=lambda c: -c.gain)
 
-    def _options(self, k: int, trial: Trial, solved: np.ndarray, right: np.ndarray):
-        data, effect = self.fitter.data, trial.effect
-        c = slice(self.start[k], self.start[k + 1])
-        scales = self.fitter.priors.scales(self.fitter.view, trial)
-        groups = len(data.labels)
-        every = tuple(range(groups))
-        scoped = effect.partly > 0.0 and groups > 1
-        if effect.partly < 1.0:
-            yield from self._option(k, c, every, None, trial, scales, solved, right)
-        if not scoped or self._apart(k, c, every, solved, right) < LEAST_APART:
+    def _options(self, k: int, solved: np.ndarray, right: np.ndarray) -> Iterator[Option]:
+        """A trial in all groups, and in the best groups of each number that pays, with their gains."""
+        data, trial = self.fitter.data, self.trials[k]
+        c, groups = slice(self.start[k], self.start[k + 1]), len(data.labels)
+        every, gain = tuple(range(groups)), -np.inf
+
+        def option(some: tuple[int, ...], scope: tuple[str, ...] | None) -> Option | None:
+            own, there = self._reduced(k, some, solved), right[list(some), c].sum(axis=0)
+            found = None if own is None else self._best_within(trial, own, there, data.least_payload(scope))
+            return found and Option(scope, *found)
+
+        if trial.effect.partly < 1.0 and (one := option(every, None)) is not None:
+            yield one
+        if trial.effect.partly == 0.0 or groups == 1 or self._apart(k, solved, right) < LEAST_APART:
             return
         chosen: tuple[int, ...] = ()
         for _ in range(groups - 1):
-            options = []
-            for g in every:
-                if g not in chosen:
-                    some = tuple(sorted((*chosen, g)))
-                    options += self._option(k, c, some, tuple(data.labels[i] for i in some), trial, scales, solved, right)
-            if not options or (not chosen and sum(max(o[1], 0.0) for o in options) < LEAST_SOME):
+            some = [tuple(sorted((*chosen, g))) for g in every if g not in chosen]
+            tried = [(s, one) for s in some if (one := option(s, tuple(data.labels[i] for i in s))) is not None]
+            if not tried or (not chosen and sum(max(one.gain, 0.0) for _, one in tried) < LEAST_SOME):
                 return
-            best = max(options, key=lambda o: o[1])
-            if chosen and best[1] < last - 3.0:
+            chosen, best = max(tried, key=lambda t: t[1].gain)
+            if best.gain < gain - LEAST_APART:
                 return
-            last = best[1]
-            chosen = tuple(data.labels.index(x) for x in best[0])
+            gain = best.gain
             yield best
 
-    def _apart(self, k, c, every, solved, right) -> float:
-        """By how much coefficients of their own in each group explain more than common ones [nats], first coefficients only."""
-        i, parts = c.start, []
-        for g in (*[(g,) for g in every], every):
-            at = list(g)
-            own = self.own[k][at, 0, 0].sum() - sum(float(np.sum(t[at, :, i].sum(axis=0) ** 2)) for t in self.through)
-            own -= float(self.cross[at, :, i].sum(axis=0) @ solved[at, :, i].sum(axis=0))
-            parts.append(0.5 * float(right[at, i].sum()) ** 2 / own if own > UNIQUE * self.own[k][at, 0, 0].sum() else 0.0)
-        return sum(parts[:-1]) - parts[-1] if c.stop - c.start == 1 else LEAST_APART
-
-    def _option(self, k, c, some, scope, trial: Trial, scales, solved, every_right):
-        g = list(some)
+    def _reduced(self, k: int, some: Sequence[int], solved: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """A trial's normal matrix in some groups, the model's parameters eliminated, and its diagonal before; None for no torque."""
+        g, c = list(some), slice(self.start[k], self.start[k + 1])
         own = self.own[k][g].sum(axis=0)
         raw = np.diag(own).copy()
         if not raw.max(initial=0.0) > 0:
-            return
+            return None
         for t in self.through:
             part = t[g, :, c].sum(axis=0)
             own = own - part.T @ part
-        cross = self.cross[g, :, c].sum(axis=0)
-        own = own - cross.T @ solved[g, :, c].sum(axis=0)
-        right = every_right[g, c].sum(axis=0)
-        least = self.fitter.data_least_payload(scope)
-        use = list(range(len(right)))
+        return own - self.cross[g, :, c].sum(axis=0).T @ solved[g, :, c].sum(axis=0), raw
+
+    def _apart(self, k: int, solved: np.ndarray, right: np.ndarray) -> float:
+        """By how much one coefficient of its own in each group explains more than a common one [nats]; enough for several."""
+        c, every = slice(self.start[k], self.start[k + 1]), range(len(self.fitter.data.labels))
+        if c.stop - c.start > 1:
+            return LEAST_APART
+        parts = []
+        for g in (*[[g] for g in every], list(every)):
+            found, there = self._reduced(k, g, solved), float(right[g, c].sum())
+            live = found is not None and found[0][0, 0] > UNIQUE * found[1][0]
+            parts.append(0.5 * there**2 / found[0][0, 0] if found is not None and live else 0.0)
+        return sum(parts[:-1]) - parts[-1]
+
+    def _best_within(
+        self, trial: Trial, quadratic: tuple[np.ndarray, np.ndarray], right: np.ndarray, least: float
+    ) -> tuple[float, np.ndarray] | None:
+        """Gain in evidence and coefficients within the effect's bounds; None where there is none.
+
+        Coefficients out of bounds are made smaller or, one at a time, set to 0.
+        """
+        (own, raw), effect = quadratic, trial.effect
+        scales, use = self.fitter.priors.scales(self.fitter.view, trial), list(range(len(right)))
         while use:
             s = scales[use]
             m = own[np.ix_(use, use)] * np.outer(s, s)
-            b = right[use] * s
             if np.all(np.diag(m) < UNIQUE * raw[use] * s**2):
-                return
-            a = m + np.eye(len(use))
+                return None
+            a, b, full = m + np.eye(len(use)), right[use] * s, np.zeros(len(right))
             w = np.linalg.solve(a, b)
-            full = np.zeros(len(right))
             full[use] = w * s
-            log_det = np.linalg.slogdet(a)[1]
             for share in SHARES:
-                if trial.effect.possible(trial.effect.combined(trial.points, share * full), least):
-                    gain = 0.5 * share * (2 - share) * float(b @ w) - 0.5 * log_det
-                    yield scope, gain, share * full
-                    return
-            if len(use) == 1 or len(trial.effect.amplitudes) != len(right):
-                return
-            worst = int(np.argmin(w))
-            use = use[:worst] + use[worst + 1 :]
+                if effect.possible(effect.combined(trial.points, share * full), least):
+                    return 0.5 * share * (2 - share) * float(b @ w) - 0.5 * float(np.linalg.slogdet(a)[1]), share * full
+            if len(use) == 1 or len(effect.amplitudes) != len(right):
+                return None
+            use.pop(int(np.argmin(w)))
+        return None
 
     def evaluated(self, candidate: Candidate) -> Posterior:
         """The evidence of a candidate with all sizes estimated anew, its prediction linear in its coefficients."""
@@ -228,7 +241,13 @@ class Screen:
         if candidate.scope is not None:
             columns *= np.isin(np.array(data.labels)[data.label], candidate.scope)[None, :, None]
         base = self.fitter.prior(self.fitted.model, self.fitted.links)
-        return solve(data, self.fitted.residual, np.concatenate([post.columns, columns], axis=2), joined(base, self.fitter.priors.scales(self.fitter.view, trial)), post)
+        return solve(
+            data,
+            self.fitted.residual,
+            np.concatenate([post.columns, columns], axis=2),
+            joined(base, self.fitter.priors.scales(self.fitter.view, trial)),
+            post,
+        )
 
 
 def joined(base: Prior, scales: np.ndarray) -> Prior:

@@ -2,5 +2,9 @@
 
 MEMORY = 0.5  # [s] over which a joint's noise is correlated; doubled, slow noise is told better, from more data
 DISCREPANCY = 0.003  # share of a joint's torque that no law is exact enough for; doubled, small claims are made later
-MASS_ERROR, CENTRE_ERROR, INERTIA_ERROR = 0.03, 0.01, 0.05  # of a URDF's links: share, [m], share; doubled, laws of position lose
+MASS_ERROR, CENTRE_ERROR, INERTIA_ERROR = (
+    0.03,
+    0.01,
+    0.05,
+)  # of a URDF's links: share, [m], share; doubled, laws of position lose
 CLAIM = 0.95  # probability from which an effect is claimed; lower, more claims, and more of them wrong

@@ -1,1 +1,0 @@
-"""Discovery of missing physics: one posterior over models. See docs/discovery.md."""
