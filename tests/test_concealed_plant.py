@@ -542,6 +542,17 @@ def test_without_a_strong_effect_only_small_parts_are_left(tmp_path):
     assert len(set(seconds)) > 1
 
 
+def test_an_effect_that_stays_weak_is_a_small_part(imperfect_built, tmp_path):
+    case, built = imperfect_built
+    weak = dataclasses.replace(built.scaled[0], reached=2.3)
+    write_case(dataclasses.replace(built, scaled=(weak,)), tmp_path)
+    truth = json.loads((tmp_path / "sealed" / f"{case.id}.json").read_text())
+    assert truth["effects"] == []
+    assert truth["verdict"] == "only_small_parts"
+    assert truth["small"][0]["effect"] == "stribeck"
+    assert truth["small"][0]["ratio"]["reached"] == 2.3
+
+
 def test_a_body_on_a_link_that_is_stated_wrongly():
     """The truth states all that the link lacks of what the tool is told."""
     case = imperfect_case("arm2", Concealed("link_inertial", 5.0))

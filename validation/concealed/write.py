@@ -13,6 +13,7 @@ from validation.concealed.sensors import sample
 from validation.concealed.strength import Scaled
 
 VERSION = 1
+LEAST = 2.4  # ratio from which an effect of an imperfect arm is strong; some cannot be made so strong as they are asked for
 ONLY_SMALL = "only_small_parts"  # verdict on an imperfect arm without a strong effect
 
 
@@ -107,7 +108,9 @@ def write_csv(built: Built, b: int, path: Path) -> int:
 def truth(built: Built, rows: list[int]) -> dict:
     """What is sealed."""
     case, arm = built.case, built.arm
-    effects = [truth_of(built, s, i) for i, s in enumerate(built.scaled)] + motor_truth(built)
+    concealed = [truth_of(built, s, i) for i, s in enumerate(built.scaled)]
+    effects = [e for e, s in zip(concealed, built.scaled, strict=True) if strong(built, s)] + motor_truth(built)
+    weak = [e for e, s in zip(concealed, built.scaled, strict=True) if not strong(built, s)]
     ratio = built.fit.rms() / built.sensing.torque_noise
     return {
         "format": "concealed-truth/1",
@@ -124,7 +127,7 @@ def truth(built: Built, rows: list[int]) -> dict:
         "inertial": case.inertial,
         "locked_joints": case.locked,
         "effects": effects,
-        **imperfect_truth(built),
+        **imperfect_truth(built, weak),
         "baseline": {
             "coulomb_Nm": arm.coulomb,
             "viscous_Nms_per_rad": arm.viscous,
@@ -155,13 +158,18 @@ def truth(built: Built, rows: list[int]) -> dict:
     }
 
 
-def imperfect_truth(built: Built) -> dict:
-    """What only an imperfect arm has: `small`, its faults, and `floor`, over which its ratios are."""
+def strong(built: Built, scaled: Scaled) -> bool:
+    """Whether an effect counts as one: on an imperfect arm not where its largest strength hardly shows over the floor."""
+    return built.small is None or scaled.reached >= LEAST
+
+
+def imperfect_truth(built: Built, weak: list[dict]) -> dict:
+    """What only an imperfect arm has: `small`, its faults and what is too weak, and `floor`, over which its ratios are."""
     if built.small is None or built.imperfections is None:
         return {}
     noise = built.sensing.torque_noise
     floor = {"imperfections_Nm": built.imperfections, "floor_Nm": np.hypot(noise, built.imperfections)}
-    return {"small": list(built.small), "floor": floor}
+    return {"small": [*weak, *built.small], "floor": floor}
 
 
 def truth_of(built: Built, scaled: Scaled, index: int) -> dict:
