@@ -10,14 +10,22 @@ from scipy.sparse import csr_matrix
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import Rows, rows, with_residuals
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
-from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR, MEMORY
-from rrr_oc.diagnosis.signatures import SignatureCache
+from rrr_oc.diagnosis.knobs import (
+    CENTRE_ERROR,
+    DISCREPANCY,
+    FRICTION_DISCREPANCY,
+    INERTIA_ERROR,
+    MASS_ERROR,
+    MEMORY,
+)
+from rrr_oc.diagnosis.signatures import SignatureCache, dry_friction
 from rrr_oc.numerics.smooth import sign
 
 ROWS_PER_LAG = 30  # rows that each lag needs; with fewer the order is lower
 LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimated
 EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
 TURNS = 0.3  # share of a row's filter on samples at a reversal from which the row counts as one
+SLOW, SIGN = (0.02, 0.05, 0.12), 0.03  # speeds below which dry friction may be off, and width of its sign [rad/s]
 ORDERS = {"q": 8, "dq": 4, "load": 4}  # of the cosines of a discrepancy over each variable
 
 
@@ -141,7 +149,7 @@ class Data:
 
     @cached_property
     def features(self) -> tuple[np.ndarray, ...]:
-        """For each joint the functions of which a discrepancy is made, for a standard deviation of all its torque, (M, F) [Nm]."""
+        """For each joint the functions of which a discrepancy is made, of the declared size, (M, F) [Nm]."""
         parts = [self._features(p, r) for r, p in enumerate(self.prepared)]
         return tuple(np.concatenate([part[j] for part in parts])[self.at] for j in range(self.n))
 
@@ -162,13 +170,14 @@ class Data:
             }
             series = {k: [np.cos(np.pi * o * v) / (1 + o) for o in range(1, ORDERS[k] + 1)] for k, v in x.items()}
             both = [a * b for a in series["q"][:3] for b in (*series["load"][:2], *series["dq"][:2])]
-            shapes = [*series["q"], *series["dq"], *series["load"], *both]
-            turned = sign(r.dq[j], 0.03)
-            own = [np.zeros_like(load[j])] * (4 * len(self.prepared))
-            steady = [np.ones_like(load[j]), turned, r.dq[j] / speed[j], load[j] / reach * 2]
-            own[4 * number : 4 * number + 4] = steady
-            every = np.array([*shapes, *(turned * f for f in shapes), *own])
-            result.append(p.passed(every * self.torque[j], np.full(len(every), j)).T)
+            shapes = np.array([*series["q"], *series["dq"], *series["load"], *both])
+            slow = [np.exp(-((r.dq[j] / v) ** 2)) for v in SLOW]
+            turned, one = sign(r.dq[j], SIGN), np.ones_like(load[j])
+            steady = np.zeros((4 * len(self.prepared), len(one)))
+            torque, dry = DISCREPANCY * self.torque[j], FRICTION_DISCREPANCY * dry_friction(start, self.torque)[j]
+            steady[4 * number : 4 * number + 4] = torque * one, torque * load[j] / reach, dry * turned, dry * r.dq[j] / speed[j]
+            every = np.concatenate([torque * shapes, dry * turned * np.array([*shapes, *slow]), steady])
+            result.append(p.passed(every, np.full(len(every), j)).T)
         return result
 
 

@@ -15,9 +15,8 @@ from scipy.stats import t as student
 
 from rrr_oc.calibration.least_squares import box_step
 from rrr_oc.diagnosis.data import Data, Noise
-from rrr_oc.diagnosis.knobs import DISCREPANCY
 
-LEAST = 1e-7  # of a size over its unit, against a singular precision
+LEAST = 1e-5  # of a size over its unit, against a singular precision
 FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
 ROUNDS = 5  # most estimates of the noise
@@ -51,7 +50,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Sizes:
-    """What is estimated beside the parameters: noise by joint, σ (n,), discrepancy (n,) as a share of torque, size of the links' errors."""
+    """What is estimated beside the parameters: noise by joint, σ (n,), discrepancy (n,) over the declared one, size of the links' errors."""
 
     noise: tuple[Noise, ...]
     sigma: np.ndarray
@@ -316,7 +315,7 @@ def _updated(grams, joints, sizes: Sizes, prior: Prior, step: np.ndarray, matrix
         taken = float(np.sum(xx * inverse[np.ix_(g.live, g.live)]))
         squares = g.yy - 2 * g.xy @ d + d @ g.xx @ d - 2 * c @ t + c @ (one.values * c)
         sigma[j] = np.sqrt(max(squares, 1e-18) / max(one.count - used - taken, one.count / 2, 1.0))
-        discrepancy[j] = _size(float(c @ c), used, DISCREPANCY)
+        discrepancy[j] = _size(float(c @ c), used, 1.0)
     links, which = sizes.links, prior.links
     if which.any():
         weights = prior.precision[which]
@@ -345,7 +344,7 @@ def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, residual, column
     for j, one in enumerate(joints):
         share = one.values * (sizes.discrepancy[j] / sizes.sigma[j]) ** 2
         log += one.log_det - one.count * np.log(sizes.sigma[j]) - 0.5 * np.sum(np.log1p(share))
-        log -= 0.5 * (sizes.discrepancy[j] / DISCREPANCY) ** 2
+        log -= 0.5 * sizes.discrepancy[j] ** 2
     if prior.links.any():
         log -= 0.5 * sizes.links**2
     return Posterior(float(log), step, matrix, likelihood, right, misfit, sizes, joints, data, at, residual, columns)
@@ -365,4 +364,4 @@ def _first(data: Data, residual: np.ndarray) -> Sizes:
     none = Noise((np.zeros(0),), np.ones(1), 1.0)
     count = np.maximum(data.counted.sum(axis=1), 1)
     sigma = np.sqrt(np.sum(residual**2, axis=1) / count)
-    return Sizes((none,) * data.n, np.maximum(sigma, 1e-9), np.full(data.n, DISCREPANCY), 1.0)
+    return Sizes((none,) * data.n, np.maximum(sigma, 1e-9), np.ones(data.n), 1.0)

@@ -14,7 +14,7 @@ from rrr_oc.effects import Trial
 
 EXACT, FITTED = 4, 3  # candidates of a round whose sizes are estimated anew, and those fitted exactly
 KEPT = 12  # candidates of a round that count in the posterior
-EXACT_LINKS, EXACT_LAWS = 0.01, 1e-4  # sizes of the errors of links, and of a discrepancy, that an exact arm has
+EXACT_LINKS, EXACT_LAWS = 0.01, 0.01  # sizes of the errors of links, and of a discrepancy, that an exact arm has
 NEAR = 12.0  # nats below the best within which a candidate is followed
 SLACK = 0.15  # share of the nats to be made good by which a candidate's gain may be underestimated
 MOST = 14  # effects at which a search ends
