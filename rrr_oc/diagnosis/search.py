@@ -96,6 +96,7 @@ class Search:
     ) -> State | None:
         """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
         goal, kept = at.score if goal is None else goal, at.fitted.extra
+        self.nearest = -np.inf
         table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
         hopeful: list[tuple[Screen, Candidate]] = []
         seen: set = set()
@@ -110,7 +111,7 @@ class Search:
                 for c in candidates[:KEPT]:
                     key = frozenset([*(name_of(t) for t in kept), name_of(c.term)])
                     self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
-            self.nearest = max([base + c.gain for c in candidates[:1]], default=-np.inf)
+            self.nearest = max(self.nearest, *(base + c.gain for c in candidates[:1]), -np.inf)
             slack = SLACK * (goal - at.score)
             least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, slack) for c in candidates]
             own = [
