@@ -194,7 +194,7 @@ def solve(
     for _ in range(ROUNDS):
         if not fixed:
             sizes = _converged(grams, joints, sizes, prior)
-        found = _posterior(data, grams, joints, sizes, prior, residual, columns)
+        found = _posterior(data, grams, joints, sizes, prior, (residual, columns))
         if fixed:
             return found
         if best is not None and found.log_evidence < best.log_evidence + SMALL_GAIN:
@@ -307,12 +307,13 @@ def _updated(grams, joints, sizes: Sizes, prior: Prior, step: np.ndarray, matrix
     inverse = _inverse(matrix)
     for j, (g, one) in enumerate(zip(grams, joints, strict=True)):
         rho = (sigma[j] / discrepancy[j]) ** 2
-        d = step[g.live]
-        t = g.ty - g.tx @ d
-        c = t / (one.values + rho)
-        used = float(np.sum(one.values / (one.values + rho)))
+        d, own = step[g.live], inverse[np.ix_(g.live, g.live)]
+        t, weights = g.ty - g.tx @ d, 1 / (one.values + rho)
+        c, through = weights * t, weights[:, None] * g.tx
+        spread = float(np.sum((through @ own) * through)) / discrepancy[j] ** 2  # of c, as that of the parameters has it
+        used = max(float(np.sum(one.values * weights)) - spread, 0.0)
         xx, _, _ = _reduced(g, one, sigma[j], discrepancy[j])
-        taken = float(np.sum(xx * inverse[np.ix_(g.live, g.live)]))
+        taken = float(np.sum(xx * own))
         squares = g.yy - 2 * g.xy @ d + d @ g.xx @ d - 2 * c @ t + c @ (one.values * c)
         sigma[j] = np.sqrt(max(squares, 1e-18) / max(one.count - used - taken, one.count / 2, 1.0))
         discrepancy[j] = _size(float(c @ c), used)
@@ -330,7 +331,7 @@ def _size(squares: float, known: float) -> float:
     return max(float(np.sqrt(y)), LEAST)
 
 
-def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, residual, columns) -> Posterior:
+def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, problem) -> Posterior:
     likelihood, right, misfit = _normal(grams, joints, sizes, prior)
     at = at_size(prior, sizes.links)
     step, matrix = _minimum(grams, joints, sizes, prior)
@@ -347,7 +348,7 @@ def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, residual, column
         log -= np.log1p(sizes.discrepancy[j] ** 2)
     if prior.links.any():
         log -= np.log1p(sizes.links**2)
-    return Posterior(float(log), step, matrix, likelihood, right, misfit, sizes, joints, data, at, residual, columns)
+    return Posterior(float(log), step, matrix, likelihood, right, misfit, sizes, joints, data, at, *problem)
 
 
 def _left(data: Data, found: Posterior, j: int) -> np.ndarray:
