@@ -316,19 +316,19 @@ def _updated(grams, joints, sizes: Sizes, prior: Prior, step: np.ndarray, matrix
         taken = float(np.sum(xx * own))
         squares = g.yy - 2 * g.xy @ d + d @ g.xx @ d - 2 * c @ t + c @ (one.values * c)
         sigma[j] = np.sqrt(max(squares, 1e-18) / max(one.count - used - taken, one.count / 2, 1.0))
-        discrepancy[j] = _size(float(c @ c), used)
+        discrepancy[j] = _size(float(c @ c), used, 1.0)
     links, which = sizes.links, prior.links
     if which.any():
         weights = prior.precision[which]
         known = np.count_nonzero(which) - float(np.sum(weights / links**2 * np.diag(inverse)[which]))
-        links = _size(float(weights @ (step - prior.mean)[which] ** 2), max(known, 0.0))
+        links = _size(float(weights @ (step - prior.mean)[which] ** 2), max(known, 0.0), 1.0)
     return Sizes(sizes.noise, np.maximum(sigma, 1e-9), discrepancy, links)
 
 
-def _size(squares: float, known: float) -> float:
-    """The size x that maximises −squares / 2 x² − known log x − log(1 + x²): its prior is Cauchy's of scale 1."""
-    y = (-(known - squares) + np.sqrt((known - squares) ** 2 + 4 * (known + 2.0) * squares)) / (2 * (known + 2.0))
-    return max(float(np.sqrt(y)), LEAST)
+def _size(squares: float, known: float, scale: float) -> float:
+    """The size x that maximises −squares / 2 x² − known log x − x² / 2 scale²."""
+    a = scale**2
+    return max(float(np.sqrt(a * (np.sqrt(known**2 + 4 * squares / a) - known) / 2)), LEAST)
 
 
 def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, problem) -> Posterior:
@@ -345,9 +345,9 @@ def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, problem) -> Post
     for j, one in enumerate(joints):
         share = one.values * (sizes.discrepancy[j] / sizes.sigma[j]) ** 2
         log += one.log_det - one.count * np.log(sizes.sigma[j]) - 0.5 * np.sum(np.log1p(share))
-        log -= np.log1p(sizes.discrepancy[j] ** 2)
+        log -= 0.5 * sizes.discrepancy[j] ** 2
     if prior.links.any():
-        log -= np.log1p(sizes.links**2)
+        log -= 0.5 * sizes.links**2
     return Posterior(float(log), step, matrix, likelihood, right, misfit, sizes, joints, data, at, *problem)
 
 

@@ -18,7 +18,7 @@ STEPS = 10  # most steps of Gauss–Newton
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
 BEND = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
 FRACTIONS = (1.0, 0.4, 0.1, 0.02)  # of a step, tried until the cost falls
-BEYOND = 0.3  # share of the range of a shape's trials by which a fit may leave it
+BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 DIFFERENCE = 0.01  # of a width, for derivatives by it
 

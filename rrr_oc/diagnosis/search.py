@@ -17,6 +17,7 @@ KEPT = 12  # candidates of a round that count in the posterior
 EXACT_LINKS, EXACT_LAWS = 0.01, 0.01  # sizes of the errors of links, and of a discrepancy, that an exact arm has
 NEAR = 12.0  # nats below the best within which a candidate is followed
 SLACK = 0.15  # share of the nats to be made good by which a candidate's gain may be underestimated
+SETTLED = 30.0  # nats by which the best alternative in an effect's place falls short, from which it is not sought again
 MOST = 14  # effects at which a search ends
 
 
@@ -56,6 +57,8 @@ class Search:
     black_box: bool = True
     visited: dict[frozenset, float] = field(default_factory=dict)
     foreseen: dict[frozenset, float] = field(default_factory=dict)
+    settled: dict[frozenset, float] = field(default_factory=dict)
+    nearest: float = -np.inf
 
     def scored(self, fitted: Fitted) -> State:
         """A fit with the prior probability of its structure."""
@@ -93,6 +96,7 @@ class Search:
     ) -> State | None:
         """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
         goal, kept = at.score if goal is None else goal, at.fitted.extra
+        self.nearest = -np.inf
         table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
         hopeful: list[tuple[Screen, Candidate]] = []
         seen: set = set()
@@ -107,6 +111,7 @@ class Search:
                 for c in candidates[:KEPT]:
                     key = frozenset([*(name_of(t) for t in kept), name_of(c.term)])
                     self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
+            self.nearest = max(self.nearest, *(base + c.gain for c in candidates[:1]), -np.inf)
             slack = SLACK * (goal - at.score)
             least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, slack) for c in candidates]
             own = [
@@ -191,10 +196,14 @@ class Search:
         ]
         best = None
         for out in groups:
+            name = frozenset(name_of(t) for t in out)
+            if self.settled.get(name, 0.0) > len(out) * SETTLED:
+                continue
             less = self._without(at, out)
             if less.score > at.score:
                 return less
             found = self._added(less, under=self._under(less, at), out=out, goal=at.score)
+            self.settled[name] = at.score - self.nearest
             if found is not None and (best is None or found.score > best.score):
                 best = found
         return best
