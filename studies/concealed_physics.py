@@ -42,7 +42,8 @@ from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.evidence import solve
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.procedure import diagnose, ready
-from rrr_oc.effects import Trial
+from rrr_oc.effects import CATALOGUE, Effect, Trial
+from rrr_oc.effects.base import Prior
 from rrr_oc.effects.priors import Priors
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.recordings.reader import load_recordings
@@ -61,6 +62,9 @@ SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
 ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
 NEAR = 1.1  # error over the oracle's up to which a repaired model is as good
+WIDER = (
+    100.0  # times the typical size of an effect, up to which the oracle takes it; much less, strong effects come out too weak
+)
 IMPERFECT = "imperfect"  # the kind whose arms have small faults everywhere
 BINS = (0.5, 0.8, 0.95, 1.0)  # of stated probabilities; the last one is of what is claimed
 SLOPES, LAPSES = (0.3, 30.0), (0.0, 0.1)  # of the curve of what is named over the strength's logarithm
@@ -254,7 +258,8 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     What is written: NRMSE on `unseen`, and how much each effect adds to twice the log-likelihood, with its number of parameters.
     """
     truth, recordings = read(sealed), load_recordings(folder / "data")
-    _, fitter, every, plain = ready(recordings, Priors())
+    kinds = [CATALOGUE[e["effect"]] for e in truth["effects"]]
+    _, fitter, every, plain = ready(recordings, Priors({kind.name: of_any_size(kind) for kind in kinds}))
     fitted, entries = fitter.fit(plain, np.zeros(fitter.data.links.shape[1])), []
     for e in truth["effects"]:
         joints = sorted(recordings.joints.index(j) for j in place(e["joint"]))
@@ -267,6 +272,12 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     errors = mean_errors(fitted.model, load_recordings(folder / "unseen"))
     write_json(out / f"{folder.name}.json", without_nan({"case": folder.name, "unseen": errors, "effects": entries}))
     return folder.name
+
+
+def of_any_size(kind: type[Effect]) -> Prior:
+    """The prior of an effect, so wide that it holds no amplitude back: who knows that an effect is there needs no typical size."""
+    typical = kind.prior.typical or dict.fromkeys(kind.amplitudes, (1.0, ""))
+    return replace(kind.prior, typical={name: (WIDER * size, unit) for name, (size, unit) in typical.items()})
 
 
 def with_effect(fitter: Fitter, fitted: Fitted, ways: Sequence[Trial], recordings: Any) -> Fitted | None:
