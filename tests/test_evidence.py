@@ -58,6 +58,13 @@ class Problem:
         return float(multivariate_normal(mean, self.covariance(prior, columns)).logpdf(y))
 
 
+def with_rest_at(problem: Problem, j: int) -> Problem:
+    """The problem with a joint of which no row counts."""
+    problem.data.place[j], problem.data.counted[j] = -1, False
+    problem.residual[j], problem.columns[j], problem.features[j][:] = 0, 0, 0
+    return problem
+
+
 def normal(mean: np.ndarray, std: np.ndarray, links: tuple[int, ...] = ()) -> Prior:
     """Proper normal priors."""
     p = len(mean)
@@ -171,3 +178,14 @@ def test_one_huge_error_hardly_moves_the_estimates():
     assert np.max(np.abs(hit.step - calm.step) / std) < 1
     np.testing.assert_allclose(calm.step, truth, atol=4 * np.max(std))
     assert np.all(hit.sizes.sigma < 1.3 * calm.sizes.sigma)
+
+
+def test_a_joint_without_rows_that_count_says_nothing():
+    """It rests in all recordings."""
+    problem = Problem(7)
+    still = with_rest_at(problem, 1)
+    prior = normal(np.zeros(4), np.ones(4))
+    found = solve(still.data, still.residual, still.columns, prior)
+    alone = SimpleNamespace(**{**vars(still.data), "n": 1})
+    expected = solve(alone, still.residual[:1], still.columns[:1], prior)
+    np.testing.assert_allclose(found.step, expected.step, rtol=1e-3, atol=1e-4)

@@ -117,7 +117,7 @@ def _tail(error: np.ndarray, freedom: float) -> tuple[float, float, np.ndarray]:
     """Logarithm of Student's likelihood of white errors, up to a constant, with its scale and the weight of each error."""
     sigma = max(float(np.sqrt(np.mean(error**2))) if len(error) else 1.0, 1e-9)
     weights = np.ones(len(error))
-    if not np.isfinite(freedom):
+    if not np.isfinite(freedom) or not len(error):
         return -len(error) * np.log(sigma) - 0.5 * len(error), sigma, weights
     for _ in range(TAIL_STEPS):
         weights = (freedom + 1) / (freedom + (error / sigma) ** 2)
