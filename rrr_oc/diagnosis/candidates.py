@@ -223,7 +223,8 @@ class Screen:
             w = np.linalg.solve(a, b)
             full[use] = w * s
             for share in SHARES:
-                if effect.possible(effect.combined(trial.points, share * full), least):
+                theta = effect.combined(trial.points, share * full)
+                if effect.possible(theta, least) and self.fitter.believed(trial, theta):
                     return 0.5 * share * (2 - share) * float(b @ w) - 0.5 * float(np.linalg.slogdet(a)[1]), share * full
             if len(use) == 1 or len(effect.amplitudes) != len(right):
                 return None

@@ -1,6 +1,6 @@
 """Models fitted under their evidence: Gauss–Newton on the exact equations, with priors, noise and discrepancy estimated on the way."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import comb
 
@@ -142,6 +142,12 @@ class Fitter:
                 columns = self.columns(model, found)
         assert best is not None
         return best
+
+    def believed(self, trial: Trial, theta: Mapping[str, float]) -> bool:
+        """Whether an effect's parameters are where their prior is not 0."""
+        family = self.families.get((trial.effect.name, trial.effect.joints), [trial])
+        every = zip(trial.effect.parameters, spans(family, trial.effect, self.view, self.priors), strict=True)
+        return all(span.low <= theta[p.name] <= span.high for p, span in every)
 
     def columns(self, model: CalibratedModel, found) -> np.ndarray:
         """Derivatives by the terms' parameters, the links' errors and the logarithms of the widths of dry friction, (n, M, p)."""
