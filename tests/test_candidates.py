@@ -11,6 +11,7 @@ from rrr_oc.diagnosis.candidates import Screen, joined, signatures
 from rrr_oc.diagnosis.evidence import solve
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.effects import Trial
+from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.friction.coulomb_asymmetry import CoulombAsymmetry
 from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.priors import Priors
@@ -74,3 +75,17 @@ def test_several_shapes_of_an_effect_share_its_prior(fitted):
     assert len(one) == len(two)
     assert [c.gain for c in two] == pytest.approx([c.gain for c in one], abs=1e-9)
     assert [c.log_prior for c in two] == pytest.approx([c.log_prior - np.log(2) for c in one])
+
+
+def test_a_harness_that_is_an_offset_is_none(fitted):
+    """With no stiffness, its torque of a rest far away: where the prior of the rest is 0."""
+    fitter, at, every = fitted
+    trial = next(t for t in every if isinstance(t.effect, CableHarness) and t.effect.joints == (1,))
+    low, high = fitter.view.low[1], fitter.view.high[1]
+    for rest, believed in ((low, True), ((low + high) / 2, True), (high + 2 * (high - low), False), (-40.0, False)):
+        assert fitter.believed(trial, {"stiffness": 1.0, "rest": rest}) is believed
+    columns = signatures(fitter.data, at.model, [trial])
+    offset = signatures(fitter.data, at.model, laws(every, TorqueOffset)[1:])
+    shifted = replace(at, residual=at.residual + np.array([0, 1])[:, None] * offset.values[1][:, 0])
+    for c in Screen.of(fitter, shifted, columns, at.posterior).candidates():
+        assert fitter.believed(c.trial, c.trial.effect.combined(c.trial.points, c.coefficients))
