@@ -36,10 +36,9 @@ from typing import Annotated, Any, cast
 
 import numpy as np
 import typer
-from prototype_recordings import VARIANTS, variant
+from prototype_recordings import VARIANTS, boosted_trees, variant
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
-from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.linear_model import RidgeCV
 from sklearn.model_selection import KFold
 from sklearn.pipeline import make_pipeline
@@ -47,6 +46,7 @@ from sklearn.preprocessing import SplineTransformer, StandardScaler
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import error, evaluate_inverse
+from rrr_oc.diagnosis.cross_validation import BLOCKS
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.recordings.header import HEADER
@@ -61,14 +61,13 @@ from rrr_oc.schema import Schema, read_json
 from rrr_oc.storage import check_folder, number, write_json, write_text
 
 STEP = 0.01  # [s] between the samples that a regression is trained on; doubled, half the time, and noise counts for more
-BLOCKS = 4  # contiguous pieces of a lone recording, each held out once from the regressions; more leave more to train on
 SURE = 0.999  # probabilities above it are not shown closer; nearer to 1, digits that no data support
 LARGEST = 1e16  # inverse of the smallest p-value that is shown as a number; below it, rounding decides
 KNOTS = 8  # of the splines over each input; more follow finer shapes, and need more samples
 PENALTIES = np.logspace(-4, 4, 17)  # of which a ridge picks one; a narrower range restricts it
 FIFTHS = KFold(5)  # by which it picks: contiguous, since samples alike their neighbours would make it pick too small a one
 REGRESSIONS: dict[str, Callable[[], Any]] = {  # without physics, for one joint; nothing is tuned to a set by hand
-    "trees": lambda: HistGradientBoostingRegressor(max_iter=200, learning_rate=0.05, random_state=0),
+    "trees": boosted_trees,
     "splines": lambda: make_pipeline(StandardScaler(), SplineTransformer(KNOTS), RidgeCV(PENALTIES, cv=FIFTHS)),
 }
 MODELS = ("plain", "diagnosed", *REGRESSIONS)  # the columns of NRMSE, in their order
@@ -283,7 +282,7 @@ def splits(diagnosis: Diagnosis, test: RecordingSet | None) -> list[tuple[list[P
 
 
 def blocks(part: Part) -> list[Part]:
-    """`BLOCKS` contiguous pieces of a recording; segments without samples in a piece are left out of it."""
+    """As many contiguous pieces of a recording as the diagnosis makes; segments without samples in a piece are left out of it."""
     result = []
     for rows in np.array_split(np.arange(len(part.t)), BLOCKS):
         a, b = int(rows[0]), int(rows[-1]) + 1

@@ -31,7 +31,7 @@ from validation.concealed.plant import Plant, Setup, bodies, signals
 from validation.concealed.sensors import sample
 from validation.concealed.small_parts import small_parts
 from validation.concealed.springs import SpringBank, spring_torque
-from validation.concealed.stated import distorted, inertial_errors, possible
+from validation.concealed.stated import distorted, inertial_errors
 from validation.concealed.trajectories import reference
 from validation.concealed.work import WORK
 from validation.concealed.write import write_case
@@ -322,6 +322,15 @@ def test_declarations():
 
 def imperfect_case(robot: str, *concealed: Concealed, key: str = "imperfect/test") -> Case:
     return Case(key, "imperfect", 4, robot, concealed)
+
+
+def possible(model: pin.Model) -> bool:
+    """Whether all bodies could exist: masses positive, second moments about the centre positive semidefinite."""
+    for body in model.inertias[1:]:
+        second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
+        if body.mass <= 0 or np.linalg.eigvalsh(second).min() < -1e-9:
+            return False
+    return True
 
 
 @pytest.mark.parametrize("robot", ["rrr", "rrr_prototype", "arm1", "arm7"])

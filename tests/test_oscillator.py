@@ -1,19 +1,11 @@
-"""Splines against SciPy's, and oscillators against the matrix exponential of the same system."""
+"""Oscillators against the matrix exponential of the same system."""
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
-from rrr_oc.numerics.oscillator import Oscillator, spline
-
-
-@pytest.mark.parametrize("count", [3, 4, 5, 6, 300])
-def test_splines_are_scipys(count):
-    rng = np.random.default_rng(41)
-    t, x = np.cumsum(rng.uniform(0.2, 2, count)), rng.normal(size=count)
-    exact = CubicSpline(t, x).c[::-1]
-    np.testing.assert_allclose(spline(t, x), exact, rtol=1e-10, atol=1e-11 * np.abs(exact).max())  # rounding
+from rrr_oc.numerics.oscillator import Oscillator
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.3, 0.999999, 1.0, 1.5, 4.0])

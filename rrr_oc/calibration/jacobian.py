@@ -19,11 +19,11 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.effects import Body, Effect, Signals, Trial
 from rrr_oc.model.recorded_physics import Physics, felt_load, later, moved, states_along
+from rrr_oc.model.shared_model import KEPT
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.rigid_body import with_payload
 
-KEPT = 500  # Jacobians without their zeros, the least recently used is dropped; doubled, no change, as of the models themselves
 LOAD_STEP = 1e-6  # [Nm], for derivatives of friction by the load torque; doubled, no change
 
 
@@ -105,7 +105,7 @@ class Prediction:
         """
         return self.nonzero_by_parameters(inertial, last).dense(self.model.robot.n)
 
-    def nonzero_by_parameters(self, inertial: bool = False, last: bool = False) -> "Columns":
+    def nonzero_by_parameters(self, inertial: bool = False, last: bool = False) -> Columns:
         """As `by_parameters`, without those that are 0."""
         terms, physics, r = self.model.terms[-1:] if last else self.model.terms, self.physics, self.recording
         sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
@@ -137,7 +137,7 @@ class Prediction:
         robot, bodies = self.model.robot, [(e, tuple(theta.values())) for e, theta, _ in named if e.side == "body"]
         return (*bodies, *(x.tobytes() for x in (robot.placements, robot.axes, robot.gravity)))
 
-    def by_inertial(self) -> "Columns":
+    def by_inertial(self) -> Columns:
         """d `CalibratedModel.output_torque` / d inertial parameters (10, n), link by link, without the model's sensors."""
         return self._sensitivity("inertial")
 
@@ -259,7 +259,7 @@ class Prediction:
             "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
         }
 
-    def _sensitivity(self, by: Literal["theta", "inertial"]) -> "Columns":
+    def _sensitivity(self, by: Literal["theta", "inertial"]) -> Columns:
         physics, r = self.physics, self.recording
         function, joints, numbers = _nonzero(physics.model.sensitivity("load" if self.model.torque == "load" else "motor", by))
         values = np.zeros((0, len(r.t)))

@@ -11,6 +11,7 @@ import numpy as np
 
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.model.motion import Motion
+from rrr_oc.model.shared_model import KEPT
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
 from rrr_oc.numerics.relaxation import relaxed
@@ -18,7 +19,6 @@ from rrr_oc.numerics.relaxation import relaxed
 DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
 # Substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
 PARTS = 4
-KEPT = 500  # derivatives of models, the least recently used is dropped; doubled, no change, as of the models themselves
 SWEEPS = 2  # iterations over coupled and nonlinear links behind elastic gears; doubled, it takes twice the time
 # By joint: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
 Reactions = dict[int, tuple[np.ndarray, np.ndarray]]
@@ -28,7 +28,6 @@ Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray
 
 # By motion: load torques, and reactions of joints, of the last links that were asked for, and what they depend on
 _OF_LINKS: WeakKeyDictionary[Motion, dict[Hashable, tuple[Hashable, Any]]] = WeakKeyDictionary()
-_DRIVES: dict[tuple[int, tuple[Effect, ...]], ca.Function] = {}  # of `_drive_torque`, the most recently used last
 
 
 def _kept(find: Callable[..., Result]) -> Callable[..., Result]:
@@ -79,7 +78,7 @@ class Physics:
             motor, load = self._evaluated(self.model.recorded_inverse, motion, self.shift(motion), states)
             return motor, load
         load = self._load(motion)
-        (drive,) = along(_drive_torque(self.model), *self.inputs(motion), self.theta, self.widths, load, states)
+        (drive,) = along(self.model.drive_torque, *self.inputs(motion), self.theta, self.widths, load, states)
         return load - drive, load
 
     @cached_property
@@ -274,33 +273,6 @@ class Physics:
             (e, {p.name: next(numbers) for p in e.parameters}, next(widths) if e.width is not None else None)
             for e in self.model.effects
         ]
-
-
-def _drive_torque(model: Model) -> ca.Function:
-    """(q, dq, ddq, time, payload, theta, widths, tau_load, states) -> torque of the effects in the drives (n,) [Nm]."""
-    key = model.robot.n, model.effects
-    function = _DRIVES.pop(key, None)
-    if function is None:
-        sizes = (
-            model.robot.n,
-            model.robot.n,
-            model.robot.n,
-            1,
-            1,
-            len(model.parameters),
-            len(model.widths),
-            model.robot.n,
-            len(model.states),
-        )
-        q, dq, ddq, time, payload, theta, widths, load, states = arguments = [
-            ca.SX.sym(f"x{i}", k) for i, k in enumerate(sizes)
-        ]
-        signals = Signals(q, dq, ddq, load=load, time=time, payload=payload, states=states)
-        function = ca.Function("drive_torque", arguments, [ca.densify(model.side_torque("drive", signals, theta, widths))])
-    _DRIVES[key] = function
-    if len(_DRIVES) > KEPT:
-        del _DRIVES[next(iter(_DRIVES))]
-    return function
 
 
 @lru_cache(maxsize=KEPT)

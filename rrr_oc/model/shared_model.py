@@ -8,7 +8,9 @@ from rrr_oc.effects import Effect
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, ToolPoint
 
-KEPT = 500  # models, the least recently used is dropped; a diagnosis uses up to some 130, so doubled, it changes nothing there
+KEPT = (
+    500  # models, and functions of them, the least recently used is dropped; a diagnosis uses some 130, so doubled, no change
+)
 _MODELS: dict[tuple, Model] = {}  # for the life of the process, the most recently used last
 
 

@@ -104,6 +104,15 @@ class Model:
         arguments, motor, load = self._motor_chain()
         return ca.Function("motor_inverse", arguments, [motor, load], list(CHAIN), ["tau_motor", "tau_load"])
 
+    @cached_property
+    def drive_torque(self) -> ca.Function:
+        """(q, dq, ddq, time, payload, theta, widths, tau_load, states) -> torque of the effects in the drives (n,) [Nm]."""
+        q, dq, ddq, payload, theta, widths = self._symbols("q", "dq", "ddq")
+        time, load, states = ca.SX.sym("time"), ca.SX.sym("tau_load", self.robot.n), ca.SX.sym("states", len(self.states))
+        signals = Signals(q, dq, ddq, load=load, time=time, payload=payload, states=states)
+        torque = ca.densify(self.side_torque("drive", signals, theta, widths))
+        return ca.Function("drive_torque", [q, dq, ddq, time, payload, theta, widths, load, states], [torque])
+
     def sensitivity(self, signal: Literal["motor", "load"], by: Literal["theta", "inertial"]) -> ca.Function:
         """Arguments of `motor_inverse` -> d tau_signal / d by, exact: (n, number of parameters) or (n, 10 n), link by link.
 

@@ -76,56 +76,6 @@ PyObject * py_across_gap(PyObject *, PyObject * args)
   Py_RETURN_NONE;
 }
 
-// Coefficients (4, K − 1), by ascending powers of the time since each knot, of the cubic spline through x that has no knot at the
-// second sample and the last but one; of 3 samples the parabola. The slopes at the knots solve a tridiagonal system.
-void cubic_spline(const double * t, const double * x, Py_ssize_t count, double * c)
-{
-  const Py_ssize_t last = count - 1;
-  double *c0 = c, *c1 = c + last, *c2 = c + 2 * last, *c3 = c + 3 * last;
-  std::vector<double> upper(count), slope(count);
-  const auto step = [t](Py_ssize_t k) { return t[k + 1] - t[k]; };
-  const auto rise = [t, x](Py_ssize_t k) { return (x[k + 1] - x[k]) / (t[k + 1] - t[k]); };
-  const auto ends = [](double own, double next, double rise_own, double rise_next) {  // right side of a row at an end
-    return ((3 * own + 2 * next) * next * rise_own + own * own * rise_next) / (own + next);
-  };
-  const bool parabola = count == 3;
-  upper[0] = parabola ? 1.0 : (t[2] - t[0]) / step(1);
-  slope[0] = parabola ? 2 * rise(0) : ends(step(0), step(1), rise(0), rise(1)) / step(1);
-  for (Py_ssize_t k = 1; k < last; ++k)
-  {
-    const double before = step(k - 1), after = step(k), pivot = 2 * (before + after) - after * upper[k - 1];
-    upper[k] = before / pivot;
-    slope[k] = (3 * (after * rise(k - 1) + before * rise(k)) - after * slope[k - 1]) / pivot;
-  }
-  const double lower = parabola ? 1.0 : t[last] - t[last - 2], main = parabola ? 1.0 : step(last - 2);
-  const double right =
-    parabola ? 2 * rise(last - 1) : ends(step(last - 1), step(last - 2), rise(last - 1), rise(last - 2));
-  slope[last] = (right - lower * slope[last - 1]) / (main - lower * upper[last - 1]);
-  for (Py_ssize_t k = last - 1; k >= 0; --k)
-  {
-    slope[k] -= upper[k] * slope[k + 1];
-    const double h = step(k), bend = (slope[k] + slope[k + 1] - 2 * rise(k)) / h;
-    c0[k] = x[k], c1[k] = slope[k], c2[k] = (rise(k) - slope[k]) / h - bend, c3[k] = bend / h;
-  }
-}
-
-PyObject * py_cubic_spline(PyObject *, PyObject * args)
-{
-  PyObject *t, *x, *result;
-  Py_ssize_t count;
-  if (!PyArg_ParseTuple(args, "nOOO", &count, &t, &x, &result)) return nullptr;
-  if (count < 3) return PyErr_Format(PyExc_ValueError, "expected 3 samples or more, got %zd", count);
-  Held held;
-  const double *times, *values;
-  double * to;
-  if (!(times = held.get(t, false, count)) || !(values = held.get(x, false, count))) return nullptr;
-  if (!(to = held.get(result, true, 4 * (count - 1)))) return nullptr;
-  Py_BEGIN_ALLOW_THREADS;
-  cubic_spline(times, values, count, to);
-  Py_END_ALLOW_THREADS;
-  Py_RETURN_NONE;
-}
-
 struct Oscillation
 {
   const double *t, *mass, *total, *particular;  // particular: (4, K − 1), by powers of the time in each step
@@ -240,7 +190,6 @@ PyObject * py_relax(PyObject *, PyObject * args)
 PyMethodDef methods[] = {
   {"across_gap", py_across_gap, METH_VARARGS,
    "across_gap(count, load, stiffness, mass, steps, half, damping, parts, result): see `rrr_oc.numerics.gap`."},
-  {"cubic_spline", py_cubic_spline, METH_VARARGS, "cubic_spline(count, t, x, result): coefficients (4, count − 1) by ascending powers."},
   {"oscillate", py_oscillate, METH_VARARGS,
    "oscillate(count, motions, t, mass, total, damping, particular, starts, result): see `rrr_oc.numerics.oscillator`."},
   {"relax", py_relax, METH_VARARGS, "relax(count, parts, t, constant, slope, start, result): see `rrr_oc.numerics.relaxation`."},

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 import rrr_oc.numerics._stepping as extension
 
@@ -30,17 +31,14 @@ class Oscillator:
                 solution, estimated over half a period, without oscillation.
         """
         t = self.t
-        p = spline(t, signal) / self.total  # of the particular solution, by ascending powers; corrected below
+        p = CubicSpline(t, signal).c[::-1] / self.total  # of the particular solution, by ascending powers; corrected below
         p[2] -= 3 * self.damping / self.total * p[3]
         p[1] -= 2 * self.damping / self.total * p[2] + 6 * self.mass / self.total * p[3]
         p[0] -= self.damping / self.total * p[1] + 2 * self.mass / self.total * p[2]
         if rested:
             return self._along(p, np.array([[signal[0] / self.total[0], 0.0]]))[0]
         swing = int(np.searchsorted(t - t[0], np.pi * np.sqrt(self.mass[0] / self.total[0])))  # samples in half a period
-        speed = p[1, 0]
-        if swing >= 3:  # the slope of a straight line through half a period
-            time = t[:swing] - t[:swing].mean()
-            speed = time @ signal[:swing] / (time @ time) / self.total[0]
+        speed = p[1, 0] if swing < 3 else np.polyfit(t[:swing] - t[0], signal[:swing], 1)[0] / self.total[0]
         return self._along(p, np.array([[p[0, 0], speed]]))[0]
 
     def free(self) -> np.ndarray:
@@ -51,15 +49,5 @@ class Oscillator:
         """Motions (m, 3, K) from initial states (m, 2); `p` (4, K − 1) is the particular solution in each step, by powers of time."""
         arrays = [np.ascontiguousarray(x, float) for x in (self.t, self.mass, self.total)]
         result = np.empty((len(starts), 3, len(self.t)))
-        extension.oscillate(len(self.t), len(starts), *arrays, float(self.damping), p, starts, result)
+        extension.oscillate(len(self.t), len(starts), *arrays, float(self.damping), np.ascontiguousarray(p), starts, result)
         return result
-
-
-def spline(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """The cubic spline through x (K,) at t (K,), K ≥ 3, in each step by ascending powers of the time since its start, (4, K − 1).
-
-    Its third derivative does not jump at the second sample and the last but one.
-    """
-    result = np.empty((4, len(t) - 1))
-    extension.cubic_spline(len(t), *(np.ascontiguousarray(y, float) for y in (t, x)), result)
-    return result

@@ -107,22 +107,19 @@ class SmallFriction(Effect):
             "stribeck": {"excess": (x["excess"], "Nm"), "velocity": (x["velocity"], "rad/s")},
             "load_dependent_friction": {"mu": (x["mu"], "1")},
             "coulomb_asymmetry": {"asymmetry": (x["asymmetry"], "Nm")},
-            "torque_ripple": {
-                "amplitude": (x["ripple"], "Nm"),
-                "order": (x["ripple_order"], "cycles per joint turn"),
-                "phase": (x["ripple_phase"], "rad"),
-            },
-            "position_dependent_friction": {
-                "amplitude": (x["wave"], "Nm"),
-                "order": (x["wave_order"], "cycles per joint turn"),
-                "phase": (x["wave_phase"], "rad"),
-            },
+            "torque_ripple": harmonic(x["ripple"], x["ripple_order"], x["ripple_phase"]),
+            "position_dependent_friction": harmonic(x["wave"], x["wave_order"], x["wave_phase"]),
             "presliding_hysteresis": {
                 "stiffness": (x["level"] / max(x["reach"], 1e-12), "Nm/rad"),
                 "law": ("smooth_dahl", ""),
             },
         }
         return {effect: p for effect, p in every.items() if x[SIZES[effect]] != 0}
+
+
+def harmonic(amplitude: float, order: int, phase: float) -> dict[str, tuple[Any, str]]:
+    """Parameters of what is periodic in a joint's angle."""
+    return {"amplitude": (amplitude, "Nm"), "order": (order, "cycles per joint turn"), "phase": (phase, "rad")}
 
 
 SIZES = {

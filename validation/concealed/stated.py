@@ -4,7 +4,6 @@
 import xml.etree.ElementTree as ET
 
 import numpy as np
-import pinocchio as pin
 
 from validation.concealed.arms import Arm, reduced_model
 
@@ -62,12 +61,3 @@ def inertial_errors(arm: Arm) -> list[np.ndarray]:
     return [
         arm.model.inertias[j + 1].toDynamicParameters() - stated.inertias[j + 1].toDynamicParameters() for j in range(arm.n)
     ]
-
-
-def possible(model: pin.Model) -> bool:
-    """Whether all bodies could exist: masses positive, second moments about the centre positive semidefinite."""
-    for body in model.inertias[1:]:
-        second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
-        if body.mass <= 0 or np.linalg.eigvalsh(second).min() < -1e-9:
-            return False
-    return True
