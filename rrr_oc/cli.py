@@ -19,15 +19,17 @@ from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.base import PLACEMENTS, SIDES
+from rrr_oc.effects.priors import load_priors
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import WINDOW
-from rrr_oc.parallel import check_jobs
+from rrr_oc.parallel import check_jobs, one_thread
 from rrr_oc.recordings.importers import JointStates, import_mcap, import_prototype
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.console import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.diagnosis_words import gain, not_claimed, on_prior, percent, rivals
 from rrr_oc.storage import check_file, check_folder, write_json
 
 app = typer.Typer(
@@ -85,14 +87,22 @@ def diagnose(
     out: Annotated[Path, typer.Option(help="folder for diagnosis.json, model.json, report.html and figures")],
     jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
     simulate: Annotated[bool, typer.Option(help="let the MuJoCo model track the recordings before and after, held out")] = True,
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file with what is known of the arm before: a table for each effect with its probability and typical sizes, "
+            "and \\[context] with springs and inertias; without it, each effect's own prior holds"
+        ),
+    ] = None,
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
     check_jobs(jobs)
     check_folder(out)
+    believed = None if priors is None else load_priors(priors)
     recordings = _loaded(dataset)
     _check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
-    with console.status("reading") as status:
-        found = diagnose_recordings(recordings, lambda line: status.update(line), jobs)
+    with console.status("reading") as status, one_thread():
+        found = diagnose_recordings(recordings, lambda line: status.update(line), jobs, believed)
         status.update("tracking the recordings in closed loop")
         simulated = in_closed_loop(found, jobs) if simulate else None
         status.update("writing the report")
@@ -245,7 +255,9 @@ def _show_model(model: CalibratedModel) -> None:
 
 def _show_diagnosis(found: dict[str, Any]) -> None:
     console.print(f"Verdict: {found['verdict']}")
-    table = Table("effect", "joint", "recordings", "parameters", "share of error", "as good")
+    table = Table(
+        "effect", "joint", "recordings", "parameters", "probability", "share of error", "gain held out [nats]", "as good"
+    )
     for effect in found["effects"]:
         values = ", ".join(f"{k} = {_value(v['value'])} {v['unit']}".strip() for k, v in effect["parameters"].items())
         joint, files = effect["joint"], effect["recordings"]
@@ -254,13 +266,17 @@ def _show_diagnosis(found: dict[str, Any]) -> None:
             "" if joint is None else joint if isinstance(joint, str) else ", ".join(joint),
             files if isinstance(files, str) else ", ".join(files),
             values,
+            percent(effect["probability"]),
             f"{effect['share_of_error']:.2f}",
-            ", ".join(effect["indistinguishable_from"]),
+            gain(effect["held_out_gain_nats"]),
+            ", ".join(rivals(effect)),
         )
     if found["effects"]:
         console.print(table)
     for other in found["unexplained"]:
         console.print(f"Unexplained: {other['description']}.", soft_wrap=True)
+    for line in [*on_prior(found), *not_claimed(found)]:
+        console.print(line, highlight=False, soft_wrap=True)
     errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
     for joint, b in found["bootstrap"].items():
         interval = b["ratio"]["interval"]

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 import joblib
+from threadpoolctl import threadpool_limits
 
 from rrr_oc.errors import UserError
 
@@ -23,13 +24,26 @@ def check_jobs(jobs: int) -> None:
 def unordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = -1) -> Iterator[Any]:
     """Results of `function(*a)` for each a in `arguments`, in the order in which they finish, from `jobs` processes (-1: one a core)."""
     pool = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=cast(Any, 1))
-    return cast(Iterator[Any], pool(joblib.delayed(function)(*a) for a in arguments))
+    return cast(Iterator[Any], pool(joblib.delayed(_on_one_thread)(function, a) for a in arguments))
 
 
 def ordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = -1) -> list[Any]:
     """Results of `function(*a)` for each a in `arguments`, in their order, from `jobs` processes (-1: one a core)."""
     pool = joblib.Parallel(n_jobs=jobs, batch_size=cast(Any, 1))
-    return cast(list[Any], pool(joblib.delayed(function)(*a) for a in arguments))
+    return cast(list[Any], pool(joblib.delayed(_on_one_thread)(function, a) for a in arguments))
+
+
+def _on_one_thread(function: Callable, arguments: Sequence[Any]) -> Any:
+    """The call, while other processes use the other cores."""
+    with one_thread():
+        return function(*arguments)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Linear algebra (BLAS) on one thread of this process: on matrices of some hundred columns, more threads mostly wait."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
 
 
 def once_per_process(key: str, make: Callable[[], _T]) -> _T:

@@ -36,15 +36,15 @@ from scipy.stats import beta, chi2
 
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
-from rrr_oc.calibration.samples import prepare, thinned, without_spikes
+from rrr_oc.diagnosis.candidates import Screen, signatures
 from rrr_oc.diagnosis.diagnosis_file import to_json
-from rrr_oc.diagnosis.evidence import Evidence
-from rrr_oc.diagnosis.fitting import Bench, refit_with_widths
-from rrr_oc.diagnosis.procedure import diagnose
-from rrr_oc.diagnosis.signatures import trials, view
+from rrr_oc.diagnosis.evidence import solve
+from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.procedure import diagnose, ready
+from rrr_oc.effects import CATALOGUE, Effect, Trial
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.priors import Priors
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
@@ -62,6 +62,9 @@ SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
 ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
 NEAR = 1.1  # error over the oracle's up to which a repaired model is as good
+WIDER = (
+    100.0  # times the typical size of an effect, up to which the oracle takes it; much less, strong effects come out too weak
+)
 IMPERFECT = "imperfect"  # the kind whose arms have small faults everywhere
 BINS = (0.5, 0.8, 0.95, 1.0)  # of stated probabilities; the last one is of what is claimed
 SLOPES, LAPSES = (0.3, 30.0), (0.0, 0.1)  # of the curve of what is named over the strength's logarithm
@@ -255,31 +258,59 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     What is written: NRMSE on `unseen`, and how much each effect adds to twice the log-likelihood, with its number of parameters.
     """
     truth, recordings = read(sealed), load_recordings(folder / "data")
-    start = plain_model(recordings)
-    prepared = prepare(recordings)
-    prepared = thinned(without_spikes(prepared, fit_terms(recordings, prepared, with_widths(prepared, start)).model))
-    bench = Bench(prepared, recordings.inertial == "identify")
-    fitted = refit_with_widths(bench, with_widths(prepared, start))
-    entries = []
+    kinds = [CATALOGUE[e["effect"]] for e in truth["effects"]]
+    _, fitter, every, plain = ready(recordings, Priors({kind.name: of_any_size(kind) for kind in kinds}))
+    fitted, entries = fitter.fit(plain, np.zeros(fitter.data.links.shape[1])), []
     for e in truth["effects"]:
-        joints = tuple(recordings.joints.index(j) for j in place(e["joint"]))
-        ways = [
-            t
-            for t in trials(view(bench.prepared, fitted.model), fitted.model.torque)
-            if t.effect.name == e["effect"] and tuple(sorted(t.effect.joints)) == tuple(sorted(joints))
-        ]
-        found = Evidence.gather(bench, fitted.model, ways).candidates() if ways else []
-        better = None
-        for candidate in found[:1]:
-            extra = replace(candidate.term, recordings=tuple(e["recordings"]) if e["recordings"] != "all" else "all", groups=())
-            better = refit_with_widths(bench, replace(fitted.model, terms=(*fitted.model.terms, extra)))
-        growth = 0.0 if better is None else better.better_than(fitted)
+        joints = sorted(recordings.joints.index(j) for j in place(e["joint"]))
+        ways = [t for t in every if t.effect.name == e["effect"] and sorted(t.effect.joints) == joints]
+        better = with_effect(fitter, fitted, ways, e["recordings"])
+        growth = 0.0 if better is None else weighted_square(fitter, fitted, better) - weighted_square(fitter, better, better)
         parameters = 0 if better is None else len(better.model.terms[-1].estimates)
         entries.append({"effect": e["effect"], "likelihood": growth, "parameters": parameters})
         fitted = better or fitted
     errors = mean_errors(fitted.model, load_recordings(folder / "unseen"))
     write_json(out / f"{folder.name}.json", without_nan({"case": folder.name, "unseen": errors, "effects": entries}))
     return folder.name
+
+
+def of_any_size(kind: type[Effect]) -> Prior:
+    """The prior of an effect, so wide that it holds no amplitude back: who knows that an effect is there needs no typical size."""
+    typical = kind.prior.typical or dict.fromkeys(kind.amplitudes, (1.0, ""))
+    return replace(kind.prior, typical={name: (WIDER * size, unit) for name, (size, unit) in typical.items()})
+
+
+def with_effect(fitter: Fitter, fitted: Fitted, ways: Sequence[Trial], recordings: Any) -> Fitted | None:
+    """A model fitted with one effect more, in these recordings; None where none of its trials fits at all.
+
+    It is fitted from the best candidate of all recordings and from the best one of some; the larger evidence counts.
+    """
+    if not ways:
+        return None
+    screen = Screen.of(fitter, fitted, signatures(fitter.data, fitted.model, ways), fitted.posterior)
+    found = screen.candidates()
+    starts = [next((c for c in found if (c.scope is None) is whole), None) for whole in (True, False)]
+    fits = []
+    for start in starts:
+        if start is not None:
+            term = replace(start.term, recordings="all" if recordings == "all" else tuple(recordings), groups=())
+            model = replace(fitted.model, terms=(*fitted.model.terms, term))
+            fits.append(fitter.fit(model, fitted.links, fitted.posterior))
+    return max(fits, key=lambda f: f.log_evidence, default=None)
+
+
+def weighted_square(fitter: Fitter, fitted: Fitted, other: Fitted) -> float:
+    """Weighted square of a fit's residual, with noise and discrepancy of another fit, its parameters and links fitted anew to that.
+
+    The links' errors add the square that their prior gives them. The difference of two fits under the noise of the better one is
+    twice the logarithm of their likelihood ratio; the priors of the effects and their Occam factors do not enter.
+    """
+    prior = fitter.prior(fitted.model, fitted.links)
+    post = solve(fitter.data, fitted.residual, fitted.posterior.columns, prior, other.posterior, fixed=True)
+    size = len(fitted.model.values)
+    links = slice(size, size + len(fitted.links))
+    off = (post.step - post.prior.mean)[links]
+    return post.foreseen(post.step) - post.prior_cost(post.step) + float(post.prior.precision[links] @ off**2)
 
 
 def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapping[str, Any] | None = None) -> dict[str, Any]:

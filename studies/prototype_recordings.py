@@ -28,6 +28,7 @@ from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import entry_point
+from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.diagnosis_report import write_diagnosis
@@ -62,7 +63,8 @@ def diagnosed(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:
     done = folder / "diagnosis.json"
     if not done.exists():
         console.rule(name)
-        found = diagnose(variant(recordings, name), lambda line: console.print(line, highlight=False))
+        with one_thread():
+            found = diagnose(variant(recordings, name), lambda line: console.print(line, highlight=False))
         write_json(folder / "black_box.json", black_boxes(found))
         write_diagnosis(found, folder)  # diagnosis.json comes last
     return json.loads(done.read_text(encoding="utf-8")) | {

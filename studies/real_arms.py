@@ -46,9 +46,10 @@ from sklearn.preprocessing import SplineTransformer, StandardScaler
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import error, evaluate_inverse
-from rrr_oc.diagnosis.cross_validation import BLOCKS
+from rrr_oc.diagnosis.held_out import BLOCKS
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import UserError, entry_point
+from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.header import HEADER
 from rrr_oc.recordings.importers import import_prototype
 from rrr_oc.recordings.importers.prototype import PATTERN
@@ -187,7 +188,8 @@ def examine(one: RealSet, out: Path, report: Callable[[str], None]) -> dict[str,
     """Diagnose a set, write the report of its diagnosis, and predict the held-out recordings in all ways."""
     began = time.perf_counter()
     recordings = loaded(one, out)
-    diagnosis = diagnose(recordings, report, jobs=1)
+    with one_thread():
+        diagnosis = diagnose(recordings, report, jobs=1)
     content = write_diagnosis(diagnosis, out / "diagnoses" / one.name)
     wall, memory = time.perf_counter() - began, peak_memory()
     test = None if one.test is None else load_recordings(one.test)

@@ -47,6 +47,7 @@ from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published
+from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -285,7 +286,8 @@ def diagnosed(folder: Path, recordings: RecordingSet, jobs: int) -> tuple[Calibr
     """The plain and the extended model and the content of diagnosis.json, from their files where they are there."""
     done = folder / "diagnosis.json"
     if not done.exists():
-        found = diagnose(recordings, lambda line: console.print(f"  {line}", highlight=False), jobs)
+        with one_thread():
+            found = diagnose(recordings, lambda line: console.print(f"  {line}", highlight=False), jobs)
         save_model(found.plain, folder / "plain.json")
         write_diagnosis(found, folder)
     return load_model(folder / "plain.json"), load_model(folder / "model.json"), json.loads(done.read_text(encoding="utf-8"))

@@ -33,6 +33,7 @@ from rrr_oc.paper.comparison import FREE_MOTION
 from rrr_oc.paper.encoding import Encoding
 from rrr_oc.paper.experiments import candidate_motion, experiment, stored_motion
 from rrr_oc.paper.run_store import Run, all_runs
+from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.simulation.tracking import Reference
@@ -69,7 +70,8 @@ def transfer(out: Path, preset: str, names: Sequence[str], jobs: int = -1) -> di
     data = out / "plant"
     if not (data / "recordings.json").is_file():
         write_set(built, data, range(built.seen))
-    diagnosis = diagnose(load_recordings(data), jobs=jobs)
+    with one_thread():
+        diagnosis = diagnose(load_recordings(data), jobs=jobs)
     found = [f.term for f in diagnosis.findings]
     console.print(f"diagnosed: {', '.join(t.effect.name for t in found) or 'nothing'}")
     runs = [r for r in all_runs(out / "runs") if r.asked["preset"] == preset and r.asked["ends"] == "rest"]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded import Plant, as_set, real, record
+from threadpoolctl import threadpool_info
 
 from rrr_oc import cli
 from rrr_oc.recordings.writer import save_recordings
@@ -68,6 +69,27 @@ def test_evaluate_writes_all_that_is_asked_for(folder, monkeypatch, tmp_path, ca
     assert "mean NRMSE" in capsys.readouterr().out
 
 
+def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, capsys):
+    (tmp_path / "known.toml").write_text('[context]\ninertias = "exact"\n[stribeck]\nprobability = 0.2\n')
+    given, found = [], cli.diagnose_recordings
+
+    def kept(recordings, report, jobs, priors):
+        given.append((priors, {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}))
+        return found(recordings, report, jobs, priors)
+
+    monkeypatch.setattr(cli, "diagnose_recordings", kept)
+    options = ["--no-simulate", "--jobs", "1", "--priors", tmp_path / "known.toml"]
+    assert run(monkeypatch, "diagnose", folder / "set", "--out", tmp_path / "o", *options) == 0
+    ((priors, threads),) = given
+    assert priors.exact_inertias
+    assert priors.given["stribeck"].probability == 0.2
+    assert threads == {1}  # several would wait for each other
+    assert "Verdict: nothing_missing" in capsys.readouterr().out
+    content = json.loads((tmp_path / "o" / "diagnosis.json").read_text())
+    assert content["effects"] == content["unexplained"] == []
+    assert "Nothing is missing" in (tmp_path / "o" / "report.html").read_text()
+
+
 MISTAKES = {
     "no such set": (["calibrate", "{0}/nowhere", "--out", "{1}/o"], "nowhere"),
     "truncated header": (["calibrate", "{1}/truncated", "--out", "{1}/o"], "recordings.json"),
@@ -84,6 +106,10 @@ MISTAKES = {
     "diagnosis into a file": (["diagnose", "{0}/set", "--out", "{0}/set/0.csv"], "0.csv: is a file; a folder is required"),
     "no processes": (["diagnose", "{0}/set", "--out", "{1}/o", "--jobs", "0"], "--jobs is 0"),
     "too few processes": (["diagnose", "{0}/set", "--out", "{1}/o", "--jobs", "-5"], "--jobs is -5"),
+    "no priors": (["diagnose", "{0}/set", "--out", "{1}/o", "--priors", "{1}/nowhere.toml"], "nowhere.toml"),
+    "unknown effect": (["diagnose", "{0}/set", "--out", "{1}/o", "--priors", "{1}/unknown.toml"], "stribek"),
+    "certain": (["diagnose", "{0}/set", "--out", "{1}/o", "--priors", "{1}/certain.toml"], "above 0 and below 1"),
+    "no TOML": (["diagnose", "{0}/set", "--out", "{1}/o", "--priors", "{0}/set/0.csv"], "not valid TOML"),
     "evaluation into a folder": (
         ["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{0}/set", "--predictions", "{1}/p"],
         "set: is a folder; the name of a file is required",
@@ -120,6 +146,8 @@ def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, folder, monkeypat
         (tmp_path / name / "recordings.json").write_text(header)
         for file in ("0.csv", "1.csv"):
             (tmp_path / name / file).write_text(rows)
+    (tmp_path / "unknown.toml").write_text("[stribek]\nprobability = 0.5\n")
+    (tmp_path / "certain.toml").write_text("[stribeck]\nprobability = 1\n")
     arguments, said = MISTAKES[mistake]
     before = files(folder) | files(tmp_path)
     assert run(monkeypatch, *(a.format(folder, tmp_path) for a in arguments)) == 2

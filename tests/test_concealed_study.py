@@ -53,6 +53,17 @@ def test_blind_then_opened(cases, tmp_path, monkeypatch):
         assert (tmp_path / "out" / figure).stat().st_size > 1000
 
 
+def test_the_oracle_measures_as_the_plant_does(cases, tmp_path):
+    """The growth of the likelihood is the plant's own: the squared torque of the effect that no plain parameter explains, over noise."""
+    (folder,) = study.chosen(cases, "short", None)
+    truth = study.read(cases / "sealed" / f"{folder.name}.json")
+    study.oracle_case(folder, cases / "sealed" / f"{folder.name}.json", tmp_path)
+    (found,) = study.read(tmp_path / f"{folder.name}.json")["effects"]
+    assert found["parameters"] == 1
+    own = truth["effects"][0]["equal_effects"]["chi2_of_residual"]
+    assert found["likelihood"] == pytest.approx(own, rel=0.2)  # the noise is estimated, and the filter leaves out the ends
+
+
 def test_a_crash_is_a_result(cases, tmp_path):
     broken = tmp_path / "broken"
     (broken / "data").mkdir(parents=True)

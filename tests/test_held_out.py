@@ -11,9 +11,8 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
-from rrr_oc.diagnosis.cross_validation import Fold, Shares
-from rrr_oc.diagnosis.held_out import _means, in_closed_loop, intervals
-from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.diagnosis.held_out import Fold, _means, in_closed_loop, intervals
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares, _confirmed
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
@@ -21,6 +20,12 @@ from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import sentence
 
 STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
+
+
+def fold(k: int, models=(None, None), errors=(None, None), gains=(), again=()) -> Fold:
+    """A fold that holds out recording k, with gains and confirmations of effects."""
+    none = np.zeros(len(gains) + 1)
+    return Fold((k,), *models, *errors, np.array(gains), np.array(again), none, np.zeros((len(none), 1, 3)))
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +45,10 @@ def diagnosis() -> Diagnosis:
         np.array([[0.1, 0.4, np.nan]] * 3) * [[1.0], [2.0], [3.0]],
         np.array([[0.1, 0.1, np.nan]] * 3) * [[1], [2], [3]],
     )
-    folds = tuple(Fold((k,), plain, model, before[k : k + 1], after[k : k + 1]) for k in range(3))
+    folds = tuple(fold(k, (plain, model), (before[k : k + 1], after[k : k + 1])) for k in range(3))
     none = np.zeros(3)
     return Diagnosis(
-        recordings, plain, model, (), Shares((), (), (), (), ()), (none, none), (none, none), "recordings", (), (), folds
+        recordings, plain, model, (), (), (), Shares(), (none, none), (none, none), "recordings", (), (), folds, (0.0,) * 3
     )
 
 
@@ -144,3 +149,22 @@ def test_a_twin_that_diverges_on_a_recording_gives_no_mean():
     bad = {"joint1": {s: {"nrmse": None, "rmse": None} for s in SIGNALS}}
     assert _means([{"a.csv": good, "b.csv": good}], ["joint1"])["joint1"]["q"] == pytest.approx(0.1)
     assert _means([{"a.csv": good}, {"b.csv": bad}], ["joint1"]) == {"why_not": "it diverges while it follows b.csv"}
+
+
+@pytest.mark.parametrize(
+    ("gains", "again", "confirmed"),
+    [
+        ((3.0, -1.0), (1, 1), True),  # better on the whole
+        ((1.0, -3.0), (1, 1), False),  # worse on the whole
+        ((3.0, 3.0, 3.0), (1, 0, 0), False),  # not found again by most
+        ((3.0, 3.0), (1, 0), True),  # by half
+        ((np.nan, 2.0), (np.nan, 1), True),  # one fold cannot tell
+        ((np.nan, 2.0), (0, 0), False),
+        ((np.nan, np.nan), (np.nan, np.nan), True),  # of one recording only: nothing can tell
+    ],
+)
+def test_an_effect_is_confirmed_that_is_found_again_and_predicts_better(gains, again, confirmed):
+    """The second of two effects; the first is never confirmed."""
+    folds = [fold(k, gains=(-1.0, g), again=(0.0, a)) for k, (g, a) in enumerate(zip(gains, again, strict=True))]
+    assert _confirmed(folds, 1) == confirmed
+    assert not _confirmed(folds, 0)

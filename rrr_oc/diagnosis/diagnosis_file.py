@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis.findings import named
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.recordings.recording import RecordingSet
@@ -30,6 +31,11 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
         "effects": [_effect(diagnosis, i) for i, empirical in enumerate(black_box) if not empirical],
+        "possible": [
+            {**named(p.key, joints), "recordings": _files(diagnosis.recordings, p.groups), "probability": p.probability}
+            for p in diagnosis.possible
+        ],
+        "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
         "unexplained": [_unexplained(diagnosis, i) for i, empirical in enumerate(black_box) if empirical],
         "suggested_recordings": [
             {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}
@@ -50,7 +56,10 @@ def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
         "parameters": _parameters(finding.term),
         "share_of_error": shares.share[i],
         "p_value": finding.p_value,
+        "probability": finding.probability,
+        "probability_of_itself": finding.alone,
         "nrmse": {"held_out_before": number(shares.before[i]), "held_out_after": number(shares.after[i])},
+        "held_out_gain_nats": number(shares.gain[i]),
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
         "rivals": [{"effect": name, "joint": _names(j, diagnosis.model.joints)} for name, j in finding.rivals],
     }
@@ -69,6 +78,7 @@ def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
         "recordings": files,
         "share_of_error": diagnosis.shares.share[i],
         "p_value": finding.p_value,
+        "probability": finding.probability,
         "validity": validity,
         "description": f"a torque on {joint}{some} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
         f"the model carries it as {effect.words(finding.term.named)}{', valid in the ranges given' if validity else ''}",
@@ -88,6 +98,10 @@ def files_of(term: Term, recordings: RecordingSet) -> str | list[str]:
     if term.recordings == "all":
         return "all"
     return [r.file for r in recordings.recordings if term.holds_for(r)]
+
+
+def _files(recordings: RecordingSet, groups: Sequence[str]) -> str | list[str]:
+    return [r.file for r in recordings.recordings if r.group in groups] if groups else "all"
 
 
 def _parameters(term: Term) -> dict[str, Any]:

@@ -1,294 +1,233 @@
-"""Recordings prepared for comparing models (`Bench`), and models fitted to them by bounded least squares on filtered residuals."""
+"""Models fitted under their evidence: Gauss–Newton on the exact equations, with priors, noise and discrepancy estimated on the way."""
 
-import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import comb
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
-from rrr_oc.calibration.friction_width import best_width, widened, with_widths
-from rrr_oc.calibration.least_squares import GaussNewton
-from rrr_oc.calibration.regression import Rows
-from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared, kept_rows
-from rrr_oc.calibration.term_fit import TermFit
-from rrr_oc.diagnosis.signatures import SignatureCache
-from rrr_oc.effects import Effect
+from rrr_oc.calibration.friction_width import WIDTHS, widened
+from rrr_oc.calibration.term_fit import bounds, with_parameter_values
+from rrr_oc.diagnosis.data import Data
+from rrr_oc.diagnosis.evidence import Posterior, Prior, solve
+from rrr_oc.effects import Effect, Trial, View
+from rrr_oc.effects.priors import Priors
 
-STEADY = 3.0  # standard errors by which a fit must be better in the t-test by block; doubled, faint effects are missed
-SELDOM = 2.0  # the same for impacts, which occur at reversals only and so in few blocks
-OPTIONS = GaussNewton(steps=12, promise=1e-5, gain=1e-5, fractions=(1.0, 0.4, 0.1))
-SAME = 9.0  # difference in twice the log-likelihood within which two models count as equal; twice as much lists more rivals
-ROUGH = 0.05  # relative tolerance of a smoothing width that several laws share; twice as much saves a little time
-BEND = 0.01  # of the squared change over a step, by which residuals may miss the prediction; doubled, fewer derivatives, more steps
-LONGEST = 2.0  # largest lag of the autocorrelation of residuals [s]; doubled, slow residuals count for fewer samples
-WHITE = 0.11  # correlation time of white noise after the common filter [s]; doubled, all evidence is halved
-BLOCK = 1.0  # length of the blocks of time that count as independent [s]; doubled, tests by block have fewer degrees of freedom
+STEPS = 10  # most steps of Gauss–Newton
+GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
+BEND = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
+FRACTIONS = (1.0, 0.4, 0.1, 0.02)  # of a step, tried until the cost falls
+BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
+WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
+DIFFERENCE = 0.01  # of a width, for derivatives by it
 
 
 @dataclass(frozen=True)
-class Bench:
-    """Recordings made ready for comparing models.
+class Span:
+    """Prior of one parameter of an effect: normal about `centre`, or uniform from `low` to `high`, in its logarithm if `log`.
 
-    Attributes:
-        prepared: The recordings.
-        identify: Whether the links' inertial parameters are unknown.
-        belief: Prior of these parameters: mean (10, n) and precision matrix (10 n, 10 n), as `inertial_parameters.precision` gives
-            it. A few recordings determine only some of them.
-        of: All recordings, if these are a part of them; otherwise empty.
-        signatures: Cache of filtered signatures.
+    `std` is the standard deviation of either.
     """
 
-    prepared: tuple[Prepared, ...]
-    identify: bool
-    belief: tuple[np.ndarray, np.ndarray] | None = None
-    of: tuple[Prepared, ...] = ()
-    signatures: SignatureCache = field(default_factory=SignatureCache, compare=False, repr=False)
-
-    def on(self, prepared: tuple[Prepared, ...]) -> "Bench":
-        """The bench of other recordings, with an empty cache."""
-        return replace(self, prepared=prepared, signatures=SignatureCache())
-
-    def part(self, keep: Sequence[int]) -> "Bench":
-        """The bench of some of the recordings."""
-        return replace(self, prepared=tuple(self.prepared[i] for i in keep), of=self.whole)
-
-    @property
-    def whole(self) -> tuple[Prepared, ...]:
-        """All recordings; their motions determine which trials are made."""
-        return self.of or self.prepared
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.prepared[0].measured)
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """Physical set-up of each recording, in their order."""
-        return tuple(p.recording.group for p in self.prepared)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The distinct groups."""
-        return tuple(dict.fromkeys(self.groups))
-
-    @cached_property
-    def edges(self) -> np.ndarray:
-        """First row of each recording, and the number of rows, (R + 1,)."""
-        return np.cumsum([0, *(len(kept_rows(p.recording)[0]) for p in self.prepared)]).astype(int)
-
-    @cached_property
-    def torque(self) -> np.ndarray:
-        """Standard deviation of each joint's recorded torque, (n,) [Nm]."""
-        return np.concatenate([p.measured for p in self.prepared], axis=1).std(axis=1)
-
-    def believed(self, inertial: np.ndarray) -> np.ndarray:
-        """The prior of inertial parameters as normal equations of (derivatives, residual), linearised at `inertial` (10, n).
-
-        (10 n + 1, 10 n + 1); (1, 1) where they are known. It is weighted like correlated rows, of which each counts for less than one.
-        """
-        size = inertial.size if self.identify else 0
-        result = np.zeros((size + 1, size + 1))
-        if self.belief is not None:
-            mean, precision = self.belief
-            off = (mean - inertial).T.ravel()
-            result[:-1, :-1], result[-1, -1] = precision, off @ precision @ off
-            result[:-1, -1] = result[-1, :-1] = precision @ off
-        return result * CORRELATION / STRIDE
-
-    def within(self, scope: Sequence[str] | None) -> np.ndarray:
-        """1 for each recording of these groups (None: all groups), else 0; (R,)."""
-        return np.array([1.0 if scope is None or g in scope else 0.0 for g in self.groups])
-
-    def least_payload(self, scope: Sequence[str] | None) -> float:
-        """The smallest listed payload in recordings of these groups (None: all groups) [kg]."""
-        inside = zip(self.prepared, self.within(scope), strict=True)
-        return min((float(p.recording.payload.min()) for p, there in inside if there), default=0.0)
-
-    def by_block(self, values: np.ndarray) -> np.ndarray:
-        """Sums of values (M, …) over blocks of `BLOCK` seconds, none of which contains rows of two recordings."""
-        step = max(1, round(BLOCK / STRIDE))
-        starts = np.concatenate([np.arange(a, b, step) for a, b in itertools.pairwise(self.edges)])
-        return np.add.reduceat(values, starts, axis=0)
+    std: float
+    normal: bool
+    centre: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+    log: bool = False
 
 
-def independent(found: Rows) -> np.ndarray:
-    """Effective sample size of each joint's residuals (n,)."""
-    return found.moving.sum(axis=1) * STRIDE / correlation_time(found)
-
-
-def correlation_time(found: Rows) -> np.ndarray:
-    """Integral of each joint's autocorrelation of residuals, (n,) [s]; at least that of filtered white noise."""
-    lags, result = int(LONGEST / STRIDE), []
-    for r in found.residual:
-        pieces = [r[s] for s in found.stretches]
-        power = sum(float(p @ p) for p in pieces) or 1.0
-        rho = (sum(float(p[k:] @ p[:-k]) for p in pieces if len(p) > k) / power for k in range(1, lags))
-        signal = itertools.takewhile(lambda x: x > 0.05, rho)  # the rest is noise
-        result.append(max(WHITE, STRIDE * (1 + 2 * sum(signal))))
-    return np.array(result)
+def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -> list[Span]:
+    """The priors of an effect's parameters, from its declared prior and the values that its trials take."""
+    own = [t for t in family if type(t.effect) is type(effect)] or [effect.trial(view)]
+    same = next((t for t in own if t.effect == effect), own[0])
+    sizes, typical = priors.scales(view, same), priors.of(type(effect)).typical
+    scales = dict(zip(effect.amplitudes, sizes, strict=False)) if len(sizes) >= len(effect.amplitudes) else {}
+    if len(set(effect.amplitudes)) == 1 and len(sizes) > 1:
+        scales = {effect.amplitudes[0]: float(np.max(sizes))}
+    zero, result = effect.combined(same.points, np.zeros(len(same.points))), []
+    for p in effect.parameters:
+        if p.name in scales and (p.name in typical or effect.black_box or not typical):
+            result.append(Span(float(scales[p.name]), True, zero[p.name]))
+            continue
+        values = np.array([point[p.name] for t in own for point in t.points], float)
+        log = p.lower >= 0 and bool(np.all(values > 0))
+        values = np.log(values) if log else values
+        reach = max(float(np.ptp(values)), 1.0 if log else 0.3)
+        low, high = float(values.min()) - BEYOND * reach, float(values.max()) + BEYOND * reach
+        if p.unit == "rad" and p.name == "phase":
+            low, high, reach = -np.inf, np.inf, 2 * np.pi
+        low, high = (float(np.exp(low)), float(np.exp(high))) if log else (low, high)
+        result.append(Span(reach / np.sqrt(12), False, 0.0, low, high, log))
+    return result
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model fitted to a bench.
+    """A model fitted to data.
 
     Attributes:
-        model: The model at its estimates.
-        rows: Its residuals and derivatives.
+        model: At the estimates.
+        links: Errors of the links in standard deviations of their prior, (k,).
+        posterior: Of the parameters, from which the model was reached.
+        residual: Of the model, (n, M) [Nm].
+        extra: Number of terms beyond the plain ones.
     """
 
     model: CalibratedModel
-    rows: Rows
+    links: np.ndarray
+    posterior: Posterior
+    residual: np.ndarray
+    base: int
 
     @property
-    def squares(self) -> np.ndarray:
-        """Sum of squared residuals of each joint (n,)."""
-        return np.maximum(np.sum(self.rows.residual**2, axis=1), 1e-300)
+    def log_evidence(self) -> float:
+        return self.posterior.log_evidence
 
     @property
-    def misfit(self) -> float:
-        """Sum of the logarithms of the joints' squared residuals; less is better."""
-        return float(np.sum(np.log(self.squares)))
-
-    @cached_property
-    def counts(self) -> np.ndarray:
-        """Effective sample size of each joint (n,)."""
-        return independent(self.rows)
-
-    def better_than(self, other: "Fitted") -> float:
-        """Growth of twice the log-likelihood over another fit of the same rows.
-
-        Each joint has the effective sample size of the fit with the smaller residual, since the larger one may be autocorrelated.
-        """
-        ratio = np.log(other.squares / self.squares)
-        return float(np.where(ratio > 0, self.counts, other.counts) @ ratio)
+    def extra(self) -> tuple[Term, ...]:
+        """The effects that were added to the plain model."""
+        return self.model.terms[self.base :]
 
 
-def refit(bench: Bench, model: CalibratedModel, steps: int = OPTIONS.steps, without_last: Rows | None = None) -> Fitted:
-    """All parameters of a model, fitted to a bench within their bounds; the inertial ones freely where they are unknown.
+@dataclass(frozen=True)
+class Fitter:
+    """Fits of models to data.
 
-    Args:
-        steps: Most steps of Gauss–Newton.
-        without_last: Rows of the model without its last term, which is new. The first step then changes only parameters in which
-            that term is linear, so that its shape is not led astray; the other terms' derivatives stay as they are.
+    Attributes:
+        data: The data.
+        view: What the recordings show.
+        families: Trials by name and joints of their effect.
+        exact: Whether the links' inertial parameters are exact.
     """
-    fit = TermFit(
-        bench.prepared,
-        linear=not bench.identify and all(_keeps_linear(term.effect) for term in model.terms),
-        inertial=bench.identify,
-        prior=bench.believed,
-        bend=BEND,
-        without_last=without_last,
-    )
-    shape = _shape_of_last(model) if without_last is not None else ()
-    at = fit.minimum(fit.start(model, shape), replace(OPTIONS, steps=steps + bool(shape)))
-    return Fitted(at.model, at.rows)
 
+    data: Data
+    view: View
+    families: dict[tuple, list[Trial]]
+    plain_std: np.ndarray
+    priors: Priors
 
-def _shape_of_last(model: CalibratedModel) -> tuple[int, ...]:
-    """Numbers of the parameters of the last term in which it is not linear."""
-    effect = model.terms[-1].effect
-    start = sum(len(t.estimates) for t in model.terms[:-1])
-    return tuple(start + k for k, p in enumerate(effect.parameters) if p.name not in effect.amplitudes)
+    def fit(self, model: CalibratedModel, links: np.ndarray, start: Posterior | None = None, steps: int = STEPS) -> Fitted:
+        """All parameters of a model fitted."""
+        data = self.data
+        found = data.rows(model)
+        columns, residual = self.columns(model, found), found.residual
+        best = None
+        for _ in range(steps):
+            post = solve(data, residual, columns, self.prior(model, links), start)
+            start = post
+            before = post.misfit + post.prior_cost(0 * post.step)
+            expected = before - post.foreseen(post.step)
+            best = Fitted(model, links, post, residual, len(data.start.terms))
+            if expected < GAIN:
+                break
+            for fraction in FRACTIONS:
+                step = fraction * post.step
+                there, errors = self.moved(model, links, step)
+                after = data.residual(found, there)
+                cost = post.cost(after) + post.prior_cost(step)
+                if cost < before:
+                    break
+            else:
+                break
+            missed = np.sum((after - (residual - columns @ step)) ** 2)
+            linear = missed <= BEND**2 * np.sum((after - residual) ** 2)
+            model, links, residual = there, errors, after
+            if linear and fraction == 1.0:
+                best = Fitted(model, links, post, residual, len(data.start.terms))
+                break
+            if missed > BEND * np.sum((found.residual - after) ** 2):
+                found = data.rows(model)
+                columns = self.columns(model, found)
+        assert best is not None
+        return best
 
+    def believed(self, trial: Trial, theta: Mapping[str, float]) -> bool:
+        """Whether an effect's parameters are where their prior is not 0."""
+        family = self.families.get((trial.effect.name, trial.effect.joints), [trial])
+        every = zip(trial.effect.parameters, spans(family, trial.effect, self.view, self.priors), strict=True)
+        return all(span.low <= theta[p.name] <= span.high for p, span in every)
 
-def _keeps_linear(effect: Effect) -> bool:
-    """Whether the prediction stays linear in all parameters with this effect; a gain, or friction by load, multiplies others."""
-    return effect.role == "plain" or (effect.linear and effect.side != "sensor" and "load" not in effect.inputs)
+    def columns(self, model: CalibratedModel, found) -> np.ndarray:
+        """Derivatives by the terms' parameters, the links' errors and the logarithms of the widths of dry friction, (n, M, p)."""
+        size = len(model.values)
+        links = found.jacobian[:, :, size:] @ self.data.links
+        widths = []
+        for joints, width in self.widths(model).items():
+            there = replace(model, terms=tuple(widened(t, {joints: width * (1 + DIFFERENCE)}) for t in model.terms))
+            change = found.residual - self.data.residual(found, there)
+            widths.append(change[:, :, None] / DIFFERENCE)
+        return np.concatenate([found.jacobian[:, :, :size], links, *widths], axis=2)
 
+    def widths(self, model: CalibratedModel) -> dict[tuple[int, ...], float]:
+        """Width of the sign of each joint's dry friction [rad/s]."""
+        return {t.effect.joints: float(t.width) for t in model.terms if t.effect.sign_forms and t.width}
 
-def steadily_better(bench: Bench, one: Fitted, other: Fitted, scope: Sequence[str] | None = None) -> bool:
-    """Whether the fit is better throughout, not by chance in a few places: a t-test of the squares' differences by block of time.
+    def moved(self, model: CalibratedModel, links: np.ndarray, step: np.ndarray) -> tuple[CalibratedModel, np.ndarray]:
+        """The model after a change of its parameters, and the links' errors."""
+        size, k = len(model.values), len(links)
+        terms = with_parameter_values(model.terms, model.values + step[:size])
+        errors = links + step[size : size + k]
+        robot = model.robot
+        inertial = robot.inertial + (self.data.links @ step[size : size + k]).reshape(robot.n, 10).T
+        there = replace(model, terms=terms, robot=replace(robot, inertial=inertial))
+        new = {
+            joints: float(np.clip(w * np.exp(s), WIDTHS[0], WIDTHS[-1]))
+            for (joints, w), s in zip(self.widths(model).items(), step[size + k :], strict=True)
+        }
+        return replace(there, terms=tuple(widened(t, new) for t in there.terms)), errors
 
-    Args:
-        one: A fit with a new effect as its last term.
-        scope: Groups of the recordings that have the effect; None for all.
-    """
-    weights = one.rows.deviation() ** -2
-    fall = weights @ (other.rows.residual**2 - one.rows.residual**2)
-    blocks = bench.by_block(fall)
-    if scope is not None:
-        inside = np.repeat(bench.within(scope), np.diff(bench.edges))
-        blocks = blocks[bench.by_block(inside) > 0]
-    errors = SELDOM if one.model.terms[-1].effect.dynamics == "impact" else STEADY
-    return bool(blocks.sum() > errors * np.sqrt(np.sum((blocks - blocks.mean()) ** 2) + 1e-300))
+    def prior(self, model: CalibratedModel, links: np.ndarray) -> Prior:
+        """The prior of changes of a model's parameters."""
+        base, precision, mean, flat, proper = len(self.data.start.terms), [], [], [], []
+        plain = sum(len(t.estimates) for t in model.terms[:base])
+        precision += list(self.plain_std[:plain] ** -2.0)
+        mean += [0.0] * plain  # so wide that it draws nothing
+        flat += [0.0] * plain
+        proper += [False] * plain
+        low, high = bounds(model.terms)
+        at = plain
+        for term in model.terms[base:]:
+            own = self.families.get((term.effect.name, term.effect.joints), [])
+            for span, value in zip(spans(own, term.effect, self.view, self.priors), term.values, strict=True):
+                std = max(span.std * (abs(value) if span.log else 1.0), 1e-12)
+                precision.append(std**-2 if span.normal else 0.0)
+                flat.append(0.0 if span.normal else std**-2)
+                mean.append(span.centre - value if span.normal else 0.0)
+                proper.append(True)
+                low[at], high[at] = max(low[at], span.low), min(high[at], span.high)
+                at += 1
+        k = len(links)
+        precision += [1.0] * k
+        mean += list(-links)
+        flat += [0.0] * k
+        proper += [True] * k
+        widths = self.widths(model)
+        precision += [1.0] * len(widths)
+        mean += [0.0] * len(widths)
+        flat += [0.0] * len(widths)
+        proper += [False] * len(widths)
+        lower, upper = np.full(len(mean), -np.inf), np.full(len(mean), np.inf)
+        values = model.values
+        factor = np.array([p.factor for t in model.terms for p in t.effect.parameters], float)
+        f = np.flatnonzero(np.isfinite(factor))
+        low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
+        lower[: len(low)], upper[: len(high)] = np.minimum(low - values, 0), np.maximum(high - values, 0)
+        at = np.array(list(widths.values()))
+        lower[len(mean) - len(at) :], upper[len(mean) - len(at) :] = np.log(WIDTHS[0] / at), np.log(WIDTHS[-1] / at)
+        which = np.zeros(len(mean), bool)
+        which[len(mean) - len(at) - k : len(mean) - len(at)] = self.data.free
+        return Prior(np.array(mean), np.array(precision), np.array(proper), which, lower, upper, np.array(flat))
 
-
-def as_abrupt(bench: Bench, model: CalibratedModel) -> Fitted:
-    """The fit with the best widths, significant or not: ways of friction to change sign are compared each at its best."""
-    return refit(bench, with_widths(bench.prepared, model, least_gain=0.0))
-
-
-def with_turn(model: CalibratedModel, number: int, turn: int) -> CalibratedModel:
-    """The model whose term of that number, a dry friction, changes sign in another way, numbered as its `sign_forms`."""
-    term = model.terms[number]
-    return with_term(model, number, replace(term, effect=term.effect.sign_forms[turn]))
-
-
-def rewidened(bench: Bench, fitted: Fitted) -> Fitted:
-    """The fit with the width of each friction's change of sign estimated again; missing effects had biased it.
-
-    It is estimated with the dependence of friction on speed left free and with the model's own; the better fit is returned.
-    """
-    tried = {tuple(t.width for t in fitted.model.terms): fitted}
-    for free in (True, False):
-        model = with_widths(bench.prepared, fitted.model, free)
-        widths = tuple(t.width for t in model.terms)
-        if widths not in tried:
-            tried[widths] = refit(bench, model)
-    return _widened_together(bench, min(tried.values(), key=lambda f: f.misfit))
-
-
-def _widened_together(bench: Bench, fitted: Fitted) -> Fitted:
-    """The fit in which the newest law and all other friction of its joint share one width, if it is significantly better.
-
-    A wide dry friction beside an abrupt newer law, or the reverse, may be a worse local optimum. A law with bristles may also change
-    sign with a width of 0.
-    """
-    *others, newest = fitted.model.terms
-    if newest.effect.width is None or newest.effect.width.unit != "rad/s":
-        return fitted
-    joints = newest.effect.joints
-
-    @cache
-    def at(width: float) -> Fitted:
-        together = (*(widened(t, {joints: width}) for t in others), replace(newest, width=width))
-        return refit(bench, replace(fitted.model, terms=together if width else (*others, replace(newest, width=width))))
-
-    tried = [at(best_width(lambda width: at(width).misfit, ROUGH))] + ([at(0.0)] if newest.effect.states else [])
-    best = min(tried, key=lambda f: f.misfit)
-    return best if best.better_than(fitted) > SAME else fitted
-
-
-def refit_with_widths(bench: Bench, model: CalibratedModel) -> Fitted:
-    """The model fitted, with the width of each friction's change of sign estimated again."""
-    return rewidened(bench, refit(bench, model))
-
-
-def best_start(bench: Bench, model: CalibratedModel, shares: Sequence[float], without_last: Rows | None = None) -> Fitted:
-    """The best fit from several starts of the last term, whose prediction is not smooth: its amplitudes times each of `shares`."""
-    last, fits = model.terms[-1], []
-    for share in shares:
-        sized = {name: share * value if name in last.effect.amplitudes else value for name, value in last.named.items()}
-        for effect, theta in last.effect.starts(sized):
-            start = replace(last, effect=effect).with_values(np.array(list(theta.values())))
-            fits.append(refit(bench, replace(model, terms=(*model.terms[:-1], start)), 3, without_last))
-    return min(fits, key=lambda f: f.misfit)
-
-
-def extended(model: CalibratedModel, *terms: Term) -> CalibratedModel:
-    """The model with further terms at the end."""
-    return replace(model, terms=(*model.terms, *terms))
-
-
-def without(model: CalibratedModel, *terms: Term) -> CalibratedModel:
-    """The model without these of its terms."""
-    return replace(model, terms=tuple(t for t in model.terms if not any(t is out for out in terms)))
-
-
-def with_term(model: CalibratedModel, i: int, term: Term) -> CalibratedModel:
-    """The model with another term in place of its term number i."""
-    return replace(model, terms=(*model.terms[:i], term, *model.terms[i + 1 :]))
+    def log_prior(self, effect, scope) -> float:
+        """Logarithm of the prior odds that an effect is present, in all groups or in these."""
+        groups = len(self.data.labels)
+        chance, partly = self.priors.chance(effect, self.view), effect.partly
+        odds = float(np.log(chance / (1 - chance)))
+        if groups == 1 or partly == 0.0:
+            return odds
+        if scope is None:
+            return odds + float(np.log(1 - partly))
+        choices = comb(groups, len(scope)) * max(groups - 1, 1)
+        return odds + float(np.log(partly) - np.log(choices))

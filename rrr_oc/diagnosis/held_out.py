@@ -1,26 +1,177 @@
-"""Errors on held-out recordings before and after a diagnosis: bootstrap intervals, and tracking in MuJoCo."""
+"""One check of the whole: everything is repeated without some of the recordings, which it then predicts.
+
+Errors before and after with bootstrap intervals, and while MuJoCo tracks the recordings.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import bootstrap
 
 from rrr_oc import parallel
-from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.prediction_error import SIGNALS, Errors, evaluate_simulated, summary
-from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, summary
+from rrr_oc.diagnosis.data import Data
+from rrr_oc.diagnosis.evidence import Joint, Posterior
+from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.search import Search
+from rrr_oc.effects import Trial
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
+if TYPE_CHECKING:
+    from rrr_oc.diagnosis.procedure import Diagnosis
+
+FOLDS = 4  # of the recordings, each held out once; twice as many double the time
+FOLDS_OF_MANY, MANY_JOINTS = 2, 5  # folds of arms with so many joints or more
+BLOCKS = 4  # contiguous pieces of a single recording, each held out once
+SHORT = 10  # samples; shorter segments are left out of the blocks
 LEVEL = 0.95  # confidence level of the intervals
 RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the ends of an interval by about 1 %
 LEAST_RECORDINGS = 3  # for a bootstrap interval
 
 
-def intervals(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+@dataclass(frozen=True)
+class Fold:
+    """What was found without some of the recordings, and the errors on them.
+
+    Attributes:
+        held: Indices of the held-out recordings (of the blocks of a single recording).
+        plain, model: Without and with the effects that a search on the rest claims, fitted to the rest.
+        before, after: Their NRMSE on the held-out recordings, each (number held out, n).
+        gains: For each effect found on all recordings: fall of the negative log predictive density of the held-out recordings
+            with it, beside the other effects found, all fitted to the rest [nats]; NaN where they or the rest lack it.
+        again: For each whether the rest alone supports it (its posterior odds are above 1); NaN where the rest lacks it.
+        squares: Weighted squared residual on the held-out recordings with the first 0, 1, … effects, (effects + 1,).
+        errors: NRMSE of each of these models on the held-out recordings, (effects + 1, number held out, n).
+    """
+
+    held: tuple[int, ...]
+    plain: CalibratedModel
+    model: CalibratedModel
+    before: np.ndarray
+    after: np.ndarray
+    gains: np.ndarray
+    again: np.ndarray
+    squares: np.ndarray
+    errors: np.ndarray
+
+
+def folds_of(data: Data) -> tuple[str, Data, list[list[int]]]:
+    """What is held out ("recordings", or "blocks" of a single one), the data, and the indices held out in each fold.
+
+    Recordings of one set-up (payload, number of springs, group) go to different folds.
+    """
+    way = "recordings"
+    if len(data.prepared) == 1:
+        data, way = _blocks(data), "blocks"
+    recordings = [p.recording for p in data.prepared]
+    mounted = [(float(r.payload.max()), len(r.springs), data.labels.index(r.group)) for r in recordings]
+    alike = sorted(range(len(recordings)), key=mounted.__getitem__)
+    number = min(len(recordings), FOLDS_OF_MANY if data.n >= MANY_JOINTS else FOLDS)
+    return way, data, [sorted(alike[k::number]) for k in range(number)]
+
+
+def _blocks(data: Data) -> Data:
+    """The data whose recordings are contiguous pieces of its only one."""
+    (only,) = data.prepared
+    r, pieces = only.recording, []
+    began = r.t[0] if r.start is None else r.start
+    usable = [np.arange(s.start, s.stop) for s in r.segments if s.stop - s.start > SHORT]
+    for part in np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS):
+        a, b = int(part[0]), int(part[-1]) + 1
+        arrays = {k: getattr(r, k)[..., a:b] for k in ("t", "q", "dq", "ddq", "tau", "payload")}
+        inside = [(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments]
+        segments = tuple(slice(first, end) for first, end in inside if end - first > SHORT)
+        piece = replace(r, **arrays, segments=segments, start=float(began))
+        pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
+    return Data(tuple(pieces), data.start, data.links, data.free, type(data.signatures)())
+
+
+def checked(
+    fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, findings: Sequence[Finding], jobs: int
+) -> tuple[str, list[Fold]]:
+    """The way of holding out, and one fold for each part of the recordings."""
+    way, data, held = folds_of(fitter.data)
+    whole = replace(fitter, data=data)
+    terms = tuple(f.term for f in findings)
+    arguments = [(whole, trials, begin, terms, one) for one in held]
+    return way, parallel.ordered(_fold, arguments, jobs if findings else 1)
+
+
+def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple[Term, ...], held: list[int]) -> Fold:
+    rest = [i for i in range(len(fitter.data.prepared)) if i not in held]
+    train, test = replace(fitter, data=fitter.data.part(rest)), fitter.data.part(held)
+    plain = train.fit(begin.model, begin.links)
+    search = Search(train, trials, black_box=any(t.effect.black_box for t in terms))
+    searched = search.run(plain).fitted if terms else plain
+    here = [[t.holds_for(p.recording) for p in train.data.prepared] for t in terms]
+    there = [[t.holds_for(p.recording) for p in test.prepared] for t in terms]
+    fits: dict[tuple[int, ...], Fitted] = {(): plain}
+
+    def fit(which: tuple[int, ...]) -> Fitted:
+        if which not in fits:
+            some = tuple(terms[k] for k in which)
+            fits[which] = train.fit(replace(plain.model, terms=(*plain.model.terms, *some)), plain.links, plain.posterior)
+        return fits[which]
+
+    count = len(terms)
+    every = tuple(k for k in range(count) if any(here[k]))
+    gains, again = np.full(count, np.nan), np.full(count, np.nan)
+    for k in every:
+        less = fit(tuple(i for i in every if i != k))
+        again[k] = search.scored(fit(every)).score > search.scored(less).score
+        if any(there[k]):
+            noise = fit(every).posterior
+            gains[k] = density(test, fit(every).model, noise) - density(test, less.model, noise)
+    nested = [fit(tuple(i for i in every if i < k)) for k in range(count + 1)]
+    weights = 1 / np.array([max(s, 1e-12) for s in np.sum(_residual(test, nested[-1].model) ** 2, axis=1)])
+    return Fold(
+        tuple(held),
+        plain.model,
+        searched.model,
+        nrmse(test, plain.model),
+        nrmse(test, searched.model),
+        gains,
+        again,
+        np.array([float(weights @ np.sum(_residual(test, f.model) ** 2, axis=1)) for f in nested]),
+        np.array([nrmse(test, f.model) for f in nested]),
+    )
+
+
+def _residual(data: Data, model: CalibratedModel) -> np.ndarray:
+    return data.rows(model).residual
+
+
+def density(test: Data, model: CalibratedModel, post: Posterior) -> float:
+    """Log predictive density of recordings, at a model's estimates, with the noise and discrepancy of a posterior."""
+    residual, total = _residual(test, model), 0.0
+    for j, known in enumerate(post.joints):
+        one, sigma = Joint.of(test, j, known.noise), post.sizes.sigma[j]
+        y = one.white @ residual[j]
+        t, rho = one.along(y), (sigma / post.sizes.discrepancy[j]) ** 2
+        total += one.log_det - one.count * np.log(sigma) - 0.5 * (y @ y - t @ (t / (one.values + rho))) / sigma**2
+        total -= 0.5 * float(np.sum(np.log1p(one.values / rho)))
+    return float(total)
+
+
+def nrmse(data: Data, model: CalibratedModel) -> np.ndarray:
+    """NRMSE of the predicted torque by recording and joint (R, n); NaN where a joint does not move."""
+    every = ((p.recording, p.measured) for p in data.prepared)
+    return np.array([error(r.t, tau, model.predicted_torque(r), r.segments)["nrmse"] for r, tau in every])
+
+
+def mean_nrmse(errors: np.ndarray) -> np.ndarray:
+    """Mean over the recordings in which a joint moves, (R, n) to (n,); NaN where it never moves."""
+    known = np.isfinite(errors)
+    return np.where(known.any(axis=0), np.where(known, errors, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
+def intervals(diagnosis: "Diagnosis") -> dict[str, dict[str, Any]]:
     """Held-out NRMSE before and after and their ratio, by joint, each {"value": …, "interval": [low, high] or null}.
 
     Means over recordings; the 95 % intervals are percentiles of means over whole recordings (blocks of an only one) drawn with
@@ -56,7 +207,7 @@ def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
     return {"value": value, "interval": [number(found.low), number(found.high)]}
 
 
-def in_closed_loop(diagnosis: Diagnosis, jobs: int = -1) -> dict[str, Any]:
+def in_closed_loop(diagnosis: "Diagnosis", jobs: int = -1) -> dict[str, Any]:
     """NRMSE of `prediction_error.SIGNALS` while the MuJoCo model tracks the recordings, before and after, by joint and signal.
 
     Each recording is tracked by the models found without it; a single recording by the models found on it.

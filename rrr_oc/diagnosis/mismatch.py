@@ -9,8 +9,10 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.diagnosis.contest import Finding
-from rrr_oc.diagnosis.fitting import Bench, Fitted
+from rrr_oc.calibration.samples import noise
+from rrr_oc.diagnosis.data import Data
+from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.fitting import Fitted
 from rrr_oc.storage import number
 
 LEAST_GROWTH = 0.005  # relative growth of the squared residual without effects that counts as a mismatch; doubled: fewer
@@ -23,7 +25,7 @@ UNITS = {"q": "rad", "dq": "rad/s", "ddq": "rad/s²", "load_torque": "Nm", "time
 
 
 def mismatch(
-    bench: Bench,
+    bench: Data,
     plain: Fitted,
     fitted: Fitted,
     findings: Sequence[Finding],
@@ -37,7 +39,8 @@ def mismatch(
         nrmse: Of the plain model on the recordings calibrated on and on held-out ones, (n,) each.
     """
     result, joints = [], plain.model.joints
-    growth = np.maximum(plain.squares / fitted.squares - 1, 0.0)
+    squares = [np.maximum(np.sum(f.residual**2, axis=1), 1e-300) for f in (plain, fitted)]
+    growth = np.maximum(squares[0] / squares[1] - 1, 0.0)
     variables = _variables(bench, plain.model)
     for j, joint in enumerate(joints):
         own = [f for f in findings if not f.term.effect.joints or j in f.term.effect.joints]
@@ -47,12 +50,12 @@ def mismatch(
             significant, p = True, min(f.p_value for f in findings)
         alone = left_over[j] > FAR and not significant
         if alone:
-            count = max(float(fitted.counts[j]), 1.0)
+            count = max(float(bench.counted[j].sum()), 1.0)
             significant, p = True, float(fisher.sf(left_over[j] ** 2, count, count))
-        moving = plain.rows.moving[j]
-        error = (plain.rows.residual[j] ** 2) * moving
+        moving = bench.counted[j]
+        error = (plain.residual[j] ** 2) * moving
         left = np.array([float(np.mean(e)) for e in np.split(error, bench.edges[1:-1])])
-        floor = float(np.mean((fitted.rows.residual[j] ** 2) * moving))
+        floor = float(np.mean((fitted.residual[j] ** 2) * moving))
         files = [p.recording.file for p, e in zip(bench.prepared, left, strict=True) if e > NOTABLE * floor or alone]
         result.append(
             {
@@ -67,7 +70,16 @@ def mismatch(
     return tuple(result)
 
 
-def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
+def above_noise(bench: Data, fitted: Fitted) -> np.ndarray:
+    """Standard deviation of each joint's filtered residual over that of filtered sample noise, (n,)."""
+    gains = [np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]
+    passed = np.sqrt(np.mean(np.concatenate(gains)))
+    count = np.maximum(bench.counted.sum(axis=1), 1)
+    deviation = np.sqrt(np.sum(fitted.residual**2, axis=1) / count)
+    return deviation / np.maximum(noise(bench.prepared, fitted.model) * passed, 1e-9)
+
+
+def _variables(bench: Data, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:
     """Variables that the error may depend on, filtered, at the rows of the fit: (n, M) by name, with units."""
     parts, bare = [], replace(model, terms=())
     for p in bench.prepared:
@@ -76,7 +88,7 @@ def _variables(bench: Bench, model: CalibratedModel) -> dict[str, tuple[np.ndarr
         pull = bare.torques(replace(r, springs=()))[1] - bare.torques(r)[1] if r.springs else np.zeros_like(load)
         clock, payload = (np.tile(x, (bench.n, 1)) for x in (r.clock, r.payload))
         parts.append([p.filtered(x) for x in (r.q, r.dq, r.ddq, load, clock, payload, pull)])
-    whole = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
+    whole = (np.concatenate(found, axis=1)[:, bench.at] for found in zip(*parts, strict=True))
     return {name: (values, unit) for (name, unit), values in zip(UNITS.items(), whole, strict=True)}
 
 

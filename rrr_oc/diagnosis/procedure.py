@@ -1,31 +1,32 @@
-"""Diagnosis of a recording set: calibration, selection of effects, comparison with alternatives, validation on held-out recordings."""
+"""Diagnosis of a recording set: the plain model, the most probable structure, and one check of the whole on held-out recordings."""
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from rrr_oc.calibration import calibrate
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.inverse_dynamics import Fit, plain_model
-from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_reversals, without_spikes
-from rrr_oc.diagnosis.candidate_fits import above_noise
-from rrr_oc.diagnosis.contest import Finding, contested
-from rrr_oc.diagnosis.cross_validation import Fold, Shares, Split, beside_effects, mean_nrmse, nrmse, splits, validated, weighed
-from rrr_oc.diagnosis.fitting import SAME, Bench, Fitted, extended, refit
-from rrr_oc.diagnosis.mismatch import FAR, mismatch
-from rrr_oc.diagnosis.reversals import blurred_joints, other_turns, with_turns
-from rrr_oc.diagnosis.selection import BlackBoxUse, Found, select_effects
-from rrr_oc.diagnosis.signatures import view
+from rrr_oc.calibration.inverse_dynamics import finished, plain_model
+from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_spikes
+from rrr_oc.calibration.term_fit import bounds
+from rrr_oc.diagnosis.data import Data, link_errors
+from rrr_oc.diagnosis.findings import Finding, Possible, found
+from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
+from rrr_oc.diagnosis.held_out import Fold, checked, mean_nrmse, nrmse
+from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
+from rrr_oc.diagnosis.search import Search
+from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
+from rrr_oc.effects import Trial
+from rrr_oc.effects.priors import Priors
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.robot.inertial_parameters import precision, prior
+from rrr_oc.robot.inertial_parameters import from_log_cholesky, prior, to_log_cholesky
 
-WALD_P = 0.0027  # largest p-value of a linear effect that is kept (three standard errors); twice as much keeps fainter ones
+NORMAL = 1.96  # standard deviations of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,10 @@ class Diagnosis:
 
     Attributes:
         recordings: The set.
-        plain, model: Without and with the effects, both calibrated on all recordings.
-        findings: The effects and black-box terms, most important first.
+        plain, model: Without and with the effects that are claimed, fitted to all recordings.
+        findings: The effects and black-box terms that are claimed, most important first.
+        possible: What may be present but is not claimed.
+        refuted: What all recordings together make probable but held-out ones do not confirm.
         shares: Contribution of each finding on held-out recordings.
         calibration: NRMSE of each joint with the plain and the extended model on all recordings, two of (n,).
         held_out: The same on recordings that took part in no fit and no selection.
@@ -50,7 +53,9 @@ class Diagnosis:
     plain: CalibratedModel
     model: CalibratedModel
     findings: tuple[Finding, ...]
-    shares: Shares
+    possible: tuple[Possible, ...]
+    refuted: tuple[Finding, ...]
+    shares: "Shares"
     calibration: tuple[np.ndarray, np.ndarray]
     held_out: tuple[np.ndarray, np.ndarray]
     way: str
@@ -70,159 +75,176 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
-class _Searched:
-    """The selection on all recordings.
+class Shares:
+    """What each effect contributes on held-out recordings; one entry per effect.
 
     Attributes:
-        recordings: The set.
-        whole: All samples, without the reversals that were left out.
-        bench: The thinned samples on which effects are selected.
-        plain: The plain model, calibrated.
-        start: The plain model with the friction widths estimated on the bench.
-        begin: The same with identified inertial parameters, if any; every selection starts from it.
-        found: The outcome of the selection.
+        share: Fall of the squared residual when the effect is added, relative to the plain model's squared residual.
+        before, after: NRMSE of the effect's joints without and with it.
+        gain: Fall of the negative log predictive density with it, beside all others [nats]; NaN where it cannot be measured.
     """
 
-    recordings: RecordingSet
-    whole: Sequence[Prepared]
-    bench: Bench
-    plain: CalibratedModel
-    start: CalibratedModel
-    begin: CalibratedModel
-    found: Found
+    share: tuple[float, ...] = ()
+    before: tuple[float, ...] = ()
+    after: tuple[float, ...] = ()
+    gain: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, folds: Sequence[Fold], findings: Sequence[Finding], n: int) -> "Shares":
+        """From folds in which the findings were added in their order."""
+        total = np.sum([f.squares for f in folds], axis=0)
+        errors = [mean_nrmse(np.concatenate([f.errors[k] for f in folds])) for k in range(len(findings) + 1)]
+        joints = [list(f.term.effect.joints) or list(range(n)) for f in findings]
+        gains = np.array([f.gains for f in folds]).reshape(len(folds), -1)
+        return cls(
+            tuple(float((total[k] - total[k + 1]) / max(total[0], 1e-300)) for k in range(len(findings))),
+            tuple(float(np.nanmean(errors[k][j])) for k, j in enumerate(joints)),
+            tuple(float(np.nanmean(errors[k + 1][j])) for k, j in enumerate(joints)),
+            tuple(float(np.nansum(g)) if np.isfinite(g).any() else float("nan") for g in gains.T),
+        )
 
 
-def diagnose(recordings: RecordingSet, report: Callable[[str], None] = lambda _: None, jobs: int = -1) -> Diagnosis:
+def diagnose(
+    recordings: RecordingSet, report: Callable[[str], None] = lambda _: None, jobs: int = -1, priors: Priors | None = None
+) -> Diagnosis:
     """Diagnose a recording set.
 
     Args:
         report: Receives one line of progress at a time.
         jobs: Processes for the held-out fits (-1: one per core).
+        priors: What is believed of effects; what they declare by default.
 
     Raises:
         UserError: The recordings are too short for the filter.
     """
-    at = _searched(recordings, report)
-    bench, plain = at.bench, at.plain
-    fitted, findings = contested(bench, at.found, report)
-    way, every = splits(bench)
-    report("fitting without the recordings that are held out")
-    folds = validated(every, at.begin, _black_box_use(bench, plain, findings), jobs)
-    held_out = mean_nrmse(np.concatenate([f.before for f in folds])), mean_nrmse(np.concatenate([f.after for f in folds]))
-    if _refuted(findings, fitted, held_out):
-        report("the selected effects predict held-out recordings worse: they are dropped")
-        findings = []
-    model, shares = plain, Shares()
-    if findings:
-        report("measuring what each effect contributes on held-out recordings")
-        fitted, model, findings, shares = _kept(at, every, fitted, findings, report)
+    report("calibrating the plain model")
+    whole, fitter, every, plain = ready(recordings, priors or Priors())
+    begin = fitter.fit(plain, np.zeros(fitter.data.links.shape[1]))
+    report("looking for effects")
+    search = Search(fitter, every, report)
+    at = search.run(begin)
+    findings, possible = found(search, at)
+    report("repeating everything without the recordings that are held out" if findings else "predicting held-out recordings")
+    way, folds = checked(fitter, every, begin, findings, jobs)
+    confirmed = [f for k, f in enumerate(findings) if _confirmed(folds, k)]
+    refuted = tuple(f for f in findings if f not in confirmed)
+    if refuted or len(confirmed) < len(at.fitted.extra):
+        kept = tuple(f.term for f in confirmed)
+        model = replace(begin.model, terms=(*begin.model.terms, *kept))
+        final = fitter.fit(model, begin.links, at.fitted.posterior) if kept else begin
+        if refuted:
+            way, folds = checked(fitter, every, begin, confirmed, jobs)
+    else:
+        final = replace_order(fitter, begin, at.fitted, confirmed)
+    return _assembled(recordings, whole, fitter, (begin, final), (confirmed, possible, refuted), (way, folds))
+
+
+def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...], CalibratedModel]:
+    """All samples, what fits models to the recordings, the trials of the catalogue, and the calibrated plain model."""
+    whole = prepare(recordings)
+    start = with_widths(whole, plain_model(recordings))
+    plain = calibrate.fit(recordings, whole, start).model
+    bench = tuple(thinned(without_spikes(whole, plain)))
+    unknown = recordings.inertial == "identify"
+    if unknown:
+        guess, n = prior(start.robot), recordings.robot.n
+        links = np.zeros((10 * n, 10 * n))
+        for i in range(n):
+            own = slice(10 * i, 10 * i + 10)
+            links[own, own] = from_log_cholesky()(to_log_cholesky(plain.robot.inertial[:, i]))[1] * guess.std[own]
+    else:
+        links = link_errors(plain.robot.inertial)
+        links = links[:, :0] if priors.exact_inertias else links
+    data = Data(bench, plain, links, not unknown, SignatureCache())
+    seen = view(bench, plain)
+    every = tuple(trials(seen, plain.torque))
+    families: dict[tuple, list[Trial]] = {}
+    for trial in every:
+        families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)
+    found_rows = rows(bench, plain)
+    sizes = np.sqrt(np.mean(found_rows.jacobian**2, axis=1)) / data.torque[:, None]  # (n, p) of a unit of each parameter
+    std = WIDE / np.maximum(sizes.max(axis=0, initial=0.0), 1e-12)
+    return whole, Fitter(data, seen, families, std, priors), every, plain
+
+
+def _confirmed(folds: Sequence[Fold], k: int) -> bool:
+    """Whether an effect is found again without held-out recordings and predicts them better; True where no fold can tell."""
+    gains, again = (np.array([getattr(f, key)[k] for f in folds]) for key in ("gains", "again"))
+    gains, again = gains[np.isfinite(gains)], again[np.isfinite(again)]
+    return (not len(again) or np.mean(again) >= 0.5) and (not len(gains) or float(np.sum(gains)) > 0.0)
+
+
+def replace_order(fitter: Fitter, begin: Fitted, at: Fitted, findings: Sequence[Finding]) -> Fitted:
+    """The fit with its effects in the order of the findings."""
+    terms = tuple(f.term for f in findings)
+    if terms == at.extra:
+        return at
+    return fitter.fit(replace(at.model, terms=(*at.model.terms[: at.base], *terms)), at.links, at.posterior)
+
+
+def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosis:
+    (begin, final), (confirmed, possible, refuted), (way, folds) = fits, told, check
+    plain = finished(recordings, whole, described(begin), {"way": "posterior"}, _now())
+    model = finished(recordings, whole, described(final), {"way": "posterior"}, _now()) if confirmed else plain
+    findings = [replace(f, term=t) for f, t in zip(confirmed, model.terms[final.base :], strict=True)]
+    before = mean_nrmse(np.concatenate([f.before for f in folds]))
+    after = mean_nrmse(np.concatenate([f.after for f in folds])) if findings else before
     if not findings:
-        fitted, held_out = at.found.plain, (held_out[0], held_out[0])
         folds = [replace(f, model=f.plain, after=f.before) for f in folds]
-    left = above_noise(bench, fitted)
-    calibration = mean_nrmse(nrmse(bench, plain)), mean_nrmse(nrmse(bench, model))
+    left = above_noise(fitter.data, final)
+    calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
     return Diagnosis(
         recordings,
         plain,
         model,
         tuple(findings),
-        shares,
+        tuple(possible),
+        refuted,
+        Shares.of(folds, findings, fitter.data.n) if findings else Shares(),
         calibration,
-        held_out,
+        (before, after),
         way,
-        mismatch(bench, refit(bench, plain), fitted, findings, left, (calibration[0], held_out[0])),
-        tuple(suggest(recordings, plain, findings, bool(np.any(left > FAR)), view(bench.prepared, plain))),
+        mismatch(fitter.data, begin, final, findings, left, (calibration[0], before)),
+        tuple(suggest(recordings, plain, findings, bool(np.any(left > FAR)), fitter.view)),
         tuple(folds),
         tuple(left.tolist()),
     )
 
 
-def _searched(recordings: RecordingSet, report: Callable[[str], None]) -> _Searched:
-    """The selection on all recordings, repeated where errors at reversals hide or imitate effects."""
-    report("calibrating the plain model")
-    whole = prepare(recordings)
-    start = with_widths(whole, plain_model(recordings))
-    plain = calibrate.fit(recordings, whole, start).model
-    unknown = recordings.inertial == "identify"
-    belief = (plain.robot.inertial, precision(prior(start.robot), plain.robot.inertial)) if unknown else None
-    bench = Bench(tuple(thinned(without_spikes(whole, plain))), unknown, belief)
-    report("looking for effects")
-    start = with_widths(bench.prepared, start, free=True)
-    begin = replace(start, robot=plain.robot) if unknown else start
-    found = select_effects(bench, begin, report)
-    if np.any(blurred := blurred_joints(bench, found)):
-        names = ", ".join(np.array(recordings.joints)[blurred])
-        report(f"looking for effects without the moments at which these joints reverse: {names}")
-        whole = without_reversals(whole, blurred)
-        bench = bench.on(without_reversals(bench.prepared, blurred))
-        found = select_effects(bench, begin, report)
-    while turned := other_turns(bench, found):
-        names = ", ".join(recordings.joints[j] for j in turned)
-        report(f"looking for effects where dry friction changes sign in another way: {names}")
-        plain, start, begin = (with_turns(m, turned) for m in (plain, start, begin))
-        plain = calibrate.fit(recordings, whole, plain).model
-        found = select_effects(bench, begin, report)
-    return _Searched(recordings, whole, bench, plain, start, begin, found)
+def _now() -> float:
+    import time
+
+    return time.perf_counter()
 
 
-def _black_box_use(bench: Bench, plain: CalibratedModel, findings: Sequence[Finding]) -> BlackBoxUse | None:
-    """Use of black-box terms without each fold; None where nothing was found.
-
-    They compete where one was found, or an effect that only takes the place of a series, such as a ripple of less than two cycles.
-    """
-    seen, terms = view(bench.prepared, plain), [f.term for f in findings]
-    if any(t.effect.black_box or t.effect.is_sparse(seen, t.named) for t in terms):
-        return "beside"
-    return "never" if terms else None
-
-
-def _kept(
-    at: _Searched, every: Sequence[Split], fitted: Fitted, findings: Sequence[Finding], report: Callable[[str], None]
-) -> tuple[Fitted, CalibratedModel, list[Finding], Shares]:
-    """The findings that contribute on held-out recordings and differ significantly from 0, and the model with them."""
-    kept, shares = weighed(every, at.begin, fitted, findings)
-    if not kept and any(f.term.effect.black_box for f in findings):
-        report("looking for effects of the catalogue first")
-        fitted, findings = contested(at.bench, select_effects(at.bench, at.begin, report, "after"), report)
-        kept, shares = weighed(every, at.begin, fitted, findings)
-    base = len(at.start.terms)
-    fit = _calibrated(at, fitted, kept)
-    sure = list(itertools.compress(kept, _sure(fit.model.terms[base:], fit.covariance.matrix)))
-    if len(sure) < len(kept):
-        kept, shares = weighed(every, at.begin, fitted, sure)
-        fit = _calibrated(at, fitted, kept)
-    model = fit.model
-    kept = [replace(f, term=t) for f, t in zip(kept, model.terms[base:], strict=True)]
-    return fitted, model if kept else at.plain, kept, shares
+def described(fitted: Fitted) -> CalibratedModel:
+    """The model with standard errors and intervals from the posterior."""
+    model, post = fitted.model, fitted.posterior
+    std = np.sqrt(np.maximum(np.diag(np.linalg.pinv(post.matrix, hermitian=True)), 0.0))
+    (lower, upper), at, terms = bounds(model.terms), 0, []
+    for term in model.terms:
+        estimates = []
+        for e in term.estimates:
+            half = NORMAL * std[at]
+            interval = (
+                float(np.clip(e.value - half, lower[at], upper[at])),
+                float(np.clip(e.value + half, lower[at], upper[at])),
+            )
+            estimates.append(Estimate(e.value, float(std[at]), interval, bool(e.value <= lower[at] or e.value >= upper[at])))
+            at += 1
+        terms.append(canonical(replace(term, estimates=tuple(estimates))))
+    return replace(model, terms=tuple(terms))
 
 
-def _calibrated(at: _Searched, fitted: Fitted, findings: Sequence[Finding]) -> Fit:
-    """The extended model, calibrated on all recordings."""
-    terms = [f.term.with_values(np.array(list(f.term.effect.canonical(f.term.named).values()))) for f in findings]
-    return calibrate.fit(at.recordings, at.whole, extended(beside_effects(at.start, fitted), *terms))
-
-
-def _refuted(findings: Sequence[Finding], fitted: Fitted, held_out: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Whether held-out recordings refute the findings: selection and fit without them raise their errors significantly.
-
-    Findings that hold in some recordings only exempt the set, since the training recordings may not contain the effect.
-    """
-    everywhere = all(f.term.recordings == "all" for f in findings)
-    change = 2 * np.log(np.maximum(held_out[1], 1e-300) / np.maximum(held_out[0], 1e-300))
-    return bool(findings and everywhere and np.nansum(fitted.counts * change) > SAME)
-
-
-def _sure(terms: Sequence[Term], covariance: np.ndarray) -> list[bool]:
-    """Whether each linear effect differs significantly from 0 beside all other terms (Wald's test); nonlinear ones count as sure.
-
-    Args:
-        covariance: Of the parameters of all terms of the model, these terms last, (p, p); NaN for undetermined ones.
-    """
-    sure, at = [], len(covariance) - sum(len(t.estimates) for t in terms)
-    for t in terms:
-        own = slice(at, at := at + len(t.estimates))
-        away, matrix = t.values - [p.nominal for p in t.effect.parameters], covariance[own, own]
-        known = np.all(np.isfinite(matrix))
-        far = not known or away @ np.linalg.pinv(matrix, hermitian=True) @ away > chi2.isf(WALD_P, len(away))
-        sure.append(not t.effect.linear or bool(far))
-    return sure
+def canonical(term: Term) -> Term:
+    """The term with parameters in their usual range."""
+    named = term.effect.canonical(term.named)
+    estimates = []
+    for p, e in zip(term.effect.parameters, term.estimates, strict=True):
+        value = float(named[p.name])
+        shift = value - e.value
+        interval = None if e.interval is None else (e.interval[0] + shift, e.interval[1] + shift)
+        if p.name in term.effect.amplitudes and value == -e.value and e.interval is not None:
+            interval = -e.interval[1], -e.interval[0]
+        estimates.append(replace(e, value=value, interval=interval))
+    return replace(term, estimates=tuple(estimates))

@@ -45,13 +45,13 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         springs=tuple(sorted(springs)),
         payload=any(np.any(p.recording.payload > 0) for p in prepared)
         or any(term.effect.alters == "payload" for term in model.terms),
-        dry=_dry(model, torque),
+        dry=dry_friction(model, torque),
         torque=torque,
         mass=np.maximum(model.robot.inertial[0], 1e-3),
     )
 
 
-def _dry(model: CalibratedModel, torque: np.ndarray) -> np.ndarray:
+def dry_friction(model: CalibratedModel, torque: np.ndarray) -> np.ndarray:
     """Plain dry friction of each joint [Nm], at least `LEAST_DRY` of its torque, (n,)."""
     dry = LEAST_DRY * torque
     for term in model.terms:

@@ -10,7 +10,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared
-from rrr_oc.diagnosis.contest import Finding
+from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.signatures import table, trials
 from rrr_oc.effects import Trial, View
 from rrr_oc.errors import UserError

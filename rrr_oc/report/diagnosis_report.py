@@ -16,7 +16,7 @@ from rrr_oc.diagnosis.held_out import intervals
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.diagnosis_figures import SIGNAL_NAMES, draw_errors, draw_prediction, draw_residuals
-from rrr_oc.report.diagnosis_words import placed, sentence, some_recordings
+from rrr_oc.report.diagnosis_words import gain, not_claimed, on_prior, percent, placed, rivals, sentence, some_recordings
 from rrr_oc.report.figures import save_figure
 from rrr_oc.storage import write_json, write_text
 
@@ -77,7 +77,9 @@ def page(found: Mapping[str, Any], subject: str, figures: Mapping[str, Path]) ->
     environment = Environment(loader=PackageLoader("rrr_oc.report"), autoescape=True, undefined=StrictUndefined)
     environment.filters["base64"] = lambda path: base64.b64encode(path.read_bytes()).decode()
     undecided = [
-        f"{placed(e)} or {', '.join(e['indistinguishable_from'])}" for e in found["effects"] if e["indistinguishable_from"]
+        f"{placed(e)} ({percent(e['probability_of_itself'])}) or {', '.join(rivals(e))}: one of them, {percent(e['probability'])}"
+        for e in found["effects"]
+        if e["rivals"]
     ]
     errors = found["bootstrap"].items()
     return environment.get_template("diagnosis.html").render(
@@ -91,7 +93,9 @@ def page(found: Mapping[str, Any], subject: str, figures: Mapping[str, Path]) ->
         effects=[_effect_row(e) for e in found["effects"]],
         unexplained=[_unexplained_row(u) for u in found["unexplained"]],
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
-        undecided=[line.replace("_", " ") for line in undecided],
+        on_prior=on_prior(found),
+        not_claimed=not_claimed(found),
+        undecided=undecided,
         suggestions=[[", ".join(s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]],
         versions=", ".join(f"{name} {version}" for name, version in found["versions"].items()),
     )
@@ -112,7 +116,8 @@ def _simulated_rows(simulated: Mapping[str, Any] | None) -> list[list[str]]:
 
 def _unexplained_row(u: Mapping[str, Any]) -> list[str]:
     recordings = ", ".join(some_recordings(u)) or "all"
-    return [u["joint"], recordings, ", ".join(u["depends_on"]), f"{u['share_of_error']:.3f}", u["description"]]
+    share, chance = f"{u['share_of_error']:.3f}", percent(u["probability"])
+    return [u["joint"], recordings, ", ".join(u["depends_on"]), chance, share, u["description"]]
 
 
 def _with_interval(entry: Mapping[str, Any]) -> str:
@@ -133,9 +138,10 @@ def _effect_row(e: dict[str, Any]) -> list[str]:
         ", ".join(some_recordings(e)) or "all",
         e["equation"],
         values,
+        percent(e["probability"]),
         f"{e['share_of_error']:.3f}",
-        _chance(e["p_value"]),
-        ", ".join(e["indistinguishable_from"]) or "nothing",
+        gain(e["held_out_gain_nats"]),
+        ", ".join(rivals(e)) or "nothing",
     ]
 
 

@@ -1,8 +1,15 @@
-"""The verdict of a diagnosis in words."""
+"""The verdict of a diagnosis in words, and how sure it is."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rrr_oc.diagnosis.knobs import CLAIM
+from rrr_oc.effects import CATALOGUE
+
+LESS_PROBABLE = (
+    10.0  # times, that what is claimed may be less probable beforehand; twice as much, more claims are said to rest on that
+)
+SURE = 0.999  # probability above which no closer number is shown; nearer to 1, digits that no recordings support
 # Above both times the error within the fit and this NRMSE, held-out recordings count as badly
 POOR_RATIO, POOR_NRMSE = 3.0, 0.2
 # predicted and the verdict says so; doubled, a model that fits too few recordings passes as complete
@@ -53,11 +60,64 @@ def _lacking(found: Mapping[str, Any]) -> list[str]:
     return [name + f" in {len(there)} of the recordings" * some for (name, some), there in files.items()]
 
 
+def on_prior(found: Mapping[str, Any]) -> list[str]:
+    """A sentence for each claim that would not be made, had it been `LESS_PROBABLE` times less probable before the recordings."""
+    named = [(placed(e), e["probability"]) for e in found["effects"]]
+    named += [(f"a torque on {u['joint']} that no effect explains", u["probability"]) for u in found["unexplained"]]
+    return [
+        f"The claim of {name} ({percent(p)}) rests on the prior: had it been {LESS_PROBABLE:g} times less probable before these "
+        f"recordings, it would be below {CLAIM:.0%} now, and not claimed."
+        for name, p in named
+        if p * (1 - CLAIM) < LESS_PROBABLE * CLAIM * (1 - p)
+    ]
+
+
+def not_claimed(found: Mapping[str, Any]) -> list[str]:
+    """A sentence each on what is possible and on what held-out recordings do not confirm; none where there is nothing to say."""
+    result = []
+    if found.get("possible"):
+        result.append(f"Possible, not claimed (below {CLAIM:.0%}): {_listed(found['possible'])}.")
+    if found.get("not_confirmed"):
+        result.append(
+            f"Not confirmed on held-out recordings, not claimed: {_listed(found['not_confirmed'])}. All recordings together make it "
+            "probable, but without some of them it is not found, or predicts those no better."
+        )
+    return result
+
+
+def _listed(entries: Sequence[Mapping[str, Any]]) -> str:
+    some = [
+        f" in {', '.join(files)}" * bool(files)
+        for files in ([] if "recordings" not in e else some_recordings(e) for e in entries)
+    ]
+    named = [f"{placed(e)}{where} ({percent(e['probability'])})" for e, where in zip(entries, some, strict=True)]
+    return ", ".join(dict.fromkeys(named))
+
+
+def percent(probability: float) -> str:
+    """A probability; none is shown as certain."""
+    if probability > SURE:
+        return f"> {SURE:.1%}"
+    return f"{probability:.1%}" if probability > CLAIM else f"{probability:.0%}"
+
+
+def gain(nats: float | None) -> str:
+    """A gain in nats."""
+    return "–" if nats is None else f"{nats:+.0f}" if abs(nats) >= 10 else f"{nats:+.1f}"
+
+
+def rivals(e: Mapping[str, Any]) -> list[str]:
+    """What may be there in an effect's place, with its joint where that is another."""
+    return [r["effect"].replace("_", " ") if r["joint"] == e["joint"] else placed(r) for r in e["rivals"]]
+
+
 def placed(e: Mapping[str, Any]) -> str:
     """An effect and where it is."""
-    joint = e["joint"]
-    where = "" if joint is None else f" of {joint if isinstance(joint, str) else ' and '.join(joint)}"
-    return f"{e['effect'].replace('_', ' ')}{where}"
+    joint, kind = e["joint"], CATALOGUE.get(e["effect"])
+    where = "" if joint is None else joint if isinstance(joint, str) else " and ".join(joint)
+    if kind is not None and kind.role == "black_box":
+        return f"a torque on {where} that no effect explains"
+    return e["effect"].replace("_", " ") + f" of {where}" * bool(where)
 
 
 def some_recordings(entry: Mapping[str, Any]) -> list[str]:

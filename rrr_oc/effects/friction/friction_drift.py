@@ -23,4 +23,4 @@ class FrictionDrift(Effect):
 
     @classmethod
     def shapes(cls, view, joints):
-        return [{"time_constant": share * view.duration} for share in (0.06, 0.12, 0.25, 0.5, 1.5)]
+        return [{"time_constant": share * view.duration} for share in (0.12, 0.25, 0.5, 1.5, 6.0)]

@@ -1,0 +1,269 @@
+"""Recordings as the data of a diagnosis: which rows count, where joints turn, their noise, and what no law is exact enough for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.regression import Rows, rows, with_residuals
+from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
+from rrr_oc.diagnosis.knobs import (
+    CENTRE_ERROR,
+    DISCREPANCY,
+    FRICTION_DISCREPANCY,
+    INERTIA_ERROR,
+    MASS_ERROR,
+    MEMORY,
+)
+from rrr_oc.diagnosis.signatures import SignatureCache, dry_friction
+from rrr_oc.numerics.smooth import sign
+
+ROWS_PER_LAG = 30  # rows that each lag needs; with fewer the order is lower
+LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimated
+EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
+TURNS = 0.3  # share of a row's filter on samples at a reversal from which the row counts as one
+SLOW, SIGN = (0.02, 0.05, 0.12), 0.03  # speeds below which dry friction may be off, and width of its sign [rad/s]
+ORDERS = {"q": 8, "dq": 4, "load": 4}  # of the cosines of a discrepancy over each variable
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Recordings ready for a discovery.
+
+    Attributes:
+        prepared: The recordings.
+        start: The plain model, calibrated.
+        links: Errors of the links' inertial parameters that one standard deviation of their prior stands for, (10 n, k).
+        free: Whether these errors are of unknown size, as of a URDF that is not exact; else of size 1.
+        whole: All recordings, if these are a part of them.
+    """
+
+    prepared: tuple[Prepared, ...]
+    start: CalibratedModel
+    links: np.ndarray
+    free: bool
+    signatures: SignatureCache
+    whole: tuple[Prepared, ...] = ()
+
+    def part(self, keep: Sequence[int]) -> "Data":
+        """The data of some of the recordings."""
+        return Data(
+            tuple(self.prepared[i] for i in keep),
+            self.start,
+            self.links,
+            self.free,
+            self.signatures,
+            self.whole or self.prepared,
+        )
+
+    @property
+    def every(self) -> tuple[Prepared, ...]:
+        return self.whole or self.prepared
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.prepared[0].measured)
+
+    @cached_property
+    def torque(self) -> np.ndarray:
+        """Standard deviation of each joint's recorded torque, (n,) [Nm]."""
+        return np.maximum(np.concatenate([p.measured for p in self.every], axis=1).std(axis=1), 1e-9)
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """First row of each recording, and the number of rows, (R + 1,)."""
+        return np.cumsum([0, *(len(k) for k in self.kept)]).astype(int)
+
+    @cached_property
+    def kept(self) -> tuple[np.ndarray, ...]:
+        """Of each recording the rows of `regression.rows` that are used: every `EVERY`-th of a stretch."""
+        return tuple(
+            np.concatenate([np.arange(s.start, s.stop, EVERY) for s in kept_rows(p.recording)[1]] or [np.zeros(0, int)])
+            for p in self.prepared
+        )
+
+    @cached_property
+    def at(self) -> np.ndarray:
+        """The rows of `regression.rows` that are used, (M,)."""
+        first = np.cumsum([0, *(p.counted.shape[1] for p in self.prepared)])
+        return np.concatenate([a + k for a, k in zip(first, self.kept, strict=False)])
+
+    def rows(self, model: CalibratedModel) -> Rows:
+        """Residuals and derivatives of a model at the rows that are used."""
+        found = rows(self.prepared, model, inertial=True)
+        return replace(found, residual=found.residual[:, self.at], jacobian=found.jacobian[:, self.at], moving=self.counted)
+
+    def residual(self, found: Rows, model: CalibratedModel) -> np.ndarray:
+        """The residual of another model, (n, M)."""
+        return with_residuals(found, self.prepared, model).residual[:, self.at]
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Physical set-up of each recording."""
+        return tuple(p.recording.group for p in self.prepared)
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """The distinct groups."""
+        return tuple(dict.fromkeys(self.groups))
+
+    def least_payload(self, scope: Sequence[str] | None) -> float:
+        """The smallest listed payload in recordings of these groups (None: all groups) [kg]."""
+        inside = [p for p in self.prepared if scope is None or p.recording.group in scope]
+        return min((float(p.recording.payload.min()) for p in inside), default=0.0)
+
+    @cached_property
+    def label(self) -> np.ndarray:
+        """Number of the group of each row, (M,)."""
+        numbers = [self.labels.index(g) for g in self.groups]
+        return np.repeat(numbers, np.diff(self.edges))
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Rows that count, (n, M)."""
+        return np.concatenate([p.counted for p in self.prepared], axis=1)[:, self.at]
+
+    @cached_property
+    def turning(self) -> np.ndarray:
+        """Rows at which a joint turns, (n, M)."""
+        parts = [(p.matrix @ _turning(p.recording).T.astype(float)).T for p in self.prepared]
+        return np.concatenate(parts, axis=1)[:, self.at] > TURNS
+
+    @cached_property
+    def place(self) -> np.ndarray:
+        """Number of rows without a gap before each row; −1 where a row does not count, (n, M)."""
+        begins = np.zeros(self.edges[-1], bool)
+        for p, k, first in zip(self.prepared, self.kept, self.edges, strict=False):
+            for s in kept_rows(p.recording)[1]:
+                begins[first + np.searchsorted(k, s.start)] = True
+        result = np.full(self.counted.shape, -1)
+        for j, counted in enumerate(self.counted):
+            broken = begins | ~np.concatenate([[False], counted[:-1]])
+            last = np.maximum.accumulate(np.where(broken, np.arange(len(counted)), 0))
+            result[j] = np.where(counted, np.arange(len(counted)) - last, -1)
+        return result
+
+    @cached_property
+    def features(self) -> tuple[np.ndarray, ...]:
+        """For each joint the functions of which a discrepancy is made, of the declared size, (M, F) [Nm]."""
+        parts = [self._features(p, r) for r, p in enumerate(self.prepared)]
+        return tuple(np.concatenate([part[j] for part in parts])[self.at] for j in range(self.n))
+
+    def _features(self, p: Prepared, number: int) -> list[np.ndarray]:
+        r, start, result = p.recording, self.start, []
+        load = start.torques(r)[1]
+        q_all = np.concatenate([x.recording.q for x in self.every], axis=1)
+        dq_all = np.concatenate([np.abs(x.recording.dq) for x in self.every], axis=1)
+        low, high = np.quantile(q_all, [0.002, 0.998], axis=1)
+        speed = np.maximum(np.quantile(dq_all, 0.99, axis=1), 1e-3)
+        for j in range(self.n):
+            reach = max(3.0 * float(np.std(load[j])), 1e-6)
+            span = max(high[j] - low[j], 1e-3)
+            x = {
+                "q": np.clip((r.q[j] - low[j]) / span, 0, 1),
+                "dq": np.clip(np.abs(r.dq[j]) / speed[j], 0, 1),
+                "load": np.clip(0.5 + load[j] / reach / 2, 0, 1),
+            }
+            series = {k: [np.cos(np.pi * o * v) / (1 + o) for o in range(1, ORDERS[k] + 1)] for k, v in x.items()}
+            both = [a * b for a in series["q"][:3] for b in (*series["load"][:2], *series["dq"][:2])]
+            shapes = np.array([*series["q"], *series["dq"], *series["load"], *both])
+            slow = [np.exp(-((r.dq[j] / v) ** 2)) for v in SLOW]
+            turned, one = sign(r.dq[j], SIGN), np.ones_like(load[j])
+            steady = np.zeros((4 * len(self.prepared), len(one)))
+            torque, dry = DISCREPANCY * self.torque[j], FRICTION_DISCREPANCY * dry_friction(start, self.torque)[j]
+            steady[4 * number : 4 * number + 4] = torque * one, torque * load[j] / reach, dry * turned, dry * r.dq[j] / speed[j]
+            every = np.concatenate([torque * shapes, dry * turned * np.array([*shapes, *slow]), steady])
+            result.append(p.passed(every, np.full(len(every), j)).T)
+        return result
+
+
+def link_errors(inertial: np.ndarray) -> np.ndarray:
+    """Errors that a URDF's inertial parameters (10, n) may have: mass, centre and inertia of each link, (10 n, 7 n)."""
+    n = inertial.shape[1]
+    result = np.zeros((10 * n, 7 * n))
+    for i in range(n):
+        m, h, body = inertial[0, i], inertial[1:4, i], inertial[4:, i]
+        c = h / max(m, 1e-9)
+        own = np.zeros((10, 7))
+        own[:, 0] = MASS_ERROR * inertial[:, i]
+        for k in range(3):
+            d = np.zeros(3)
+            d[k] = CENTRE_ERROR
+            own[1:4, 1 + k] = m * d
+            own[4:, 1 + k] = m * _packed(2 * (c @ d) * np.eye(3) - np.outer(c, d) - np.outer(d, c))
+        about = body - m * _packed((c @ c) * np.eye(3) - np.outer(c, c))
+        for k, at in enumerate((0, 2, 5)):
+            own[4 + at, 4 + k] = INERTIA_ERROR * max(about[at], 1e-9)
+        result[10 * i : 10 * i + 10, 7 * i : 7 * i + 7] = own
+    return result
+
+
+def _packed(matrix: np.ndarray) -> np.ndarray:
+    """xx, xy, yy, xz, yz, zz."""
+    return matrix[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Prediction-error filters of the residual of one joint.
+
+    Attributes:
+        filters: For each order k = 0 … p the weights of the k rows before, (k,).
+        spreads: Standard deviation of the prediction error of each order over that of the last, (p + 1,).
+        turning: Standard deviation at rows where the joint turns, over that elsewhere.
+    """
+
+    filters: tuple[np.ndarray, ...]
+    spreads: np.ndarray
+    turning: float
+
+    @classmethod
+    def of(cls, residual: np.ndarray, place: np.ndarray, turning: np.ndarray) -> "Noise":
+        """Estimated by least squares from a residual (M,).
+
+        Args:
+            place: Number of rows without a gap before each row; −1 where a row does not count, (M,).
+            turning: Where the joint turns, (M,).
+        """
+        count = np.count_nonzero(place >= 0)
+        order = int(np.clip(count // ROWS_PER_LAG, 0, round(MEMORY / STRIDE / EVERY)))
+        lags = np.zeros((len(residual), order))
+        for k in range(order):
+            lags[k + 1 :, k] = residual[: -k - 1]
+        calm = ~turning
+        filters, spreads, factor = [], [], 1.0
+        for k in range(order + 1):
+            rows = (place >= k) & calm
+            if np.count_nonzero(rows) < max(3 * k, 10):
+                rows = place >= k
+            x, y = lags[rows, :k], residual[rows]
+            weights = np.linalg.solve(x.T @ x + 1e-9 * (y @ y + 1e-300) * np.eye(k), x.T @ y) if k else np.zeros(0)
+            filters.append(weights)
+            spreads.append(float(np.sqrt(np.mean((y - x @ weights) ** 2))) if len(y) else 1.0)
+        turned = (place >= order) & turning
+        if np.count_nonzero(turned) > LEAST_TURNING and spreads[-1] > 0:
+            error = residual[turned] - lags[turned] @ filters[-1]
+            factor = max(1.0, float(np.sqrt(np.mean(error**2))) / spreads[-1])
+        last = spreads[-1] or 1.0
+        return cls(tuple(filters), np.maximum(np.array(spreads) / last, 1e-6), factor)
+
+    def whitening(self, place: np.ndarray, turning: np.ndarray) -> tuple[csr_matrix, float]:
+        """The matrix (M, M) that turns the noise white, rows that do not count being 0, and the logarithm of its determinant."""
+        order, size = len(self.filters) - 1, len(place)
+        at = np.clip(place, 0, order)
+        table = np.zeros((order + 1, order + 1))
+        for k, weights in enumerate(self.filters):
+            table[k] = np.concatenate([[1.0], -weights, np.zeros(order - k)]) / self.spreads[k]
+        scale = np.where(place >= 0, np.where(turning, 1 / self.turning, 1.0), 0.0)
+        bands = table[at] * scale[:, None]  # (M, order + 1)
+        rows = np.repeat(np.arange(size), order + 1)
+        columns = rows - np.tile(np.arange(order + 1), size)
+        values = bands.ravel()
+        kept = (values != 0) & (columns >= 0)
+        matrix = csr_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
+        counted = place >= 0
+        return matrix, float(np.sum(np.log(scale[counted] / self.spreads[at[counted]])))

@@ -1,0 +1,116 @@
+"""What a search found: the probability of each effect over all structures that were visited, and what competes with it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import chi2
+
+from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis.fitting import Fitted
+from rrr_oc.diagnosis.knobs import CLAIM
+from rrr_oc.diagnosis.search import Search, State
+
+RIVAL = 0.05  # odds of another effect in an effect's place from which it is named beside it
+POSSIBLE = 0.05  # probability from which an effect that is not claimed is mentioned
+Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect that the plain model lacks.
+
+    Attributes:
+        term: The effect as a term of the extended model.
+        probability: That it or one of its rivals is present.
+        alone: That it itself is.
+        worth: Fall of the log posterior probability without it [nats].
+        p_value: Of its amplitudes being 0 (Wald's test).
+        rivals: Names and joints of effects that may be present in its place.
+    """
+
+    term: Term
+    probability: float
+    alone: float
+    worth: float
+    p_value: float
+    rivals: tuple[Key, ...] = ()
+
+    @property
+    def key(self) -> Key:
+        """Name and joints."""
+        return self.term.effect.name, self.term.effect.joints
+
+
+@dataclass(frozen=True)
+class Possible:
+    """An effect that may be present but is not claimed."""
+
+    key: Key
+    groups: tuple[str, ...]
+    probability: float
+
+
+def probabilities(search: Search) -> list[tuple[frozenset, float]]:
+    """Structures that were visited, by their effects, with their posterior probabilities."""
+    scores = {**search.foreseen, **search.visited}
+    total = logsumexp(list(scores.values()))
+    return [(key, float(np.exp(score - total))) for key, score in scores.items()]
+
+
+def keys_of(structure: frozenset) -> set[Key]:
+    """Names and joints of a structure's effects."""
+    return {(effect.name, effect.joints) for effect, _ in structure}
+
+
+def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
+    """The findings of a search, most important first, and what is possible beside them."""
+    every, worths = probabilities(search), search.worths(at)
+    share: dict[Key, float] = {}
+    for structure, p in every:
+        for key in keys_of(structure):
+            share[key] = share.get(key, 0.0) + p
+    own = [(t.effect.name, t.effect.joints) for t in at.fitted.extra]
+    findings, named = [], set(own)
+    for i, term in enumerate(at.fitted.extra):
+        key = own[i]
+        rivals = _rivals(key, every, set(own))
+        both = sum(p for structure, p in every if keys_of(structure) & {key, *rivals})
+        findings.append(Finding(term, min(both, 1.0), share.get(key, 1.0), worths[i], wald(at.fitted, i), tuple(rivals)))
+        named |= set(rivals)
+    claimed = [f for f in findings if f.probability >= CLAIM]
+    rest = [Possible(f.key, f.term.groups, f.probability) for f in findings if f.probability < CLAIM]
+    rest += [Possible(key, (), p) for key, p in share.items() if p > POSSIBLE and key not in named]
+    return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: -p.probability)
+
+
+def _rivals(key: Key, every: Sequence[tuple[frozenset, float]], own: set[Key]) -> list[Key]:
+    """Effects in whose structures an effect is absent, with odds above `RIVAL`, most probable first."""
+    odds: dict[Key, float] = {}
+    present = 1e-300
+    for structure, p in every:
+        keys = keys_of(structure)
+        if key in keys:
+            present += p
+        else:
+            for other in keys - own:
+                odds[other] = odds.get(other, 0.0) + p
+    return [other for other, p in sorted(odds.items(), key=lambda o: -o[1]) if p > RIVAL * present]
+
+
+def wald(fitted: Fitted, i: int) -> float:
+    """P-value of the amplitudes of an effect, of those added to the plain model, being where it vanishes."""
+    post, model = fitted.posterior, fitted.model
+    start = sum(len(t.estimates) for t in model.terms[: fitted.base + i])
+    effect = fitted.extra[i].effect
+    own = [start + k for k, p in enumerate(effect.parameters) if p.name in effect.amplitudes]
+    off = post.prior.mean[own] - post.step[own]
+    block = np.linalg.pinv(post.matrix, hermitian=True)[np.ix_(own, own)]
+    return float(chi2.sf(off @ np.linalg.pinv(block, hermitian=True) @ off, len(own)))
+
+
+def named(key: Key, joints: Sequence[str]) -> Mapping[str, object]:
+    """A key as in files."""
+    names = [joints[j] for j in key[1]]
+    return {"effect": key[0], "joint": None if not names else names[0] if len(names) == 1 else names}

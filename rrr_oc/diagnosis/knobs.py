@@ -1,0 +1,11 @@
+"""The hand-set numbers that decide anything in a discovery; `priors.toml` may change them."""
+
+MEMORY = 0.5  # [s] over which a joint's noise is correlated; doubled, slow noise is told better, from more data
+DISCREPANCY = 0.003  # share of a joint's torque that no law is exact enough for; doubled, small claims are made later
+FRICTION_DISCREPANCY = 0.05  # the same share of a joint's dry friction, for laws of friction
+MASS_ERROR, CENTRE_ERROR, INERTIA_ERROR = (
+    0.03,
+    0.01,
+    0.05,
+)  # of a URDF's links: share, [m], share; doubled, laws of position lose
+CLAIM = 0.95  # probability from which an effect is claimed; lower, more claims, and more of them wrong

@@ -1,0 +1,251 @@
+"""The search over structures: effects are added, removed, exchanged and merged until no move raises the posterior probability."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis.candidates import Candidate, Screen, signatures
+from rrr_oc.diagnosis.evidence import Posterior, solve
+from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.signatures import black_box_trials
+from rrr_oc.effects import Trial
+
+EXACT, FITTED = 4, 3  # candidates of a round whose sizes are estimated anew, and those fitted exactly
+KEPT = 12  # candidates of a round that count in the posterior
+EXACT_LINKS, EXACT_LAWS = 0.01, 0.01  # sizes of the errors of links, and of a discrepancy, that an exact arm has
+NEAR = 12.0  # nats below the best within which a candidate is followed
+SLACK = 0.15  # share of the nats to be made good by which a candidate's gain may be underestimated
+SETTLED = 30.0  # nats by which the best alternative in an effect's place falls short, from which it is not sought again
+MOST = 14  # effects at which a search ends
+
+
+@dataclass
+class State:
+    """A structure that was visited.
+
+    Attributes:
+        fitted: Its fit.
+        score: Logarithm of its posterior probability, up to a constant.
+    """
+
+    fitted: Fitted
+    score: float
+
+
+def name_of(term: Term) -> tuple:
+    """What a structure is compared by: effect without its range, joints, groups."""
+    return term.effect.without_range(), term.groups
+
+
+@dataclass
+class Search:
+    """One search.
+
+    Attributes:
+        fitter: Fits models.
+        trials: All trials of the catalogue.
+        report: Receives one line of progress at a time.
+        black_box: Whether black-box terms are sought.
+        visited: Log posterior of each structure that was scored, by its effects.
+    """
+
+    fitter: Fitter
+    trials: tuple[Trial, ...]
+    report: Callable[[str], None] = lambda _: None
+    black_box: bool = True
+    visited: dict[frozenset, float] = field(default_factory=dict)
+    foreseen: dict[frozenset, float] = field(default_factory=dict)
+    settled: dict[frozenset, float] = field(default_factory=dict)
+    nearest: float = -np.inf
+
+    def scored(self, fitted: Fitted) -> State:
+        """A fit with the prior probability of its structure."""
+        prior = 0.0
+        for term in fitted.extra:
+            prior += self.fitter.log_prior(term.effect, term.groups or None)
+        score = fitted.log_evidence + prior
+        key = frozenset(name_of(t) for t in fitted.extra)
+        self.visited[key] = max(score, self.visited.get(key, -np.inf))
+        return State(fitted, score)
+
+    def run(self, start: Fitted) -> State:
+        """The best structure that the moves reach from a fitted model."""
+        at = self.scored(start)
+        while len(at.fitted.extra) < MOST:
+            better = self._added(at)
+            if better is None:
+                better = self._exchanged(at)
+            if better is None and self.black_box:
+                better = self._unexplained(at)
+            if better is None:
+                break
+            at = self._pruned(better)
+        return at
+
+    # moves
+
+    def _added(
+        self,
+        at: State,
+        every: Sequence[Trial] | None = None,
+        under: Posterior | None = None,
+        out: Sequence[Term] = (),
+        goal: float | None = None,
+    ) -> State | None:
+        """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
+        goal, kept = at.score if goal is None else goal, at.fitted.extra
+        self.nearest = -np.inf
+        table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
+        hopeful: list[tuple[Screen, Candidate]] = []
+        seen: set = set()
+        for post, count in ((under or at.fitted.posterior, EXACT), (self._exact(at, under), EXACT // 2)):
+            if post is None:
+                continue
+            screen = Screen.of(self.fitter, at.fitted, table, post)
+            candidates = [c for c in screen.candidates() if not _present(c, kept) and not _same(c, out)]
+            # of the structure without the candidate, under the sizes of the screen
+            base = at.score + post.log_evidence - at.fitted.log_evidence
+            if count == EXACT:
+                for c in candidates[:KEPT]:
+                    key = frozenset([*(name_of(t) for t in kept), name_of(c.term)])
+                    self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
+            self.nearest = max(self.nearest, *(base + c.gain for c in candidates[:1]), -np.inf)
+            slack = SLACK * (goal - at.score)
+            least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, slack) for c in candidates]
+            own = [
+                (screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low and (c.key, c.scope) not in seen
+            ]
+            hopeful += own[:count]
+            seen |= {(c.key, c.scope) for _, c in own[:count]}
+        return self._best(at, hopeful, goal)
+
+    def _exact(self, at: State, under: Posterior | None) -> Posterior | None:
+        """The posterior under sizes of an exact arm; None where the present ones are as small."""
+        post = under or at.fitted.posterior
+        sizes = post.sizes
+        if sizes.links < EXACT_LINKS and np.all(sizes.discrepancy < EXACT_LAWS):
+            return None
+        links = EXACT_LINKS if self.fitter.data.free else sizes.links
+        sizes = replace(sizes, links=min(links, sizes.links), discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS))
+        prior = self.fitter.prior(at.fitted.model, at.fitted.links)
+        return solve(self.fitter.data, at.fitted.residual, post.columns, prior, replace(post, sizes=sizes), fixed=True)
+
+    def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], goal: float) -> State | None:
+        """The best of some candidates beyond `goal`, fitted exactly."""
+        judged: list[tuple[float, Candidate, Posterior]] = []
+        for screen, c in hopeful:
+            post = screen.evaluated(c)
+            judged.append((at.score + post.log_evidence - at.fitted.log_evidence + c.log_prior, c, post))
+        judged.sort(key=lambda x: -x[0])
+        found: list[State] = []
+        for k, (score, c, post) in enumerate(judged[:FITTED]):
+            best = max((s.score for s in found), default=goal)
+            if score < best - (NEAR if _bent(c) else 1.0) and not (k == 0 and _bent(c)):
+                continue
+            model = replace(at.fitted.model, terms=(*at.fitted.model.terms, c.term))
+            found.append(self.scored(self.fitter.fit(model, at.fitted.links, post)))
+        result = max(found, key=lambda s: s.score, default=None)
+        if result is None or result.score <= goal:
+            return None
+        self.report(f"{described(result.fitted.extra[-1], result.fitted)}: {result.score - goal:+.1f}")
+        return result
+
+    def _pruned(self, at: State) -> State:
+        """Without effects that lower the posterior probability."""
+        while True:
+            options = []
+            for i, term in enumerate(at.fitted.extra):
+                if self._worth(at, i) > NEAR:
+                    continue
+                options.append(self._without(at, [term]))
+            best = max(options, key=lambda s: s.score, default=None)
+            if best is None or best.score <= at.score:
+                return at
+            self.report("an effect is superfluous")
+            at = best
+
+    def worths(self, at: State) -> list[float]:
+        """By how much the log posterior falls without each effect."""
+        return [at.score - self._without(at, [t]).score for t in at.fitted.extra]
+
+    def _without(self, at: State, out: Sequence[Term]) -> State:
+        terms = tuple(t for t in at.fitted.model.terms if not any(t is o for o in out))
+        return self.scored(self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior))
+
+    def _worth(self, at: State, i: int) -> float:
+        """By how much the posterior falls without an effect, predicted linearly."""
+        fitted, post = at.fitted, at.fitted.posterior
+        model = fitted.model
+        start = sum(len(t.estimates) for t in model.terms[: fitted.base + i])
+        term = fitted.extra[i]
+        if not term.effect.amplitudes or term.effect.moves_link or not set(post.prior.proper):
+            return 0.0
+        names = [p.name for p in term.effect.parameters]
+        own = [start + names.index(a) for a in term.effect.amplitudes]
+        inverse = np.linalg.pinv(post.matrix, hermitian=True)
+        value = model.values[own]
+        return 0.5 * float(value @ np.linalg.pinv(inverse[np.ix_(own, own)]) @ value) - 8.0 * len(own)
+
+    def _exchanged(self, at: State) -> State | None:
+        """One or two effects in place of one or two others."""
+        extra = at.fitted.extra
+        groups = [[t] for t in extra] + [
+            [a, b] for k, a in enumerate(extra) for b in extra[:k] if set(a.effect.joints) & set(b.effect.joints)
+        ]
+        best = None
+        for out in groups:
+            name = frozenset(name_of(t) for t in out)
+            if self.settled.get(name, 0.0) > len(out) * SETTLED:
+                continue
+            less = self._without(at, out)
+            if less.score > at.score:
+                return less
+            found = self._added(less, under=self._under(less, at), out=out, goal=at.score)
+            self.settled[name] = at.score - self.nearest
+            if found is not None and (best is None or found.score > best.score):
+                best = found
+        return best
+
+    def _under(self, less: State, at: State) -> Posterior:
+        """The posterior of a smaller model under the sizes of a larger one, which alternatives would reach."""
+        post = less.fitted.posterior
+        prior = self.fitter.prior(less.fitted.model, less.fitted.links)
+        return solve(self.fitter.data, less.fitted.residual, post.columns, prior, at.fitted.posterior, fixed=True)
+
+    def _unexplained(self, at: State) -> State | None:
+        """A black-box term on the joint where one explains most."""
+        data, best = self.fitter.data, None
+        for j in range(data.n):
+            every = black_box_trials(data.prepared, self.fitter.view, at.fitted.model, j)
+            found = self._added(at, every)
+            if found is not None and (best is None or found.score > best.score):
+                best = found
+        return best
+
+
+def _bent(c: Candidate) -> bool:
+    """Whether a shape of the candidate may still be far from its best."""
+    effect = c.trial.effect
+    return len(effect.parameters) > len(effect.amplitudes) or effect.side in ("motion", "body")
+
+
+def _present(c: Candidate, extra: Sequence[Term]) -> bool:
+    effect = c.trial.effect
+    return effect.placement != "many" and any(
+        t.effect.name == effect.name
+        and t.effect.joints == effect.joints
+        and (not effect.black_box or t.effect.without_range() == effect.without_range())
+        and (not t.groups or c.scope is None or set(c.scope) & set(t.groups))
+        for t in extra
+    )
+
+
+def _same(c: Candidate, out: Sequence[Term]) -> bool:
+    return len(out) == 1 and c.key == (out[0].effect.name, out[0].effect.joints) and (c.scope or ()) == out[0].groups
+
+
+def described(term: Term, fitted: Fitted) -> str:
+    joints = ", ".join(fitted.model.joints[j] for j in term.effect.joints)
+    return term.effect.name + (f" of {joints}" if joints else "") + (f" in {term.groups}" if term.groups else "")

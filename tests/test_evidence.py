@@ -1,0 +1,191 @@
+"""The posterior of linear problems against dense normal distributions, and what follows from it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.optimize import minimize, minimize_scalar
+from scipy.stats import multivariate_normal
+from test_data import INNOVATION, PLACE, dense, exact_noise, places
+
+from rrr_oc.diagnosis.data import Noise
+from rrr_oc.diagnosis.evidence import Joint, Prior, Sizes, _size, solve
+
+
+class Problem:
+    """Two joints, p parameters and a discrepancy of three functions on each, made up at random."""
+
+    def __init__(self, seed: int, parameters: int = 4, place: np.ndarray = PLACE, features: int = 3):
+        rng, m = np.random.default_rng(seed), len(place)
+        counted = place >= 0
+        self.features = tuple(rng.standard_normal((m, features)) * counted[:, None] for _ in range(2))
+        self.residual = rng.standard_normal((2, m)) * counted
+        self.columns = rng.standard_normal((2, m, parameters)) * counted[:, None]
+        self.data = SimpleNamespace(
+            n=2,
+            place=np.array([place, place]),
+            turning=np.zeros((2, m), bool),
+            counted=np.array([counted, counted]),
+            features=self.features,
+        )
+        self.prior = normal(rng.standard_normal(parameters), rng.uniform(0.5, 2.0, parameters))
+        noises = (exact_noise(), Noise((np.zeros(0),), np.ones(1), 1.0))
+        self.joints = tuple(Joint.of(self.data, j, noise) for j, noise in enumerate(noises))
+        self.sizes = Sizes(noises, np.array([0.4, 0.9]), np.array([0.7, 1.6]), 1.3)
+
+    def solved(self, prior: Prior, columns: np.ndarray, sizes: Sizes | None = None):
+        start = SimpleNamespace(sizes=sizes or self.sizes, joints=self.joints)
+        return solve(self.data, self.residual, columns, prior, start, fixed=True)
+
+    def covariance(self, prior: Prior, columns: np.ndarray) -> np.ndarray:
+        """Of the rows that count, joint by joint, without the parameters' uncertainty if they have none."""
+        counted, parts = self.data.counted[0], []
+        alone = (dense(PLACE) / INNOVATION**2, np.eye(np.count_nonzero(counted)))
+        for j, shape in enumerate(alone):
+            f = self.features[j][counted]
+            parts.append(self.sizes.sigma[j] ** 2 * shape + self.sizes.discrepancy[j] ** 2 * f @ f.T)
+        a = columns[:, counted].reshape(-1, columns.shape[2])
+        precision = np.where(prior.links, prior.precision / self.sizes.links**2, prior.precision)
+        return block_diag(*parts) + a @ np.diag(1 / precision) @ a.T
+
+    def log_density(self, prior: Prior, columns: np.ndarray) -> float:
+        """Of the residual, parameters and discrepancy integrated out."""
+        counted = self.data.counted[0]
+        mean = (columns[:, counted] @ prior.mean).ravel()
+        y = self.residual[:, counted].ravel()
+        return float(multivariate_normal(mean, self.covariance(prior, columns)).logpdf(y))
+
+
+def with_rest_at(problem: Problem, j: int) -> Problem:
+    """The problem with a joint of which no row counts."""
+    problem.data.place[j], problem.data.counted[j] = -1, False
+    problem.residual[j], problem.columns[j], problem.features[j][:] = 0, 0, 0
+    return problem
+
+
+def normal(mean: np.ndarray, std: np.ndarray, links: tuple[int, ...] = ()) -> Prior:
+    """Proper normal priors."""
+    p = len(mean)
+    which, inf = np.isin(np.arange(p), links), np.full(p, np.inf)
+    return Prior(np.asarray(mean), std**-2.0, np.ones(p, bool), which, -inf, inf, np.zeros(p))
+
+
+@pytest.mark.parametrize("links", [(), (1, 2)])
+def test_evidence_is_the_density_of_the_marginal_normal_distribution(links):
+    """But for 2 π and the priors of the sizes, normal of scale 1 up to constants."""
+    problem = Problem(1)
+    prior = replace(problem.prior, links=np.isin(np.arange(4), links))
+    found = problem.solved(prior, problem.columns)
+    count = 2 * np.count_nonzero(PLACE >= 0)
+    expected = problem.log_density(prior, problem.columns) + 0.5 * count * np.log(2 * np.pi)
+    sizes = [*problem.sizes.discrepancy, *([problem.sizes.links] if links else [])]
+    expected -= 0.5 * np.sum(np.square(sizes))
+    assert found.log_evidence == pytest.approx(expected, abs=1e-7)
+
+
+def test_the_posterior_is_that_of_dense_algebra():
+    problem = Problem(2)
+    found = problem.solved(problem.prior, problem.columns)
+    counted = PLACE >= 0
+    noise = problem.covariance(replace(problem.prior, precision=np.full(4, 1e30)), problem.columns)
+    a, y = problem.columns[:, counted].reshape(-1, 4), problem.residual[:, counted].ravel()
+    precision = a.T @ np.linalg.solve(noise, a) + np.diag(problem.prior.precision)
+    right = a.T @ np.linalg.solve(noise, y) + problem.prior.precision * problem.prior.mean
+    np.testing.assert_allclose(found.matrix, precision, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(found.step, np.linalg.solve(precision, right), rtol=1e-7, atol=1e-9)
+    other = np.random.default_rng(3).standard_normal(problem.residual.shape) * counted
+    z = other[:, counted].ravel()
+    assert found.cost(other) == pytest.approx(z @ np.linalg.solve(noise, z), rel=1e-9)
+
+
+def test_structures_are_compared_whatever_the_prior_of_what_all_have():
+    """A parameter that is in every model has a wide prior, whose width counts in none of them."""
+    problem, wide = Problem(4), 1e3
+    mean, std = np.array([0.0, 0.2, -0.3, 0.1]), np.array([wide, 1.0, 0.5, 2.0])
+    whole = replace(normal(mean, std), proper=np.array([False, True, True, True]))
+    less = replace(normal(mean[:2], std[:2]), proper=np.array([False, True]))
+    found = problem.solved(whole, problem.columns).log_evidence - problem.solved(less, problem.columns[:, :, :2]).log_evidence
+    expected = problem.log_density(whole, problem.columns) - problem.log_density(less, problem.columns[:, :, :2])
+    assert found == pytest.approx(expected, abs=1e-5)  # of a condition of 1e6
+    bare = problem.solved(less, problem.columns[:, :, :2]).log_evidence
+    assert problem.solved(
+        replace(less, precision=np.array([1e-10, 1.0])), problem.columns[:, :, :2]
+    ).log_evidence == pytest.approx(bare, abs=1e-3)
+
+
+def test_a_column_that_says_nothing_changes_no_evidence():
+    problem = Problem(5)
+    more = np.concatenate([problem.columns, np.zeros((2, len(PLACE), 1))], axis=2)
+    prior = normal(np.append(problem.prior.mean, 0.0), np.append(problem.prior.precision**-0.5, 3.0))
+    plain = problem.solved(problem.prior, problem.columns).log_evidence
+    assert problem.solved(prior, more).log_evidence == pytest.approx(plain, abs=1e-9)
+
+
+@pytest.mark.parametrize("like", [0.0, 1.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_sizes_that_are_found_maximise_the_evidence(seed, like):
+    """Also where parameters act like the discrepancy, so that what is known of either depends on the other."""
+    place, count = places(200, -3, 200), 8
+    problem, rng = Problem(seed, count, place, 12), np.random.default_rng(100 + seed)
+    alike = 0.5 * np.array(problem.features)[..., :count] + 0.005 * problem.columns
+    problem.columns = like * alike + (1 - like) * problem.columns
+    d, c = rng.standard_normal(count), 0.6 * rng.standard_normal((2, 12))
+    for j in range(2):
+        problem.residual[j] = 0.5 * problem.residual[j] + problem.columns[j] @ d + problem.features[j] @ c[j]
+    prior = normal(np.zeros(count), np.ones(count), (3, 4, 5, 6, 7))
+    found = solve(problem.data, problem.residual, problem.columns, prior)
+
+    def loss(change: np.ndarray) -> float:
+        factors, sizes = np.exp(change), found.sizes
+        sizes = Sizes(sizes.noise, sizes.sigma * factors[:2], sizes.discrepancy * factors[2:4], float(sizes.links * factors[4]))
+        start = replace(found, sizes=sizes)
+        return (
+            found.log_evidence - solve(problem.data, problem.residual, problem.columns, prior, start, fixed=True).log_evidence
+        )
+
+    assert loss(np.zeros(5)) == pytest.approx(0.0, abs=1e-9)
+    best = minimize(loss, np.zeros(5), method="Nelder-Mead", options={"maxiter": 1500, "fatol": 1e-6, "xatol": 1e-4})
+    assert best.fun > -0.01  # updates end where the sizes hardly change
+    assert all(loss(0.3 * step) > 0.01 for step in np.concatenate([np.eye(5)[:4], -np.eye(5)[:4]]))
+    assert np.all(np.abs(found.sizes.sigma - 0.5) < 0.06)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.2])
+@pytest.mark.parametrize(("squares", "known"), [(0.0, 3.0), (2.0, 5.0), (40.0, 4.0), (1e-3, 0.0), (1e4, 60.0)])
+def test_a_size_is_the_most_probable(squares, known, scale):
+    def cost(log: float) -> float:
+        x = np.exp(log)
+        return squares / 2 / x**2 + known * log + x**2 / 2 / scale**2
+
+    expected = np.exp(minimize_scalar(cost, bounds=(-10, 6), method="bounded", options={"xatol": 1e-9}).x)
+    assert _size(squares, known, scale) == pytest.approx(expected, rel=1e-3, abs=1e-4)
+
+
+def test_one_huge_error_hardly_moves_the_estimates():
+    """The noise becomes Student's; least squares would be moved far."""
+    place, truth = places(400), np.array([1.0, -2.0, 0.5, 0.0])
+    problem = Problem(6, 4, place)
+    prior = normal(np.zeros(4), np.full(4, 10.0))
+    y = 0.1 * problem.residual + problem.columns @ truth
+    wrong = y.copy()
+    wrong[:, 123] += 50.0
+    calm, hit = (solve(problem.data, r, problem.columns, prior) for r in (y, wrong))
+    std = np.sqrt(np.diag(np.linalg.inv(calm.matrix)))
+    squares = np.linalg.lstsq(problem.columns.reshape(-1, 4), wrong.ravel(), rcond=None)[0]
+    assert np.max(np.abs(squares - truth) / std) > 20
+    assert np.max(np.abs(hit.step - calm.step) / std) < 1
+    np.testing.assert_allclose(calm.step, truth, atol=4 * np.max(std))
+    assert np.all(hit.sizes.sigma < 1.3 * calm.sizes.sigma)
+
+
+def test_a_joint_without_rows_that_count_says_nothing():
+    """It rests in all recordings."""
+    problem = Problem(7)
+    still = with_rest_at(problem, 1)
+    prior = normal(np.zeros(4), np.ones(4))
+    found = solve(still.data, still.residual, still.columns, prior)
+    alone = SimpleNamespace(**{**vars(still.data), "n": 1})
+    expected = solve(alone, still.residual[:1], still.columns[:1], prior)
+    np.testing.assert_allclose(found.step, expected.step, rtol=1e-3, atol=1e-4)
