@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.diagnosis.data import Data
-from rrr_oc.diagnosis.evidence import Posterior, Prior, at_size, solve
+from rrr_oc.diagnosis.evidence import Posterior, joined, solve
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.signatures import Table, table
 from rrr_oc.effects import Trial
@@ -128,9 +128,7 @@ class Screen:
 
     def candidates(self) -> list[Candidate]:
         """The candidates, largest gain first: each effect at its joints, in all recordings and in its best groups."""
-        prior = self.fitter.prior(self.fitted.model, self.fitted.links)
-        prior = at_size(prior, self.post.sizes.links)
-        slope = self.slope + prior.precision * prior.mean
+        slope = self.slope + self.post.prior.precision * self.post.prior.mean
         scale = np.sqrt(np.maximum(np.diag(self.post.matrix), 1e-30))
         factor = cho_factor(self.post.matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
         ahead = cho_solve(factor, slope / scale) / scale
@@ -241,24 +239,5 @@ class Screen:
             columns[j][:, found.used[j]] = found.values[j]
         if candidate.scope is not None:
             columns *= np.isin(np.array(data.labels)[data.label], candidate.scope)[None, :, None]
-        base = self.fitter.prior(self.fitted.model, self.fitted.links)
-        return solve(
-            data,
-            self.fitted.residual,
-            np.concatenate([post.columns, columns], axis=2),
-            joined(base, self.fitter.priors.scales(self.fitter.view, trial)),
-            post,
-        )
-
-
-def joined(base: Prior, scales: np.ndarray) -> Prior:
-    m, inf = len(scales), np.full(len(scales), np.inf)
-    return Prior(
-        np.append(base.mean, np.zeros(m)),
-        np.append(base.precision, scales**-2.0),
-        np.append(base.proper, np.ones(m, bool)),
-        np.append(base.links, np.zeros(m, bool)),
-        np.append(base.lower, -inf),
-        np.append(base.upper, inf),
-        np.append(base.flat, np.zeros(m)),
-    )
+        prior = joined(self.post.base, self.fitter.priors.scales(self.fitter.view, trial))
+        return solve(data, self.fitted.residual, np.concatenate([post.columns, columns], axis=2), prior, post)

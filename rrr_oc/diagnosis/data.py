@@ -1,14 +1,14 @@
 """Recordings as the data of a diagnosis: which rows count, where joints turn, their noise, and what no law is exact enough for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import Rows, rows, with_residuals
+from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
 from rrr_oc.diagnosis.knobs import (
     CENTRE_ERROR,
@@ -19,7 +19,9 @@ from rrr_oc.diagnosis.knobs import (
     MEMORY,
 )
 from rrr_oc.diagnosis.signatures import SignatureCache, dry_friction
+from rrr_oc.effects import Effect, Signals
 from rrr_oc.numerics.smooth import sign
+from rrr_oc.recordings.recording import Recording
 
 ROWS_PER_LAG = 30  # rows that each lag needs; with fewer the order is lower
 LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimated
@@ -47,6 +49,7 @@ class Data:
     free: bool
     signatures: SignatureCache
     whole: tuple[Prepared, ...] = ()
+    _friction: dict[tuple[Effect, float], np.ndarray] = field(default_factory=dict, repr=False)
 
     def part(self, keep: Sequence[int]) -> "Data":
         """The data of some of the recordings."""
@@ -127,6 +130,17 @@ class Data:
         """Rows that count, (n, M)."""
         return np.concatenate([p.counted for p in self.prepared], axis=1)[:, self.at]
 
+    def friction(self, form: Effect, width: float) -> np.ndarray:
+        """What dry friction of 1 Nm that changes sign in a given way adds to the recorded torque, filtered, at the rows used, (M,)."""
+        if (form, width) not in self._friction:
+            (p,) = form.parameters
+
+            def law(r: Recording) -> np.ndarray:
+                return np.reshape(-form.torque(Signals(r.q, r.dq), {p.name: 1.0}, width)[0], (1, -1))
+
+            self._friction[form, width] = filtered(self.prepared, law, list(form.joints))[0, self.at]
+        return self._friction[form, width]
+
     @cached_property
     def turning(self) -> np.ndarray:
         """Rows at which a joint turns, (n, M)."""
@@ -160,6 +174,7 @@ class Data:
         dq_all = np.concatenate([np.abs(x.recording.dq) for x in self.every], axis=1)
         low, high = np.quantile(q_all, [0.002, 0.998], axis=1)
         speed = np.maximum(np.quantile(dq_all, 0.99, axis=1), 1e-3)
+        dry = dry_friction(start, self.torque, speed)
         for j in range(self.n):
             reach = max(3.0 * float(np.std(load[j])), 1e-6)
             span = max(high[j] - low[j], 1e-3)
@@ -174,9 +189,14 @@ class Data:
             slow = [np.exp(-((r.dq[j] / v) ** 2)) for v in SLOW]
             turned, one = sign(r.dq[j], SIGN), np.ones_like(load[j])
             steady = np.zeros((4 * len(self.prepared), len(one)))
-            torque, dry = DISCREPANCY * self.torque[j], FRICTION_DISCREPANCY * dry_friction(start, self.torque)[j]
-            steady[4 * number : 4 * number + 4] = torque * one, torque * load[j] / reach, dry * turned, dry * r.dq[j] / speed[j]
-            every = np.concatenate([torque * shapes, dry * turned * np.array([*shapes, *slow]), steady])
+            torque, friction = DISCREPANCY * self.torque[j], FRICTION_DISCREPANCY * dry[j]
+            steady[4 * number : 4 * number + 4] = (
+                torque * one,
+                torque * load[j] / reach,
+                friction * turned,
+                friction * r.dq[j] / speed[j],
+            )
+            every = np.concatenate([torque * shapes, friction * turned * np.array([*shapes, *slow]), steady])
             result.append(p.passed(every, np.full(len(every), j)).T)
         return result
 

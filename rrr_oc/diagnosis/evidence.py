@@ -48,6 +48,20 @@ class Prior:
     flat: np.ndarray
 
 
+def joined(base: Prior, scales: np.ndarray) -> Prior:
+    """A prior with further parameters about 0, of standard deviations (m,)."""
+    m, inf = len(scales), np.full(len(scales), np.inf)
+    return Prior(
+        np.append(base.mean, np.zeros(m)),
+        np.append(base.precision, scales**-2.0),
+        np.append(base.proper, np.ones(m, bool)),
+        np.append(base.links, np.zeros(m, bool)),
+        np.append(base.lower, -inf),
+        np.append(base.upper, inf),
+        np.append(base.flat, np.zeros(m)),
+    )
+
+
 @dataclass(frozen=True)
 class Sizes:
     """What is estimated beside the parameters: noise by joint, σ (n,), discrepancy (n,) over the declared one, size of the links' errors."""
@@ -140,7 +154,7 @@ class Posterior:
         sizes: Estimated sizes.
         joints: The joints whitened.
         data: The data.
-        prior: The prior at the estimated sizes.
+        base: The prior, the links' errors of size 1.
     """
 
     log_evidence: float
@@ -152,9 +166,14 @@ class Posterior:
     sizes: Sizes
     joints: tuple[Joint, ...]
     data: Data
-    prior: Prior
+    base: Prior
     residual: np.ndarray
     columns: np.ndarray
+
+    @property
+    def prior(self) -> Prior:
+        """The prior at the estimated sizes."""
+        return at_size(self.base, self.sizes.links)
 
     def cost(self, residual: np.ndarray) -> float:
         """Weighted square of another residual (n, M), under this noise."""
@@ -348,7 +367,7 @@ def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, problem) -> Post
         log -= 0.5 * sizes.discrepancy[j] ** 2
     if prior.links.any():
         log -= 0.5 * sizes.links**2
-    return Posterior(float(log), step, matrix, likelihood, right, misfit, sizes, joints, data, at, *problem)
+    return Posterior(float(log), step, matrix, likelihood, right, misfit, sizes, joints, data, prior, *problem)
 
 
 def _left(data: Data, found: Posterior, j: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Models fitted under their evidence: Gauss–Newton on the exact equations, with priors, noise and discrepancy estimated on the way."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import comb
 
@@ -10,7 +10,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.friction_width import WIDTHS, widened
 from rrr_oc.calibration.term_fit import bounds, with_parameter_values
 from rrr_oc.diagnosis.data import Data
-from rrr_oc.diagnosis.evidence import Posterior, Prior, solve
+from rrr_oc.diagnosis.evidence import Posterior, Prior, joined, solve
 from rrr_oc.effects import Effect, Trial, View
 from rrr_oc.effects.priors import Priors
 
@@ -21,6 +21,8 @@ FRACTIONS = (1.0, 0.4, 0.1, 0.02)  # of a step, tried until the cost falls
 BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 DIFFERENCE = 0.01  # of a width, for derivatives by it
+MIXTURES = 2  # directions in which ways of changing sign are mixed
+OTHER_SIGN = 1.0  # nats from which another way in which friction changes sign is fitted
 
 
 @dataclass(frozen=True)
@@ -108,14 +110,14 @@ class Fitter:
     plain_std: np.ndarray
     priors: Priors
 
-    def fit(self, model: CalibratedModel, links: np.ndarray, start: Posterior | None = None, steps: int = STEPS) -> Fitted:
-        """All parameters of a model fitted."""
+    def fit(self, model: CalibratedModel, links: np.ndarray, start: Posterior | None = None, fixed: bool = False) -> Fitted:
+        """All parameters of a model fitted, with sizes that begin with those of `start`, or stay `fixed` there."""
         data = self.data
         found = data.rows(model)
         columns, residual = self.columns(model, found), found.residual
         best = None
-        for _ in range(steps):
-            post = solve(data, residual, columns, self.prior(model, links), start)
+        for _ in range(STEPS):
+            post = solve(data, residual, columns, self.prior(model, links), start, fixed)
             start = post
             before = post.misfit + post.prior_cost(0 * post.step)
             expected = before - post.foreseen(post.step)
@@ -142,6 +144,55 @@ class Fitter:
                 columns = self.columns(model, found)
         assert best is not None
         return best
+
+    def with_signs(self, fitted: Fitted) -> Fitted:
+        """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""
+        tried: set = set()
+        while True:
+            better = {i: form for i, gain, *form in self._other_signs(fitted) if gain > OTHER_SIGN and (i, form[0]) not in tried}
+            if not better:
+                return fitted
+            tried |= {(i, form) for i, (form, _) in better.items()}
+            terms = list(fitted.model.terms)
+            for i, (form, width) in better.items():
+                at = {form.joints: width}
+                terms = [widened(replace(t, effect=form) if k == i else t, at) for k, t in enumerate(terms)]
+            new = self.fit(replace(fitted.model, terms=tuple(terms)), fitted.links, fitted.posterior)
+            if new.log_evidence > fitted.log_evidence:
+                fitted = new
+
+    def freed(self, fitted: Fitted, sizes: Posterior) -> Posterior:
+        """The posterior at a fit, under the sizes of another, where dry friction may also change sign in any mixture of its ways."""
+        data, columns = self.data, [fitted.posterior.columns[:, :, : len(self.prior(fitted.model, fitted.links).mean)]]
+        for term in fitted.model.terms[: fitted.base]:
+            if others := [form for form in term.effect.sign_forms if form != term.effect and term.width]:
+                forms = np.array([data.friction(form, term.width) for form in (term.effect, *others)])
+                u, s, _ = np.linalg.svd(term.values[0] * (forms[1:] - forms[0]).T, full_matrices=False)
+                own = np.zeros((data.n, len(u), MIXTURES))
+                own[term.effect.joints[0]] = u[:, :MIXTURES] * s[:MIXTURES]
+                columns.append(own)
+        whole = np.concatenate(columns, axis=2)
+        prior = joined(self.prior(fitted.model, fitted.links), np.ones(whole.shape[2] - columns[0].shape[2]))
+        return solve(data, fitted.residual, whole, prior, sizes, fixed=True)
+
+    def _other_signs(self, fitted: Fitted) -> Iterator[tuple[int, float, Effect, float]]:
+        """For each term of dry friction its number, the largest gain of another form and width, all else linear, and these two."""
+        post, data = fitted.posterior, self.data
+        inverse = np.linalg.pinv(post.matrix, hermitian=True)
+        for i, term in enumerate(fitted.model.terms[: fitted.base]):
+            others = [(f, w) for f in term.effect.sign_forms if f != term.effect for w in WIDTHS]
+            if not others or not term.width:
+                continue
+            (j,), own = term.effect.joints, data.friction(term.effect, term.width)
+            changes = term.values[0] * np.array([data.friction(*other) - own for other in others]).T
+            one, sigma = post.joints[j], post.sizes.sigma[j]
+            d, y, x = one.white @ changes, one.white @ fitted.residual[j], one.white @ post.columns[j]
+            share = 1 / (one.values + (sigma / post.sizes.discrepancy[j]) ** 2)
+            left = (d - one.features @ (one.turn @ (share[:, None] * one.along(d)))) / sigma**2  # without the discrepancy
+            slope = x.T @ left
+            gains = y @ left - 0.5 * np.sum(d * left, axis=0) + 0.5 * np.sum(slope * (inverse @ slope), axis=0)
+            best = int(np.argmax(gains))
+            yield i, float(gains[best]), *others[best]
 
     def believed(self, trial: Trial, theta: Mapping[str, float]) -> bool:
         """Whether an effect's parameters are where their prior is not 0."""

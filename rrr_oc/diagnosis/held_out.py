@@ -106,7 +106,7 @@ def checked(
 def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple[Term, ...], held: list[int]) -> Fold:
     rest = [i for i in range(len(fitter.data.prepared)) if i not in held]
     train, test = replace(fitter, data=fitter.data.part(rest)), fitter.data.part(held)
-    plain = train.fit(begin.model, begin.links)
+    plain = train.with_signs(train.fit(begin.model, begin.links))
     search = Search(train, trials, black_box=any(t.effect.black_box for t in terms))
     searched = search.run(plain).fitted if terms else plain
     here = [[t.holds_for(p.recording) for p in train.data.prepared] for t in terms]

@@ -119,7 +119,7 @@ def diagnose(
     """
     report("calibrating the plain model")
     whole, fitter, every, plain = ready(recordings, priors or Priors())
-    begin = fitter.fit(plain, np.zeros(fitter.data.links.shape[1]))
+    begin = fitter.with_signs(fitter.fit(plain, np.zeros(fitter.data.links.shape[1])))
     report("looking for effects")
     search = Search(fitter, every, report)
     at = search.run(begin)

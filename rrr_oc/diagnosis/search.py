@@ -7,7 +7,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.candidates import Candidate, Screen, signatures
-from rrr_oc.diagnosis.evidence import Posterior, solve
+from rrr_oc.diagnosis.evidence import Posterior
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.signatures import black_box_trials
 from rrr_oc.effects import Trial
@@ -100,9 +100,10 @@ class Search:
         table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
         hopeful: list[tuple[Screen, Candidate]] = []
         seen: set = set()
-        for post, count in ((under or at.fitted.posterior, EXACT), (self._exact(at, under), EXACT // 2)):
+        for post, count in ((under or at.fitted.posterior, EXACT), (self._exact(under or at.fitted.posterior), EXACT // 2)):
             if post is None:
                 continue
+            post = self.fitter.freed(at.fitted, post)
             screen = Screen.of(self.fitter, at.fitted, table, post)
             candidates = [c for c in screen.candidates() if not _present(c, kept) and not _same(c, out)]
             # of the structure without the candidate, under the sizes of the screen
@@ -121,16 +122,13 @@ class Search:
             seen |= {(c.key, c.scope) for _, c in own[:count]}
         return self._best(at, hopeful, goal)
 
-    def _exact(self, at: State, under: Posterior | None) -> Posterior | None:
-        """The posterior under sizes of an exact arm; None where the present ones are as small."""
-        post = under or at.fitted.posterior
+    def _exact(self, post: Posterior) -> Posterior | None:
+        """The posterior with sizes of an exact arm; None where they are as small."""
         sizes = post.sizes
         if sizes.links < EXACT_LINKS and np.all(sizes.discrepancy < EXACT_LAWS):
             return None
-        links = EXACT_LINKS if self.fitter.data.free else sizes.links
-        sizes = replace(sizes, links=min(links, sizes.links), discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS))
-        prior = self.fitter.prior(at.fitted.model, at.fitted.links)
-        return solve(self.fitter.data, at.fitted.residual, post.columns, prior, replace(post, sizes=sizes), fixed=True)
+        links = min(EXACT_LINKS, sizes.links) if self.fitter.data.free else sizes.links
+        return replace(post, sizes=replace(sizes, links=links, discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS)))
 
     def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], goal: float) -> State | None:
         """The best of some candidates beyond `goal`, fitted exactly."""
@@ -145,7 +143,12 @@ class Search:
             if score < best - (NEAR if _bent(c) else 1.0) and not (k == 0 and _bent(c)):
                 continue
             model = replace(at.fitted.model, terms=(*at.fitted.model.terms, c.term))
-            found.append(self.scored(self.fitter.fit(model, at.fitted.links, post)))
+            starts, exact = [(model, at.fitted.links)], self._exact(post) if _bent(c) else None
+            if exact is not None:  # where a discrepancy takes up nothing, a shape that is far from its best is still drawn there
+                near = self.fitter.fit(model, at.fitted.links, exact, fixed=True)
+                starts.append((near.model, near.links))
+            fits = [self.fitter.with_signs(self.fitter.fit(*start, post)) for start in starts]
+            found.append(self.scored(max(fits, key=lambda f: f.log_evidence)))
         result = max(found, key=lambda s: s.score, default=None)
         if result is None or result.score <= goal:
             return None
@@ -172,7 +175,8 @@ class Search:
 
     def _without(self, at: State, out: Sequence[Term]) -> State:
         terms = tuple(t for t in at.fitted.model.terms if not any(t is o for o in out))
-        return self.scored(self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior))
+        less = self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior)
+        return self.scored(self.fitter.with_signs(less))
 
     def _worth(self, at: State, i: int) -> float:
         """By how much the posterior falls without an effect, predicted linearly."""
@@ -202,17 +206,11 @@ class Search:
             less = self._without(at, out)
             if less.score > at.score:
                 return less
-            found = self._added(less, under=self._under(less, at), out=out, goal=at.score)
+            found = self._added(less, under=at.fitted.posterior, out=out, goal=at.score)
             self.settled[name] = at.score - self.nearest
             if found is not None and (best is None or found.score > best.score):
                 best = found
         return best
-
-    def _under(self, less: State, at: State) -> Posterior:
-        """The posterior of a smaller model under the sizes of a larger one, which alternatives would reach."""
-        post = less.fitted.posterior
-        prior = self.fitter.prior(less.fitted.model, less.fitted.links)
-        return solve(self.fitter.data, less.fitted.residual, post.columns, prior, at.fitted.posterior, fixed=True)
 
     def _unexplained(self, at: State) -> State | None:
         """A black-box term on the joint where one explains most."""

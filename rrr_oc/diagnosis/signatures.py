@@ -12,7 +12,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import Prepared
-from rrr_oc.effects import CATALOGUE, Trial, View
+from rrr_oc.effects import CATALOGUE, Signals, Trial, View
 from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
@@ -45,20 +45,26 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         springs=tuple(sorted(springs)),
         payload=any(np.any(p.recording.payload > 0) for p in prepared)
         or any(term.effect.alters == "payload" for term in model.terms),
-        dry=dry_friction(model, torque),
+        dry=dry_friction(model, torque, np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3)),
         torque=torque,
         mass=np.maximum(model.robot.inertial[0], 1e-3),
     )
 
 
-def dry_friction(model: CalibratedModel, torque: np.ndarray) -> np.ndarray:
-    """Plain dry friction of each joint [Nm], at least `LEAST_DRY` of its torque, (n,)."""
-    dry = LEAST_DRY * torque
+def dry_friction(model: CalibratedModel, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Plain dry friction of each joint [Nm], at least `LEAST_DRY` of its torque, and half of its friction at the largest speed, (n,).
+
+    The latter, since a plain model that lacks friction may share out what there is between dry and viscous in any way.
+    """
+    dry, whole = LEAST_DRY * torque, np.zeros(len(torque))
     for term in model.terms:
-        if term.effect.sign_forms:
-            j = term.effect.joints[0]
-            dry[j] = max(dry[j], float(term.values[0]))
-    return dry
+        effect = term.effect
+        if effect.role == "plain" and effect.provides == "friction":
+            (at,) = effect.torque(Signals(0 * speed, speed), term.named, 0.0)
+            whole[effect.joints[0]] += abs(float(at))
+        if effect.sign_forms:
+            dry[effect.joints[0]] = max(dry[effect.joints[0]], float(term.values[0]))
+    return np.maximum(dry, 0.5 * whole)
 
 
 def trials(seen: View, torque: str) -> list[Trial]:
