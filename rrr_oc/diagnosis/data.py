@@ -12,6 +12,7 @@ from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
 from rrr_oc.diagnosis.knobs import (
     CENTRE_ERROR,
+    CLOCK_ERROR,
     DISCREPANCY,
     FRICTION_DISCREPANCY,
     INERTIA_ERROR,
@@ -169,7 +170,8 @@ class Data:
 
     def _features(self, p: Prepared, number: int) -> list[np.ndarray]:
         r, start, result = p.recording, self.start, []
-        load = start.torques(r)[1]
+        motor, load = start.torques(r)
+        late = CLOCK_ERROR * np.gradient(np.array([load, motor - load]), r.t, axis=2)  # of the load and of the drive
         q_all = np.concatenate([x.recording.q for x in self.every], axis=1)
         dq_all = np.concatenate([np.abs(x.recording.dq) for x in self.every], axis=1)
         low, high = np.quantile(q_all, [0.002, 0.998], axis=1)
@@ -188,15 +190,16 @@ class Data:
             shapes = np.array([*series["q"], *series["dq"], *series["load"], *both])
             slow = [np.exp(-((r.dq[j] / v) ** 2)) for v in SLOW]
             turned, one = sign(r.dq[j], SIGN), np.ones_like(load[j])
-            steady = np.zeros((4 * len(self.prepared), len(one)))
+            steady = np.zeros((6 * len(self.prepared), len(one)))
             torque, friction = DISCREPANCY * self.torque[j], FRICTION_DISCREPANCY * dry[j]
-            steady[4 * number : 4 * number + 4] = (
+            steady[6 * number : 6 * number + 6] = (
                 torque * one,
                 torque * load[j] / reach,
                 friction * turned,
                 friction * r.dq[j] / speed[j],
+                *late[:, j],
             )
-            every = np.concatenate([torque * shapes, friction * turned * np.array([*shapes, *slow]), steady])
+            every = np.concatenate([torque * shapes, friction * turned * np.array([*shapes, *slow]), late[:, j], steady])
             result.append(p.passed(every, np.full(len(every), j)).T)
         return result
 

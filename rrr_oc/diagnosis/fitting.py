@@ -149,7 +149,9 @@ class Fitter:
         """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""
         tried: set = set()
         while True:
-            better = {i: form for i, gain, *form in self._other_signs(fitted) if gain > OTHER_SIGN and (i, form[0]) not in tried}
+            better = {
+                i: form for i, gain, *form in self._other_signs(fitted) if gain > OTHER_SIGN and (i, form[0]) not in tried
+            }
             if not better:
                 return fitted
             tried |= {(i, form) for i, (form, _) in better.items()}

@@ -3,6 +3,7 @@
 MEMORY = 0.5  # [s] over which a joint's noise is correlated; doubled, slow noise is told better, from more data
 DISCREPANCY = 0.003  # share of a joint's torque that no law is exact enough for; doubled, small claims are made later
 FRICTION_DISCREPANCY = 0.05  # the same share of a joint's dry friction, for laws of friction
+CLOCK_ERROR = 0.003  # [s] by which torque, speed and acceleration of a joint are apart
 MASS_ERROR, CENTRE_ERROR, INERTIA_ERROR = (
     0.03,
     0.01,

@@ -105,7 +105,7 @@ class Search:
                 continue
             post = self.fitter.freed(at.fitted, post)
             screen = Screen.of(self.fitter, at.fitted, table, post)
-            candidates = [c for c in screen.candidates() if not _present(c, kept) and not _same(c, out)]
+            candidates = [c for c in screen.candidates() if not self._present(c, kept) and not _same(c, out)]
             # of the structure without the candidate, under the sizes of the screen
             base = at.score + post.log_evidence - at.fitted.log_evidence
             if count == EXACT:
@@ -142,9 +142,11 @@ class Search:
             best = max((s.score for s in found), default=goal)
             if score < best - (NEAR if _bent(c) else 1.0) and not (k == 0 and _bent(c)):
                 continue
-            model = replace(at.fitted.model, terms=(*at.fitted.model.terms, c.term))
+            model = replace(at.fitted.model, terms=self._extended(at.fitted, c))
             starts, exact = [(model, at.fitted.links)], self._exact(post) if _bent(c) else None
-            if exact is not None:  # where a discrepancy takes up nothing, a shape that is far from its best is still drawn there
+            if (
+                exact is not None
+            ):  # where a discrepancy takes up nothing, a shape that is far from its best is still drawn there
                 near = self.fitter.fit(model, at.fitted.links, exact, fixed=True)
                 starts.append((near.model, near.links))
             fits = [self.fitter.with_signs(self.fitter.fit(*start, post)) for start in starts]
@@ -154,6 +156,35 @@ class Search:
             return None
         self.report(f"{described(result.fitted.extra[-1], result.fitted)}: {result.score - goal:+.1f}")
         return result
+
+    def _overlapping(self, c: Candidate, extra: Sequence[Term]) -> list[Term]:
+        """The terms of a candidate's effect on its joints, in some of its groups."""
+        effect = c.trial.effect
+        return [
+            t
+            for t in extra
+            if (t.effect.name, t.effect.joints) == c.key
+            and (not effect.black_box or t.effect.without_range() == effect.without_range())
+            and (not t.groups or c.scope is None or set(c.scope) & set(t.groups))
+        ]
+
+    def _present(self, c: Candidate, extra: Sequence[Term]) -> bool:
+        """Whether a candidate is there already, unless it says that some of the groups that have it differ from the others."""
+        labels = self.fitter.data.labels
+        return c.trial.effect.placement != "many" and any(
+            c.scope is None or not c.trial.effect.partly or not set(c.scope) < set(t.groups or labels)
+            for t in self._overlapping(c, extra)
+        )
+
+    def _extended(self, fitted: Fitted, c: Candidate) -> tuple[Term, ...]:
+        """A model's terms with a candidate, which has values of its own where its effect is there already."""
+        same = [] if c.trial.effect.placement == "many" else self._overlapping(c, fitted.extra)
+        if not same:
+            return (*fitted.model.terms, c.term)
+        (other,), some = same[:1], c.scope or ()
+        rest = tuple(g for g in other.groups or self.fitter.data.labels if g not in some)
+        terms = [replace(t, recordings=(), groups=rest) if t is other else t for t in fitted.model.terms]
+        return (*terms, replace(other, recordings=(), groups=some))
 
     def _pruned(self, at: State) -> State:
         """Without effects that lower the posterior probability."""
@@ -227,17 +258,6 @@ def _bent(c: Candidate) -> bool:
     """Whether a shape of the candidate may still be far from its best."""
     effect = c.trial.effect
     return len(effect.parameters) > len(effect.amplitudes) or effect.side in ("motion", "body")
-
-
-def _present(c: Candidate, extra: Sequence[Term]) -> bool:
-    effect = c.trial.effect
-    return effect.placement != "many" and any(
-        t.effect.name == effect.name
-        and t.effect.joints == effect.joints
-        and (not effect.black_box or t.effect.without_range() == effect.without_range())
-        and (not t.groups or c.scope is None or set(c.scope) & set(t.groups))
-        for t in extra
-    )
 
 
 def _same(c: Candidate, out: Sequence[Term]) -> bool:

@@ -4,7 +4,7 @@ An effect declares what it can do, so that no other folder asks for one by its n
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -32,6 +32,7 @@ Role = Literal["plain", "law", "black_box"]
 Scope = Literal["everywhere", "set_up", "some", "mounted"]
 # Probability that an effect that is present is so in some recordings only, by `Effect.scope`
 PARTLY: dict[Scope, float] = {"everywhere": 0.0, "set_up": 0.1, "mounted": 0.5, "some": 1.0}
+SECANTS = (-4.0, -1.0, 1.0, 4.0)  # of the typical size of a parameter, at which effects that are not linear in it are tried
 Dynamics = Literal["instantaneous", "states", "load_states", "link", "impact", "delay"]
 SIGN_WIDTH = Parameter(
     "width", "rad/s", 0.05, lower=0.0
@@ -460,6 +461,7 @@ class Effect:
             for joints in {"arm": [()], "spring": view.springs}.get(cls.placement, [(j,) for j in range(view.n)]):
                 for shape in cls.shapes(view, joints):
                     yield cls(joints).trial(view, **shape)
+                    yield from cls(joints).secants(view, **shape)
 
     @classmethod
     def shapes(cls, view: View, joints: tuple[int, ...]) -> Sequence[Mapping[str, float]]:
@@ -491,6 +493,16 @@ class Effect:
         """A trial with these values of the parameters in which the effect is not linear."""
         base = {p.name: shape.get(p.name, 0.0) for p in self.parameters}
         return Trial(self, tuple(base | {a: self.step} for a in self.amplitudes), self.step, self.sign_width(view))
+
+    def secants(self, view: View, **shape: float) -> Iterator[Trial]:
+        """Trials of an effect whose torque is not linear in its only parameter, by how much it changes at several sizes of it."""
+        if self.linear or self.side == "body" or len(self.parameters) > 1:
+            return
+        near = self.trial(view, **shape)
+        (name,), (typical,) = self.amplitudes, self.scales(view, near)
+        for size in (share * float(typical) for share in SECANTS):
+            if self.parameters[0].lower <= size <= self.parameters[0].upper:
+                yield replace(near, points=({name: size},), size=size)
 
     def scales(self, view: View, trial: Trial, prior: Prior | None = None) -> np.ndarray:
         """Prior standard deviations of a trial's coefficients, (m,), by `prior` or that of the class.
