@@ -12,21 +12,24 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.evidence import Posterior, joined, solve
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import Table, table
 from rrr_oc.effects import Trial
 
 SHARES = (1.0, 0.85, 0.7, 0.5)  # of the best coefficients, tried until they are within the effect's bounds
 LEAST_SOME = 8.0  # nats that all groups by themselves must gain together for the same
 LEAST_APART = 4.0  # nats: with less, an effect of some groups only is not sought
+LEAST_FIT = 1.0  # nats of likelihood that a trial must gain to be looked at closer
 UNIQUE = 1e-7  # share of a signature that the model's parameters do not reproduce, below which it says nothing
 
 
 class Option(NamedTuple):
-    """A trial in some groups (None: all), its gain in evidence, and its coefficients (m,)."""
+    """A trial in some groups (None: all), its gain in evidence, its coefficients (m,), and the width of their prior over its scales."""
 
     scope: tuple[str, ...] | None
     gain: float
     coefficients: np.ndarray
+    excess: float
 
 
 @dataclass(frozen=True)
@@ -38,13 +41,15 @@ class Candidate:
         scope: Groups that have the effect; None for all.
         coefficients: (m,).
         gain: Gain in the logarithm of the posterior probability, over all shapes.
-        log_prior: The part of it that is the prior's.
+        excess: Width of the prior of the coefficients, over their typical scales.
+        log_prior: The part of the gain that is the prior's, without that of this width.
     """
 
     trial: Trial
     scope: tuple[str, ...] | None
     coefficients: np.ndarray
     gain: float
+    excess: float
     log_prior: float
 
     @property
@@ -135,9 +140,12 @@ class Screen:
         right = self.right - np.einsum("p,gpd->gd", ahead, self.cross)
         solved = np.stack([cho_solve(factor, c / scale[:, None]) / scale[:, None] for c in self.cross])
         found: dict[tuple, list[Candidate]] = {}
+        bounds = self._bounds(solved, right)
         for k, trial in enumerate(self.trials):
-            for scope, gain, coefficients in self._options(k, solved, right):
-                one = Candidate(trial, scope, coefficients, gain, 0.0)
+            if bounds[k] < LEAST_FIT:
+                continue
+            for scope, gain, coefficients, excess in self._options(k, solved, right):
+                one = Candidate(trial, scope, coefficients, gain, excess, 0.0)
                 name = trial.effect if trial.effect.black_box else trial.effect.name
                 found.setdefault((name, trial.effect.joints, scope), []).append(one)
         numbers: dict[tuple, int] = {}
@@ -151,6 +159,28 @@ class Screen:
             gain = float(logsumexp([c.gain for c in every])) + prior
             result.append(replace(best, gain=gain, log_prior=prior))
         return sorted(result, key=lambda c: -c.gain)
+
+    def _bounds(self, solved: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """For each trial the largest increase of the log-likelihood, in all groups together or in each by itself, (trials,)."""
+        sizes, result, groups = np.diff(self.start), np.zeros(len(self.trials)), range(len(self.fitter.data.labels))
+        for m in np.unique(sizes):
+            which = np.flatnonzero(sizes == m)
+            at = self.start[which][:, None] + np.arange(m)  # (trials, m)
+            total = []
+            for some in (list(groups), *([g] for g in groups)):
+                own = np.array([self.own[k][some].sum(axis=0) for k in which])
+                raw = np.einsum("kmm->km", own).copy()
+                parts = [t[some].sum(axis=0)[:, at] for t in self.through]
+                own -= sum(np.einsum("fkm,fkn->kmn", p, p) for p in parts)
+                crossed, through = self.cross[some].sum(axis=0)[:, at], solved[some].sum(axis=0)[:, at]
+                own -= np.einsum("pkm,pkn->kmn", crossed, through)
+                there = right[some].sum(axis=0)[at]
+                scale = np.sqrt(np.maximum(raw, 1e-300))
+                scaled = own / (scale[:, :, None] * scale[:, None, :]) + UNIQUE * np.eye(m)
+                b = there / scale
+                total.append(0.5 * np.einsum("km,km->k", b, np.linalg.solve(scaled, b[..., None])[..., 0]))
+            result[which] = np.maximum(total[0], np.sum(total[1:], axis=0) if len(groups) > 1 else 0.0)
+        return result
 
     def _options(self, k: int, solved: np.ndarray, right: np.ndarray) -> Iterator[Option]:
         """A trial in all groups, and in the best groups of each number that pays, with their gains."""
@@ -205,28 +235,33 @@ class Screen:
 
     def _best_within(
         self, trial: Trial, quadratic: tuple[np.ndarray, np.ndarray], right: np.ndarray, least: float
-    ) -> tuple[float, np.ndarray] | None:
-        """Gain in evidence and coefficients within the effect's bounds; None where there is none.
+    ) -> tuple[float, np.ndarray, float] | None:
+        """Gain in evidence, coefficients within the effect's bounds, and width of their prior; None where there is none.
 
         Coefficients out of bounds are made smaller or, one at a time, set to 0.
         """
         (own, raw), effect = quadratic, trial.effect
         scales, use = self.fitter.priors.scales(self.fitter.view, trial), list(range(len(right)))
         while use:
-            s = scales[use]
-            m = own[np.ix_(use, use)] * np.outer(s, s)
-            if np.all(np.diag(m) < UNIQUE * raw[use] * s**2):
+            if np.all(np.diag(own)[use] < UNIQUE * raw[use]):
                 return None
-            a, b, full = m + np.eye(len(use)), right[use] * s, np.zeros(len(right))
-            w = np.linalg.solve(a, b)
-            full[use] = w * s
+            options = []
+            for excess, believed in EXCESS.items():
+                s = scales[use] * excess
+                a, b = own[np.ix_(use, use)] * np.outer(s, s) + np.eye(len(use)), right[use] * s
+                w = np.linalg.solve(a, b)
+                gain = 0.5 * float(b @ w) - 0.5 * float(np.linalg.slogdet(a)[1]) + np.log(believed)
+                options.append((gain, excess, float(b @ w), w * s))
+            gain, excess, square, best = max(options, key=lambda o: o[0])
+            full = np.zeros(len(right))
+            full[use] = best
             for share in SHARES:
                 theta = effect.combined(trial.points, share * full)
                 if effect.possible(theta, least) and self.fitter.believed(trial, theta):
-                    return 0.5 * share * (2 - share) * float(b @ w) - 0.5 * float(np.linalg.slogdet(a)[1]), share * full
+                    return gain - 0.5 * (1 - share) ** 2 * square, share * full, excess
             if len(use) == 1 or len(effect.amplitudes) != len(right):
                 return None
-            use.pop(int(np.argmin(w)))
+            use.pop(int(np.argmin(best / scales[use])))
         return None
 
     def evaluated(self, candidate: Candidate) -> Posterior:
@@ -239,5 +274,5 @@ class Screen:
             columns[j][:, found.used[j]] = found.values[j]
         if candidate.scope is not None:
             columns *= np.isin(np.array(data.labels)[data.label], candidate.scope)[None, :, None]
-        prior = joined(self.post.base, self.fitter.priors.scales(self.fitter.view, trial))
+        prior = joined(self.post.base, candidate.excess * self.fitter.priors.scales(self.fitter.view, trial))
         return solve(data, self.fitted.residual, np.concatenate([post.columns, columns], axis=2), prior, post)

@@ -11,6 +11,7 @@ from rrr_oc.calibration.friction_width import WIDTHS, widened
 from rrr_oc.calibration.term_fit import bounds, with_parameter_values
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.evidence import Posterior, Prior, joined, solve
+from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.effects import Effect, Trial, View
 from rrr_oc.effects.priors import Priors
 
@@ -242,9 +243,9 @@ class Fitter:
         low, high = bounds(model.terms)
         at = plain
         for term in model.terms[base:]:
-            own = self.families.get((term.effect.name, term.effect.joints), [])
-            for span, value in zip(spans(own, term.effect, self.view, self.priors), term.values, strict=True):
-                std = max(span.std * (abs(value) if span.log else 1.0), 1e-12)
+            wide = self.excess(term)[0]
+            for span, value in zip(self.spans(term), term.values, strict=True):
+                std = max(span.std * (abs(value) if span.log else wide if span.normal else 1.0), 1e-12)
                 precision.append(std**-2 if span.normal else 0.0)
                 flat.append(0.0 if span.normal else std**-2)
                 mean.append(span.centre - value if span.normal else 0.0)
@@ -272,6 +273,19 @@ class Fitter:
         which = np.zeros(len(mean), bool)
         which[len(mean) - len(at) - k : len(mean) - len(at)] = self.data.free
         return Prior(np.array(mean), np.array(precision), np.array(proper), which, lower, upper, np.array(flat))
+
+    def spans(self, term: Term) -> list[Span]:
+        """The priors of a term's parameters."""
+        own = self.families.get((term.effect.name, term.effect.joints), [])
+        return spans(own, term.effect, self.view, self.priors)
+
+    def excess(self, term: Term) -> tuple[float, float]:
+        """Of the widths that the prior of its amplitudes may have the likeliest, and the logarithm of what it is believed by."""
+        pairs = zip(self.spans(term), term.values, strict=True)
+        off = np.array([(value - span.centre) / span.std for span, value in pairs if span.normal])
+        score = [np.log(w) - len(off) * np.log(k) - 0.5 * float(off @ off) / k**2 for k, w in EXCESS.items()]
+        wide = list(EXCESS)[int(np.argmax(score))]
+        return wide, float(np.log(EXCESS[wide]))
 
     def log_prior(self, effect, scope) -> float:
         """Logarithm of the prior odds that an effect is present, in all groups or in these."""

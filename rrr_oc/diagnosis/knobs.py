@@ -10,3 +10,4 @@ MASS_ERROR, CENTRE_ERROR, INERTIA_ERROR = (
     0.05,
 )  # of a URDF's links: share, [m], share; doubled, laws of position lose
 CLAIM = 0.95  # probability from which an effect is claimed; lower, more claims, and more of them wrong
+EXCESS = {1.0: 0.7, 4.0: 0.25, 16.0: 0.05}  # by which effects are larger than their typical size, and in which share of arms

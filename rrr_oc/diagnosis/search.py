@@ -9,8 +9,9 @@ from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.candidates import Candidate, Screen, signatures
 from rrr_oc.diagnosis.evidence import Posterior
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import black_box_trials
-from rrr_oc.effects import Trial
+from rrr_oc.effects import Effect, Trial
 
 EXACT, FITTED = 4, 3  # candidates of a round whose sizes are estimated anew, and those fitted exactly
 KEPT = 12  # candidates of a round that count in the posterior
@@ -64,7 +65,7 @@ class Search:
         """A fit with the prior probability of its structure."""
         prior = 0.0
         for term in fitted.extra:
-            prior += self.fitter.log_prior(term.effect, term.groups or None)
+            prior += self.fitter.log_prior(term.effect, term.groups or None) + self.fitter.excess(term)[1]
         score = fitted.log_evidence + prior
         key = frozenset(name_of(t) for t in fitted.extra)
         self.visited[key] = max(score, self.visited.get(key, -np.inf))
@@ -113,8 +114,7 @@ class Search:
                     key = frozenset([*(name_of(t) for t in kept), name_of(c.term)])
                     self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
             self.nearest = max(self.nearest, *(base + c.gain for c in candidates[:1]), -np.inf)
-            slack = SLACK * (goal - at.score)
-            least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, slack) for c in candidates]
+            least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, SLACK * (goal - base)) for c in candidates]
             own = [
                 (screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low and (c.key, c.scope) not in seen
             ]
@@ -135,7 +135,8 @@ class Search:
         judged: list[tuple[float, Candidate, Posterior]] = []
         for screen, c in hopeful:
             post = screen.evaluated(c)
-            judged.append((at.score + post.log_evidence - at.fitted.log_evidence + c.log_prior, c, post))
+            believed = c.log_prior + float(np.log(EXCESS[c.excess]))
+            judged.append((at.score + post.log_evidence - at.fitted.log_evidence + believed, c, post))
         judged.sort(key=lambda x: -x[0])
         found: list[State] = []
         for k, (score, c, post) in enumerate(judged[:FITTED]):
@@ -226,9 +227,7 @@ class Search:
     def _exchanged(self, at: State) -> State | None:
         """One or two effects in place of one or two others."""
         extra = at.fitted.extra
-        groups = [[t] for t in extra] + [
-            [a, b] for k, a in enumerate(extra) for b in extra[:k] if set(a.effect.joints) & set(b.effect.joints)
-        ]
+        groups = [[t] for t in extra] + [[a, b] for k, a in enumerate(extra) for b in extra[:k] if _beside(a.effect, b.effect)]
         best = None
         for out in groups:
             name = frozenset(name_of(t) for t in out)
@@ -237,7 +236,8 @@ class Search:
             less = self._without(at, out)
             if less.score > at.score:
                 return less
-            found = self._added(less, under=at.fitted.posterior, out=out, goal=at.score)
+            near = [t for t in self.trials if any(_beside(t.effect, o.effect) for o in out)]
+            found = self._added(less, near, at.fitted.posterior, out, at.score)
             self.settled[name] = at.score - self.nearest
             if found is not None and (best is None or found.score > best.score):
                 best = found
@@ -258,6 +258,11 @@ def _bent(c: Candidate) -> bool:
     """Whether a shape of the candidate may still be far from its best."""
     effect = c.trial.effect
     return len(effect.parameters) > len(effect.amplitudes) or effect.side in ("motion", "body")
+
+
+def _beside(a: Effect, b: Effect) -> bool:
+    """Whether two effects change the torque of a common joint; what moves links or alters bodies changes that of many."""
+    return any(not x.joints or x.side in ("motion", "body") for x in (a, b)) or bool(set(a.joints) & set(b.joints))
 
 
 def _same(c: Candidate, out: Sequence[Term]) -> bool:
