@@ -6,11 +6,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.linalg import block_diag, solve_discrete_lyapunov, toeplitz
+from scipy.optimize import minimize
 from scipy.signal import lfilter
 
-from rrr_oc.diagnosis.data import Noise, link_errors
+from rrr_oc.calibration.samples import STRIDE
+from rrr_oc.diagnosis.data import EVERY, Noise, _bounded, link_errors
 from rrr_oc.diagnosis.evidence import Joint
-from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
+from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR, MEMORY
 
 FIRST, SECOND = 1.2, -0.5  # of the process y_k = FIRST y_k−1 + SECOND y_k−2 + e_k
 INNOVATION = 0.3  # standard deviation of e_k
@@ -82,6 +84,39 @@ def test_noise_of_a_simulated_process_is_estimated_and_made_white():
     assert np.std(error) == pytest.approx(1.0, rel=0.01)
     correlation = [np.mean(error[k:] * error[:-k]) for k in range(1, 20)]
     assert np.max(np.abs(correlation)) < 0.06  # white noise of 6000 samples: standard deviation 0.013
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_offset_costs_in_spite_of_the_noise(seed):
+    """An autoregression with a unit root would take a constant for noise; that of noise over `MEMORY` passes a part of it."""
+    most, place = np.exp(-EVERY * STRIDE / MEMORY), places(400, -5, 300, -1, 200)
+    rng, count = np.random.default_rng(seed), len(place)
+    offset, noise = 10.0, lfilter([1.0], [1.0, -0.8], rng.standard_normal(count + 100))[100:]
+    found = Noise.of((noise + offset) * (place >= 0), place, np.zeros(count, bool))
+    assert all(weights.sum() <= most + 1e-9 for weights in found.filters)
+    white, _ = found.whitening(place, np.zeros(count, bool))
+    order = len(found.filters) - 1
+    passed = (white @ np.full(count, offset))[place >= order]
+    assert np.all(passed >= offset * (1 - most) - 1e-9)
+
+
+def test_the_sum_is_bounded_by_least_squares_under_a_constraint():
+    rng = np.random.default_rng(5)
+    x, most = rng.standard_normal((50, 4)), 0.5
+    y = x @ np.array([0.6, 0.4, -0.1, 0.2]) + 0.1 * rng.standard_normal(50)
+    found = _bounded(x.T @ x, x.T @ y, most)
+    expected = minimize(
+        lambda w: np.sum((y - x @ w) ** 2), np.zeros(4), constraints={"type": "ineq", "fun": lambda w: most - w.sum()}
+    ).x
+    np.testing.assert_allclose(found, expected, atol=1e-5)  # of SLSQP
+    np.testing.assert_allclose(_bounded(x.T @ x, x.T @ y, 5.0), np.linalg.lstsq(x, y, rcond=None)[0], rtol=1e-9)
+
+
+def test_filters_are_stable_of_a_residual_that_grows():
+    one = 1.03 ** np.arange(60) * np.cos(1.2 * np.arange(60))
+    y, place = np.tile(np.append(one, 0.0), 10), places(*[60, -1] * 10)
+    found = Noise.of(y + 1e-3 * np.random.default_rng(0).standard_normal(len(y)) * (place >= 0), place, np.zeros(len(y), bool))
+    assert all(np.abs(np.roots([1.0, *-weights])).max(initial=0.0) < 1 for weights in found.filters)
 
 
 def test_errors_of_links_are_those_of_mass_centre_and_inertia():

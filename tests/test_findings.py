@@ -1,10 +1,16 @@
 """Probabilities of effects from structures that were visited."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from rrr_oc.diagnosis.findings import _rivals, keys_of, probabilities
+from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis import findings
+from rrr_oc.diagnosis.findings import _rivals, found, identities, identity, probabilities
 from rrr_oc.diagnosis.search import Search
+from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
@@ -28,14 +34,30 @@ def test_probabilities_are_shares_of_all_structures():
 def test_effects_that_are_equal_share_the_probability_and_are_rivals():
     both = {frozenset({SPRING, OFFSET}): -10.0, frozenset({HARNESS, OFFSET}): -10.0, frozenset({OFFSET}): -60.0}
     every = probabilities(searched(both))
-    spring, harness = ("parallel_spring", (0,)), ("cable_harness", (0,))
-    shares = {key: sum(p for structure, p in every if key in keys_of(structure)) for key in (spring, harness)}
+    spring, harness, offset = (identity(effect) for effect, _ in (SPRING, HARNESS, OFFSET))
+    shares = {key: sum(p for structure, p in every if key in identities(structure)) for key in (spring, harness)}
     assert shares == pytest.approx({spring: 0.5, harness: 0.5})
-    own = {spring, ("torque_offset", (0,))}
+    own = {spring, offset}
     assert _rivals(spring, every, own) == [harness]
-    assert _rivals(("torque_offset", (0,)), every, own) == []  # it is in every structure that is probable
+    assert _rivals(offset, every, own) == []  # it is in every structure that is probable
 
 
 def test_what_is_much_less_probable_is_no_rival():
     every = probabilities(searched({frozenset({SPRING}): 0.0, frozenset({HARNESS}): -5.0}))
-    assert _rivals(("parallel_spring", (0,)), every, {("parallel_spring", (0,))}) == []
+    assert _rivals(identity(SPRING[0]), every, {identity(SPRING[0])}) == []
+
+
+def test_two_black_box_terms_of_a_joint_have_probabilities_of_their_own(monkeypatch):
+    """One is certain, the other is not; the range that recordings gave a term does not tell it from another."""
+    first, second = (Empirical((0,), ((kind, 0),), (-1.0,), (1.0,), (2,)) for kind in ("q", "dq"))
+    wider = replace(first, low=(-2.0,), high=(3.0,))
+    names = [[(e.without_range(), ()) for e in some] for some in ([first], [first, second])]
+    search = searched({frozenset(some): score for some, score in zip(names, (0.0, 1.0), strict=True)})
+    monkeypatch.setattr(findings, "wald", lambda *_: 0.5)
+    monkeypatch.setattr(Search, "worths", lambda *_: [9.0, 1.0])
+    extra = tuple(Term(e, ()) for e in (wider, second))
+    claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=extra)))
+    assert [f.term for f in claimed] == [extra[0]]
+    assert claimed[0].probability == pytest.approx(1.0)
+    assert [p.key for p in possible] == [("empirical", (0,))]
+    assert possible[0].probability == pytest.approx(1 / (1 + np.exp(-1.0)))

@@ -246,7 +246,11 @@ class Noise:
 
     @classmethod
     def of(cls, residual: np.ndarray, place: np.ndarray, turning: np.ndarray) -> "Noise":
-        """Estimated by least squares from a residual (M,).
+        """Estimated by least squares from a residual (M,), with the sum of each filter's weights at most exp(−Δt / `MEMORY`).
+
+        An offset passes a filter by 1 − that sum, so that a sum near 1 would hide it. Least squares over the rows with a full past
+        uses each stretch between gaps as it is; Yule and Walker's equations take its ends for 0, which biases short stretches, and
+        Burg's recursion has no constraint on the sum. A filter that is not stable gives way to that of the order below.
 
         Args:
             place: Number of rows without a gap before each row; −1 where a row does not count, (M,).
@@ -257,14 +261,16 @@ class Noise:
         lags = np.zeros((len(residual), order))
         for k in range(order):
             lags[k + 1 :, k] = residual[: -k - 1]
-        calm = ~turning
+        calm, most = ~turning, float(np.exp(-STRIDE * EVERY / MEMORY))
         filters, spreads, factor = [], [], 1.0
         for k in range(order + 1):
             rows = (place >= k) & calm
             if np.count_nonzero(rows) < max(3 * k, 10):
                 rows = place >= k
             x, y = lags[rows, :k], residual[rows]
-            weights = np.linalg.solve(x.T @ x + 1e-9 * (y @ y + 1e-300) * np.eye(k), x.T @ y) if k else np.zeros(0)
+            weights = _bounded(x.T @ x + 1e-9 * (y @ y + 1e-300) * np.eye(k), x.T @ y, most)
+            if k and np.abs(np.roots([1.0, *-weights])).max(initial=0.0) >= 1:
+                weights = np.append(filters[-1], 0.0)
             filters.append(weights)
             spreads.append(float(np.sqrt(np.mean((y - x @ weights) ** 2))) if len(y) else 1.0)
         turned = (place >= order) & turning
@@ -290,3 +296,9 @@ class Noise:
         matrix = csr_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
         counted = place >= 0
         return matrix, float(np.sum(np.log(scale[counted] / self.spreads[at[counted]])))
+
+
+def _bounded(matrix: np.ndarray, right: np.ndarray, most: float) -> np.ndarray:
+    """Least squares from normal equations, the sum of the solution being at most `most`, (k,)."""
+    free, along = np.linalg.solve(matrix, np.column_stack([right, np.ones(len(right))])).T
+    return free - along * max(free.sum() - most, 0.0) / along.sum() if len(right) else free

@@ -11,10 +11,12 @@ from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.fitting import Fitted
 from rrr_oc.diagnosis.knobs import CLAIM
 from rrr_oc.diagnosis.search import Search, State
+from rrr_oc.effects import Effect
 
 RIVAL = 0.05  # odds of another effect in an effect's place from which it is named beside it
 POSSIBLE = 0.05  # probability from which an effect that is not claimed is mentioned
-Key = tuple[str, tuple[int, ...]]  # name and joints of an effect
+Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it is shown
+Identity = tuple[str, tuple[int, ...], Effect | None]  # and the black-box term itself, of which a joint may have several
 
 
 @dataclass(frozen=True)
@@ -59,44 +61,53 @@ def probabilities(search: Search) -> list[tuple[frozenset, float]]:
     return [(key, float(np.exp(score - total))) for key, score in scores.items()]
 
 
-def keys_of(structure: frozenset) -> set[Key]:
-    """Names and joints of a structure's effects."""
-    return {(effect.name, effect.joints) for effect, _ in structure}
+def identity(effect: Effect) -> Identity:
+    """What tells an effect from others."""
+    return effect.name, effect.joints, effect.without_range() if effect.black_box else None
+
+
+def identities(structure: frozenset) -> set[Identity]:
+    """Those of a structure's effects."""
+    return {identity(effect) for effect, _ in structure}
 
 
 def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     """The findings of a search, most important first, and what is possible beside them."""
     every, worths = probabilities(search), search.worths(at)
-    share: dict[Key, float] = {}
+    share: dict[Identity, float] = {}
     for structure, p in every:
-        for key in keys_of(structure):
+        for key in identities(structure):
             share[key] = share.get(key, 0.0) + p
-    own = [(t.effect.name, t.effect.joints) for t in at.fitted.extra]
+    own = [identity(t.effect) for t in at.fitted.extra]
     findings, named = [], set(own)
     for i, term in enumerate(at.fitted.extra):
-        key = own[i]
-        rivals = _rivals(key, every, set(own))
-        both = sum(p for structure, p in every if keys_of(structure) & {key, *rivals})
-        findings.append(Finding(term, min(both, 1.0), share.get(key, 1.0), worths[i], wald(at.fitted, i), tuple(rivals)))
-        named |= set(rivals)
+        others = _rivals(own[i], every, set(own))
+        both = sum(p for structure, p in every if identities(structure) & {own[i], *others})
+        shown = tuple(dict.fromkeys(other[:2] for other in others if other[:2] != own[i][:2]))
+        findings.append(Finding(term, min(both, 1.0), share.get(own[i], 1.0), worths[i], wald(at.fitted, i), shown))
+        named |= set(others)
     claimed = [f for f in findings if f.probability >= CLAIM]
-    rest = [Possible(f.key, f.term.groups, f.probability) for f in findings if f.probability < CLAIM]
-    rest += [Possible(key, (), p) for key, p in share.items() if p > POSSIBLE and key not in named]
+    rest = [Possible(f.key, f.term.groups, f.probability) for f in findings if f not in claimed]
+    rest += [Possible(key[:2], (), p) for key, p in share.items() if p > POSSIBLE and key not in named]
     return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: -p.probability)
 
 
-def _rivals(key: Key, every: Sequence[tuple[frozenset, float]], own: set[Key]) -> list[Key]:
-    """Effects in whose structures an effect is absent, with odds above `RIVAL`, most probable first."""
-    odds: dict[Key, float] = {}
-    present = 1e-300
+def _rivals(own: Identity, every: Sequence[tuple[frozenset, float]], present: set[Identity]) -> list[Identity]:
+    """Effects in whose structures an effect is absent, with odds above `RIVAL`, most probable first.
+
+    Args:
+        present: The effects of the best structure, which are nobody's rivals.
+    """
+    odds: dict[Identity, float] = {}
+    with_it = 1e-300
     for structure, p in every:
-        keys = keys_of(structure)
-        if key in keys:
-            present += p
+        keys = identities(structure)
+        if own in keys:
+            with_it += p
         else:
-            for other in keys - own:
+            for other in keys - present:
                 odds[other] = odds.get(other, 0.0) + p
-    return [other for other, p in sorted(odds.items(), key=lambda o: -o[1]) if p > RIVAL * present]
+    return [other for other, p in sorted(odds.items(), key=lambda o: -o[1]) if p > RIVAL * with_it]
 
 
 def wald(fitted: Fitted, i: int) -> float:
