@@ -1,6 +1,6 @@
 """Probabilities of effects from structures that were visited."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,14 +8,27 @@ import pytest
 
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis import findings
-from rrr_oc.diagnosis.findings import _rivals, found, identities, identity, probabilities
+from rrr_oc.diagnosis.diagnosis_file import _prior
+from rrr_oc.diagnosis.findings import _rivals, contribution, found, identities, identity, probabilities
+from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
 from rrr_oc.diagnosis.search import Search
+from rrr_oc.effects.base import Prior
 from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.priors import Priors
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 
 SPRING, HARNESS, OFFSET = (ParallelSpring((0,)), ()), (CableHarness((0,)), ()), (TorqueOffset((0,)), ())
+
+PRIORS = Priors({"torque_offset": Prior(0.02, {"offset": (0.1, "torque")}, "made up")})
+
+
+@dataclass(frozen=True)
+class Model:
+    """The terms of a model."""
+
+    terms: tuple[Term, ...]
 
 
 def searched(visited: dict, foreseen: dict | None = None) -> Search:
@@ -53,11 +66,62 @@ def test_two_black_box_terms_of_a_joint_have_probabilities_of_their_own(monkeypa
     wider = replace(first, low=(-2.0,), high=(3.0,))
     names = [[(e.without_range(), ()) for e in some] for some in ([first], [first, second])]
     search = searched({frozenset(some): score for some, score in zip(names, (0.0, 1.0), strict=True)})
+    search.fitter = SimpleNamespace(data=None, view=SimpleNamespace(springs=()), priors=PRIORS)  # pyright: ignore[reportAttributeAccessIssue]
     monkeypatch.setattr(findings, "wald", lambda *_: 0.5)
     monkeypatch.setattr(Search, "worths", lambda *_: [9.0, 1.0])
+    monkeypatch.setattr(findings, "contribution", lambda *_: 1.0)
     extra = tuple(Term(e, ()) for e in (wider, second))
     claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=extra)))
     assert [f.term for f in claimed] == [extra[0]]
     assert claimed[0].probability == pytest.approx(1.0)
     assert [p.key for p in possible] == [("empirical", (0,))]
     assert possible[0].probability == pytest.approx(1 / (1 + np.exp(-1.0)))
+
+
+@pytest.mark.parametrize(("size", "claims"), [(1.01 * NEGLIGIBLE, 1), (0.99 * NEGLIGIBLE, 0)])
+def test_an_effect_too_small_to_matter_is_possible_but_not_claimed(monkeypatch, size, claims):
+    search = searched({frozenset({OFFSET}): 0.0})
+    search.fitter = SimpleNamespace(data=None, view=SimpleNamespace(springs=()), priors=PRIORS)  # pyright: ignore[reportAttributeAccessIssue]
+    monkeypatch.setattr(findings, "wald", lambda *_: 1e-9)
+    monkeypatch.setattr(Search, "worths", lambda *_: [50.0])
+    monkeypatch.setattr(findings, "contribution", lambda *_: size)
+    claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=(Term(OFFSET[0], ()),))))
+    assert (len(claimed), len(possible)) == (claims, 1 - claims)
+    assert (claimed or possible)[0].probability == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("beforehand", [0.005, 0.03, 0.3])
+def test_a_claim_rests_on_its_prior_by_the_rule_of_bayes(beforehand):
+    """Odds are prior odds times the Bayes factor; with a tenth of the prior odds a claim needs 190 times prior odds of one."""
+    odds = beforehand / (1 - beforehand)
+    prior = replace(PRIORS.of(TorqueOffset), probability=beforehand)
+    for factor, rests in ((0.99 * 190 / odds, True), (1.01 * 190 / odds, False)):
+        now, less = (x / (1 + x) for x in (odds * factor, odds / 10 * factor))
+        finding = findings.Finding(Term(OFFSET[0], ()), now, now, 9.0, 1e-9, (), prior)
+        assert finding.rests_on_prior == rests == (less < CLAIM)
+        assert _prior(finding, ["a"]) == {
+            "effect": "torque_offset",
+            "joint": "a",
+            "probability": beforehand,
+            "typical": {"offset": {"value": 0.1, "unit": "torque"}},
+            "source": "made up",
+            "claim_rests_on_prior": rests,
+        }
+
+
+def test_a_contribution_is_what_the_effect_changes_where_it_holds():
+    """An offset of 0.5 Nm on joint 1 in one of two groups; of no consequence are the other group and rows that do not count."""
+    labels = np.array([0] * 6 + [1] * 4)
+    counted = np.ones((2, 10), bool)
+    counted[:, 0] = False
+    change = np.array([[9.0, *[0.5] * 5, *[3.0] * 4], np.zeros(10)])
+    term, residual = Term(OFFSET[0], (), groups=("a",)), np.ones((2, 10))
+    data = SimpleNamespace(
+        counted=counted,
+        labels=("a", "b"),
+        label=labels,
+        torque=np.array([10.0, 1.0]),
+        rows=lambda model: SimpleNamespace(residual=residual + change * (not model.terms)),
+    )
+    fitted = SimpleNamespace(extra=(term,), model=Model((term,)), residual=residual)
+    assert contribution(data, fitted, 0) == pytest.approx(0.05)

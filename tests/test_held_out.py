@@ -11,9 +11,11 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
-from rrr_oc.diagnosis.held_out import Fold, _means, in_closed_loop, intervals
+from rrr_oc.diagnosis.held_out import Fold, _means, acts_on, in_closed_loop, intervals
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares, _confirmed
+from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.report.diagnosis_report import write_diagnosis
@@ -22,10 +24,19 @@ from rrr_oc.report.diagnosis_words import sentence
 STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 
 
-def fold(k: int, models=(None, None), errors=(None, None), gains=(), again=()) -> Fold:
-    """A fold that holds out recording k, with gains and confirmations of effects."""
+def fold(k: int, models=(None, None), errors=(None, None), gains=(), again=(), falls=None) -> Fold:
+    """A fold that holds out recording k, with gains and confirmations of effects; errors fall where densities rise unless they are given."""
     none = np.zeros(len(gains) + 1)
-    return Fold((k,), *models, *errors, np.array(gains), np.array(again), none, np.zeros((len(none), 1, 3)))
+    return Fold(
+        (k,),
+        *models,
+        *errors,
+        np.array(gains),
+        np.array(gains if falls is None else falls),
+        np.array(again),
+        none,
+        np.zeros((len(none), 1, 3)),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +179,16 @@ def test_an_effect_is_confirmed_that_is_found_again_and_predicts_better(gains, a
     folds = [fold(k, gains=(-1.0, g), again=(0.0, a)) for k, (g, a) in enumerate(zip(gains, again, strict=True))]
     assert _confirmed(folds, 1) == confirmed
     assert not _confirmed(folds, 0)
+
+
+def test_an_effect_that_raises_the_density_but_also_the_error_is_not_confirmed():
+    assert _confirmed([fold(k, gains=(300.0,), again=(1.0,), falls=(f,)) for k, f in enumerate((-0.5, 0.6))], 0)
+    assert not _confirmed([fold(k, gains=(300.0,), again=(1.0,), falls=(f,)) for k, f in enumerate((-0.5, 0.4))], 0)
+    assert _confirmed([fold(k, gains=(300.0,), again=(1.0,), falls=(f,)) for k, f in enumerate((np.nan, 0.4))], 0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "joints"), [(ParallelSpring((1,)), [1]), (EncoderOffset((1,)), [0, 1, 2]), (GravityTilt(()), [0, 1, 2])]
+)
+def test_what_changes_motion_or_body_acts_on_all_joints(effect, joints):
+    assert acts_on(Term(effect, ()), 3) == joints

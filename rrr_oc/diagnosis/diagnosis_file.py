@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.diagnosis.findings import named
+from rrr_oc.diagnosis.findings import Finding, named
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.recordings.recording import RecordingSet
@@ -37,12 +37,27 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
         "unexplained": [_unexplained(diagnosis, i) for i, empirical in enumerate(black_box) if empirical],
+        "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [
             {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}
             for k, s in enumerate(diagnosis.suggestions, 1)
         ],
         "nrmse": {"calibration": by_joint(diagnosis.calibration), "held_out": by_joint(diagnosis.held_out)},
         "versions": dict(model.versions),
+    }
+
+
+def _prior(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
+    """What was believed of an effect before, and whether its claim rests on that."""
+    prior, units = finding.prior, {p.name: p.unit for p in finding.term.effect.parameters}
+    assert prior is not None
+    typical = {name: {"value": size, "unit": unit or units.get(name, "")} for name, (size, unit) in prior.typical.items()}
+    return {
+        **named(finding.key, joints),
+        "probability": prior.probability,
+        "typical": typical,
+        "source": prior.source,
+        "claim_rests_on_prior": finding.rests_on_prior,
     }
 
 

@@ -21,10 +21,8 @@ FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's dis
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
 ROUNDS = 5  # most estimates of the noise
 UPDATES = 12  # most of the sizes for one noise
-SMALL_GAIN, SETTLED = (
-    0.2,
-    0.05,
-)  # nats: by which another noise must raise the evidence, and change of log σ times rows that ends updates
+SMALL_GAIN = 0.2  # nats by which another noise must raise the evidence
+SETTLED = 0.05  # nats: change of log σ times rows below which updates of the sizes end
 
 
 @dataclass(frozen=True)
@@ -258,7 +256,7 @@ def _converged(grams, joints, sizes: Sizes, prior: Prior) -> Sizes:
 
 @dataclass(frozen=True)
 class Gram:
-    """Products of one whitened joint."""
+    """Products of one whitened joint: of its columns x, its residual y and its orthogonal features t; `live` are the columns not 0."""
 
     xx: np.ndarray
     xy: np.ndarray
@@ -282,8 +280,8 @@ def _reduced(g: Gram, one: Joint, sigma: float, discrepancy: float) -> tuple[np.
 
 
 def at_size(prior: Prior, links: float) -> Prior:
-    precision = np.where(prior.links, prior.precision / links**2, prior.precision)
-    return Prior(prior.mean, precision, prior.proper, prior.links, prior.lower, prior.upper, prior.flat)
+    """The prior with errors of the links of this size."""
+    return replace(prior, precision=np.where(prior.links, prior.precision / links**2, prior.precision))
 
 
 def _normal(grams, joints, sizes, prior):
@@ -309,21 +307,17 @@ def _minimum(grams, joints, sizes, prior):
 
 
 def _solved(matrix: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """The solution of linear equations with a precision, scaled to a diagonal of 1; a matrix of targets gives one each."""
     scale = np.sqrt(np.diag(matrix))
     scale = np.where(scale > 0, scale, 1.0)
-    return cho_solve(cho_factor(matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(matrix))), target / scale) / scale
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.diag(matrix))
-    scale = np.where(scale > 0, scale, 1.0)
-    return np.linalg.inv(matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(matrix))) / np.outer(scale, scale)
+    factor = cho_factor(matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(matrix)))
+    return (cho_solve(factor, (target.T / scale).T).T / scale).T
 
 
 def _updated(grams, joints, sizes: Sizes, prior: Prior, step: np.ndarray, matrix: np.ndarray) -> Sizes:
     """The sizes after one step towards those of the largest evidence (MacKay's fixed point)."""
     sigma, discrepancy = sizes.sigma.copy(), sizes.discrepancy.copy()
-    inverse = _inverse(matrix)
+    inverse = _solved(matrix, np.eye(len(matrix)))
     for j, (g, one) in enumerate(zip(grams, joints, strict=True)):
         rho = (sigma[j] / discrepancy[j]) ** 2
         d, own = step[g.live], inverse[np.ix_(g.live, g.live)]

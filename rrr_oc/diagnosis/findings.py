@@ -1,18 +1,21 @@
 """What a search found: the probability of each effect over all structures that were visited, and what competes with it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.fitting import Fitted
-from rrr_oc.diagnosis.knobs import CLAIM
+from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
 from rrr_oc.diagnosis.search import Search, State
 from rrr_oc.effects import Effect
+from rrr_oc.effects.base import Prior
 
+LESS_PROBABLE = 10.0  # times that an effect may be less probable beforehand before its claim is said to rest on that
 RIVAL = 0.05  # odds of another effect in an effect's place from which it is named beside it
 POSSIBLE = 0.05  # probability from which an effect that is not claimed is mentioned
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it is shown
@@ -30,6 +33,7 @@ class Finding:
         worth: Fall of the log posterior probability without it [nats].
         p_value: Of its amplitudes being 0 (Wald's test).
         rivals: Names and joints of effects that may be present in its place.
+        prior: What was believed of it before: its declared or given prior with the probability that it has on this arm.
     """
 
     term: Term
@@ -38,11 +42,20 @@ class Finding:
     worth: float
     p_value: float
     rivals: tuple[Key, ...] = ()
+    prior: Prior | None = None
 
     @property
     def key(self) -> Key:
         """Name and joints."""
         return self.term.effect.name, self.term.effect.joints
+
+    @property
+    def rests_on_prior(self) -> bool:
+        """Whether it would not be claimed, had its odds beforehand been `LESS_PROBABLE` times lower.
+
+        Posterior odds are prior odds times the Bayes factor, so that they would be lower by as much.
+        """
+        return self.probability * (1 - CLAIM) < LESS_PROBABLE * CLAIM * (1 - self.probability)
 
 
 @dataclass(frozen=True)
@@ -84,12 +97,22 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
         others = _rivals(own[i], every, set(own))
         both = sum(p for structure, p in every if identities(structure) & {own[i], *others})
         shown = tuple(dict.fromkeys(other[:2] for other in others if other[:2] != own[i][:2]))
-        findings.append(Finding(term, min(both, 1.0), share.get(own[i], 1.0), worths[i], wald(at.fitted, i), shown))
+        alone = share.get(own[i], 1.0)
+        findings.append(
+            Finding(term, min(both, 1.0), alone, worths[i], wald(at.fitted, i), shown, _before(search, term.effect))
+        )
         named |= set(others)
-    claimed = [f for f in findings if f.probability >= CLAIM]
+    sizes = [contribution(search.fitter.data, at.fitted, i) for i in range(len(findings))]
+    claimed = [f for f, size in zip(findings, sizes, strict=True) if f.probability >= CLAIM and size >= NEGLIGIBLE]
     rest = [Possible(f.key, f.term.groups, f.probability) for f in findings if f not in claimed]
     rest += [Possible(key[:2], (), p) for key, p in share.items() if p > POSSIBLE and key not in named]
     return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: -p.probability)
+
+
+def _before(search: Search, effect: Effect) -> Prior:
+    """The prior of an effect, with its probability on this arm."""
+    priors, view = search.fitter.priors, search.fitter.view
+    return replace(priors.of(type(effect)), probability=priors.chance(effect, view))
 
 
 def _rivals(own: Identity, every: Sequence[tuple[frozenset, float]], present: set[Identity]) -> list[Identity]:
@@ -108,6 +131,19 @@ def _rivals(own: Identity, every: Sequence[tuple[frozenset, float]], present: se
             for other in keys - present:
                 odds[other] = odds.get(other, 0.0) + p
     return [other for other, p in sorted(odds.items(), key=lambda o: -o[1]) if p > RIVAL * with_it]
+
+
+def contribution(data: Data, fitted: Fitted, i: int) -> float:
+    """What an added effect changes of the fitted torque (rms where it holds) over the joint's torque; the largest over joints.
+
+    Below `NEGLIGIBLE` it is as good as absent (a region of practical equivalence, Kruschke 2018).
+    """
+    term = fitted.extra[i]
+    less = replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t is not term))
+    change = data.rows(less).residual - fitted.residual
+    rows = data.counted & np.isin(np.array(data.labels)[data.label], term.groups or data.labels)
+    rms = np.sqrt(np.sum((change * rows) ** 2, axis=1) / np.maximum(rows.sum(axis=1), 1))
+    return float(np.max(rms / data.torque))
 
 
 def wald(fitted: Fitted, i: int) -> float:

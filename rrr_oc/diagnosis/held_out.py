@@ -45,6 +45,8 @@ class Fold:
         before, after: Their NRMSE on the held-out recordings, each (number held out, n).
         gains: For each effect found on all recordings: fall of the negative log predictive density of the held-out recordings
             with it, beside the other effects found, all fitted to the rest [nats]; NaN where they or the rest lack it.
+        falls: For each the fall of the weighted squared residual on the held-out recordings, likewise, over the joints that it acts
+            on; NaN where they or the rest lack it.
         again: For each whether the rest alone supports it (its posterior odds are above 1); NaN where the rest lacks it.
         squares: Weighted squared residual on the held-out recordings with the first 0, 1, … effects, (effects + 1,).
         errors: NRMSE of each of these models on the held-out recordings, (effects + 1, number held out, n).
@@ -56,6 +58,7 @@ class Fold:
     before: np.ndarray
     after: np.ndarray
     gains: np.ndarray
+    falls: np.ndarray
     again: np.ndarray
     squares: np.ndarray
     errors: np.ndarray
@@ -121,15 +124,17 @@ def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple
 
     count = len(terms)
     every = tuple(k for k in range(count) if any(here[k]))
-    gains, again = np.full(count, np.nan), np.full(count, np.nan)
+    nested = [fit(tuple(i for i in every if i < k)) for k in range(count + 1)]
+    full = nested[-1]
+    weights = 1 / np.maximum(_squares(test, full.model), 1e-12)
+    gains, falls, again = np.full((3, count), np.nan)
     for k in every:
         less = fit(tuple(i for i in every if i != k))
-        again[k] = search.scored(fit(every)).score > search.scored(less).score
+        again[k] = search.scored(full).score > search.scored(less).score
         if any(there[k]):
-            noise = fit(every).posterior
-            gains[k] = density(test, fit(every).model, noise) - density(test, less.model, noise)
-    nested = [fit(tuple(i for i in every if i < k)) for k in range(count + 1)]
-    weights = 1 / np.array([max(s, 1e-12) for s in np.sum(_residual(test, nested[-1].model) ** 2, axis=1)])
+            gains[k] = density(test, full.model, full.posterior) - density(test, less.model, full.posterior)
+            own = acts_on(terms[k], test.n)
+            falls[k] = weights[own] @ (_squares(test, less.model) - _squares(test, full.model))[own]
     return Fold(
         tuple(held),
         plain.model,
@@ -137,14 +142,26 @@ def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple
         nrmse(test, plain.model),
         nrmse(test, searched.model),
         gains,
+        falls,
         again,
-        np.array([float(weights @ np.sum(_residual(test, f.model) ** 2, axis=1)) for f in nested]),
+        np.array([float(weights @ _squares(test, f.model)) for f in nested]),
         np.array([nrmse(test, f.model) for f in nested]),
     )
 
 
+def acts_on(term: Term, n: int) -> list[int]:
+    """Joints whose torque a term changes: all n where it changes the motion or the body, of which every joint feels a part."""
+    joints = term.effect.joints
+    return list(range(n)) if not joints or term.effect.side in ("motion", "body") else list(joints)
+
+
 def _residual(data: Data, model: CalibratedModel) -> np.ndarray:
     return data.rows(model).residual
+
+
+def _squares(data: Data, model: CalibratedModel) -> np.ndarray:
+    """Sum of the squared residual of each joint, (n,)."""
+    return np.sum(_residual(data, model) ** 2, axis=1)
 
 
 def density(test: Data, model: CalibratedModel, post: Posterior) -> float:

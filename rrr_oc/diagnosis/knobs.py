@@ -1,13 +1,22 @@
-"""The hand-set numbers that decide anything in a discovery; `priors.toml` may change them."""
+"""The numbers, set by hand, that decide what a diagnosis claims."""
 
-MEMORY = 0.5  # [s] over which a joint's noise is correlated; doubled, slow noise is told better, from more data
-DISCREPANCY = 0.003  # share of a joint's torque that no law is exact enough for; doubled, small claims are made later
-FRICTION_DISCREPANCY = 0.05  # the same share of a joint's dry friction, for laws of friction
-CLOCK_ERROR = 0.003  # [s] by which torque, speed and acceleration of a joint are apart
-MASS_ERROR, CENTRE_ERROR, INERTIA_ERROR = (
-    0.03,
-    0.01,
-    0.05,
-)  # of a URDF's links: share, [m], share; doubled, laws of position lose
-CLAIM = 0.95  # probability from which an effect is claimed; lower, more claims, and more of them wrong
-EXCESS = {1.0: 0.7, 4.0: 0.25, 16.0: 0.05}  # by which effects are larger than their typical size, and in which share of arms
+# Time over which a joint's noise stays alike [s]; doubled, slow disturbances are rather taken for noise.
+MEMORY = 0.5
+# Share of a joint's torque by which the best law may be wrong; doubled, small effects are claimed later.
+DISCREPANCY = 0.003
+# Share of a joint's dry friction by which the best law of friction may be wrong; doubled, details of friction are claimed later.
+FRICTION_DISCREPANCY = 0.05
+# Time by which the recorded torque, speed and acceleration of a joint may be apart [s]; doubled, short delays are claimed later.
+CLOCK_ERROR = 0.003
+# Share by which a link's mass in the URDF may be wrong; doubled, a wrong mass is claimed later.
+MASS_ERROR = 0.03
+# Distance by which a link's centre of mass in the URDF may be wrong [m]; doubled, laws of the position are claimed later.
+CENTRE_ERROR = 0.01
+# Share by which a link's inertia in the URDF may be wrong; doubled, laws of the acceleration are claimed later.
+INERTIA_ERROR = 0.05
+# Probability from which an effect is claimed; lower, more is claimed, and more of it wrong.
+CLAIM = 0.95
+# Share of a joint's torque below which an effect is too small to matter and is not claimed; 0 claims effects of any size.
+NEGLIGIBLE = 0.0003
+# By how much effects exceed their typical size, and in which share of arms; with smaller factors, large effects are taken for others.
+EXCESS = {1.0: 0.7, 4.0: 0.25, 16.0: 0.05}

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -128,14 +129,13 @@ def diagnose(
     way, folds = checked(fitter, every, begin, findings, jobs)
     confirmed = [f for k, f in enumerate(findings) if _confirmed(folds, k)]
     refuted = tuple(f for f in findings if f not in confirmed)
-    if refuted or len(confirmed) < len(at.fitted.extra):
-        kept = tuple(f.term for f in confirmed)
-        model = replace(begin.model, terms=(*begin.model.terms, *kept))
-        final = fitter.fit(model, begin.links, at.fitted.posterior) if kept else begin
-        if refuted:
-            way, folds = checked(fitter, every, begin, confirmed, jobs)
-    else:
-        final = replace_order(fitter, begin, at.fitted, confirmed)
+    kept = tuple(f.term for f in confirmed)
+    final = at.fitted if kept else begin
+    if kept and kept != at.fitted.extra:  # some are missing, or in another order
+        model = replace(at.fitted.model, terms=(*at.fitted.model.terms[: at.fitted.base], *kept))
+        final = fitter.fit(model, at.fitted.links, at.fitted.posterior)
+    if refuted:
+        way, folds = checked(fitter, every, begin, confirmed, jobs)
     return _assembled(recordings, whole, fitter, (begin, final), (confirmed, possible, refuted), (way, folds))
 
 
@@ -168,24 +168,20 @@ def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared],
 
 
 def _confirmed(folds: Sequence[Fold], k: int) -> bool:
-    """Whether an effect is found again without held-out recordings and predicts them better; True where no fold can tell."""
-    gains, again = (np.array([getattr(f, key)[k] for f in folds]) for key in ("gains", "again"))
-    gains, again = gains[np.isfinite(gains)], again[np.isfinite(again)]
-    return (not len(again) or np.mean(again) >= 0.5) and (not len(gains) or float(np.sum(gains)) > 0.0)
+    """Whether an effect is found again without held-out recordings and predicts them better; True where no fold can tell.
 
-
-def replace_order(fitter: Fitter, begin: Fitted, at: Fitted, findings: Sequence[Finding]) -> Fitted:
-    """The fit with its effects in the order of the findings."""
-    terms = tuple(f.term for f in findings)
-    if terms == at.extra:
-        return at
-    return fitter.fit(replace(at.model, terms=(*at.model.terms[: at.base], *terms)), at.links, at.posterior)
+    Better: with a higher probability density and with a smaller squared error, neither of which implies the other.
+    """
+    values = np.array([[f.gains[k], f.falls[k], f.again[k]] for f in folds]).T
+    gains, falls, again = (x[np.isfinite(x)] for x in values)
+    better = all(not len(x) or float(np.sum(x)) > 0.0 for x in (gains, falls))
+    return better and (not len(again) or float(np.mean(again)) >= 0.5)
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosis:
     (begin, final), (confirmed, possible, refuted), (way, folds) = fits, told, check
-    plain = finished(recordings, whole, described(begin), {"way": "posterior"}, _now())
-    model = finished(recordings, whole, described(final), {"way": "posterior"}, _now()) if confirmed else plain
+    plain = finished(recordings, whole, described(begin), {"way": "posterior"}, perf_counter())
+    model = finished(recordings, whole, described(final), {"way": "posterior"}, perf_counter()) if confirmed else plain
     findings = [replace(f, term=t) for f, t in zip(confirmed, model.terms[final.base :], strict=True)]
     before = mean_nrmse(np.concatenate([f.before for f in folds]))
     after = mean_nrmse(np.concatenate([f.after for f in folds])) if findings else before
@@ -209,12 +205,6 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosi
         tuple(folds),
         tuple(left.tolist()),
     )
-
-
-def _now() -> float:
-    import time
-
-    return time.perf_counter()
 
 
 def described(fitted: Fitted) -> CalibratedModel:

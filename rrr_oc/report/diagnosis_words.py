@@ -3,12 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rrr_oc.diagnosis.findings import LESS_PROBABLE
 from rrr_oc.diagnosis.knobs import CLAIM
 from rrr_oc.effects import CATALOGUE
 
-LESS_PROBABLE = (
-    10.0  # times, that what is claimed may be less probable beforehand; twice as much, more claims are said to rest on that
-)
 SURE = 0.999  # probability above which no closer number is shown; nearer to 1, digits that no recordings support
 # Above both times the error within the fit and this NRMSE, held-out recordings count as badly
 POOR_RATIO, POOR_NRMSE = 3.0, 0.2
