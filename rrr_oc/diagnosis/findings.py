@@ -11,7 +11,7 @@ from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.fitting import Fitted
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
-from rrr_oc.diagnosis.search import Search, State
+from rrr_oc.diagnosis.search import Identity, Search, State, identity
 from rrr_oc.effects import Effect
 from rrr_oc.effects.base import Prior
 
@@ -19,7 +19,6 @@ LESS_PROBABLE = 10.0  # times that an effect may be less probable beforehand bef
 RIVAL = 0.05  # odds of another effect in an effect's place from which it is named beside it
 POSSIBLE = 0.05  # probability from which an effect that is not claimed is mentioned
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it is shown
-Identity = tuple[str, tuple[int, ...], Effect | None]  # and the black-box term itself, of which a joint may have several
 
 
 @dataclass(frozen=True)
@@ -72,11 +71,6 @@ def probabilities(search: Search) -> list[tuple[frozenset, float]]:
     scores = {**search.foreseen, **search.visited}
     total = logsumexp(list(scores.values()))
     return [(key, float(np.exp(score - total))) for key, score in scores.items()]
-
-
-def identity(effect: Effect) -> Identity:
-    """What tells an effect from others."""
-    return effect.name, effect.joints, effect.without_range() if effect.black_box else None
 
 
 def identities(structure: frozenset) -> set[Identity]:

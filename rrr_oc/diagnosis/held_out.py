@@ -18,7 +18,6 @@ from rrr_oc.diagnosis.evidence import Joint, Posterior
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.search import Search
-from rrr_oc.effects import Trial
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
@@ -41,15 +40,8 @@ class Fold:
 
     Attributes:
         held: Indices of the held-out recordings (of the blocks of a single recording).
-        plain, model: Without and with the effects that a search on the rest claims, fitted to the rest.
+        plain, model: Without and with the effects that a search on the rest finds, fitted to the rest.
         before, after: Their NRMSE on the held-out recordings, each (number held out, n).
-        gains: For each effect found on all recordings: fall of the negative log predictive density of the held-out recordings
-            with it, beside the other effects found, all fitted to the rest [nats]; NaN where they or the rest lack it.
-        falls: For each the fall of the weighted squared residual on the held-out recordings, likewise, over the joints that it acts
-            on; NaN where they or the rest lack it.
-        again: For each whether the rest alone supports it (its posterior odds are above 1); NaN where the rest lacks it.
-        squares: Weighted squared residual on the held-out recordings with the first 0, 1, … effects, (effects + 1,).
-        errors: NRMSE of each of these models on the held-out recordings, (effects + 1, number held out, n).
     """
 
     held: tuple[int, ...]
@@ -57,6 +49,21 @@ class Fold:
     model: CalibratedModel
     before: np.ndarray
     after: np.ndarray
+
+
+@dataclass(frozen=True)
+class Check:
+    """What each of some effects contributes on held-out recordings, all fitted to the rest.
+
+    Attributes:
+        gains: Fall of the negative log predictive density with the effect, beside all others [nats]; NaN where the held-out
+            recordings or the rest lack it.
+        falls: Fall of the weighted squared residual, likewise, over the joints that it acts on.
+        again: Whether the rest alone supports it (its posterior odds are above 1); NaN where the rest lacks it.
+        squares: Weighted squared residual with the first 0, 1, … effects, (effects + 1,).
+        errors: NRMSE of each of these models, (effects + 1, number held out, n).
+    """
+
     gains: np.ndarray
     falls: np.ndarray
     again: np.ndarray
@@ -95,26 +102,39 @@ def _blocks(data: Data) -> Data:
     return Data(tuple(pieces), data.start, data.links, data.free, type(data.signatures)())
 
 
-def checked(
-    fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, findings: Sequence[Finding], jobs: int
-) -> tuple[str, list[Fold]]:
-    """The way of holding out, and one fold for each part of the recordings."""
-    way, data, held = folds_of(fitter.data)
-    whole = replace(fitter, data=data)
-    terms = tuple(f.term for f in findings)
-    arguments = [(whole, trials, begin, terms, one) for one in held]
-    return way, parallel.ordered(_fold, arguments, jobs if findings else 1)
+def repeated(search: Search, begin: Fitted, found: bool, jobs: int) -> tuple[str, list[Fold]]:
+    """The way of holding out, and one fold for each part of the recordings, in which the search is repeated if it found anything."""
+    way, data, held = folds_of(search.fitter.data)
+    whole = replace(search.fitter, data=data)
+    arguments = [(Search(whole, search.trials, refuted=search.refuted), begin, found, one) for one in held]
+    return way, parallel.ordered(_fold, arguments, jobs if found else 1)
 
 
-def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple[Term, ...], held: list[int]) -> Fold:
-    rest = [i for i in range(len(fitter.data.prepared)) if i not in held]
-    train, test = replace(fitter, data=fitter.data.part(rest)), fitter.data.part(held)
-    plain = train.with_signs(train.fit(begin.model, begin.links))
-    search = Search(train, trials, black_box=any(t.effect.black_box for t in terms))
-    searched = search.run(plain).fitted if terms else plain
+def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, Data, Fitted]:
+    """What fits models to the recordings that are not held out, the others, and the plain model."""
+    train = replace(fitter, data=fitter.data.part([i for i in range(len(fitter.data.prepared)) if i not in held]))
+    return train, fitter.data.part(held), train.with_signs(train.fit(begin.model, begin.links))
+
+
+def _fold(search: Search, begin: Fitted, found: bool, held: list[int]) -> Fold:
+    train, test, plain = _parts(search.fitter, begin, held)
+    model = (Search(train, search.trials, refuted=search.refuted).run(plain).fitted if found else plain).model
+    return Fold(tuple(held), plain.model, model, nrmse(test, plain.model), nrmse(test, model))
+
+
+def checked(fitter: Fitter, begin: Fitted, findings: Sequence[Finding], jobs: int) -> list[Check]:
+    """One check of findings for each part of the recordings."""
+    _, data, held = folds_of(fitter.data)
+    arguments = [(replace(fitter, data=data), begin, tuple(f.term for f in findings), one) for one in held]
+    return parallel.ordered(_check, arguments, jobs if findings else 1)
+
+
+def _check(fitter: Fitter, begin: Fitted, terms: tuple[Term, ...], held: list[int]) -> Check:
+    train, test, plain = _parts(fitter, begin, held)
     here = [[t.holds_for(p.recording) for p in train.data.prepared] for t in terms]
     there = [[t.holds_for(p.recording) for p in test.prepared] for t in terms]
-    fits: dict[tuple[int, ...], Fitted] = {(): plain}
+    count, search, fits = len(terms), Search(train, ()), {(): plain}
+    every = tuple(k for k in range(count) if any(here[k]))
 
     def fit(which: tuple[int, ...]) -> Fitted:
         if which not in fits:
@@ -122,8 +142,6 @@ def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple
             fits[which] = train.fit(replace(plain.model, terms=(*plain.model.terms, *some)), plain.links, plain.posterior)
         return fits[which]
 
-    count = len(terms)
-    every = tuple(k for k in range(count) if any(here[k]))
     nested = [fit(tuple(i for i in every if i < k)) for k in range(count + 1)]
     full = nested[-1]
     weights = 1 / np.maximum(_squares(test, full.model), 1e-12)
@@ -135,18 +153,8 @@ def _fold(fitter: Fitter, trials: tuple[Trial, ...], begin: Fitted, terms: tuple
             gains[k] = density(test, full.model, full.posterior) - density(test, less.model, full.posterior)
             own = acts_on(terms[k], test.n)
             falls[k] = weights[own] @ (_squares(test, less.model) - _squares(test, full.model))[own]
-    return Fold(
-        tuple(held),
-        plain.model,
-        searched.model,
-        nrmse(test, plain.model),
-        nrmse(test, searched.model),
-        gains,
-        falls,
-        again,
-        np.array([float(weights @ _squares(test, f.model)) for f in nested]),
-        np.array([nrmse(test, f.model) for f in nested]),
-    )
+    squares = np.array([float(weights @ _squares(test, f.model)) for f in nested])
+    return Check(gains, falls, again, squares, np.array([nrmse(test, f.model) for f in nested]))
 
 
 def acts_on(term: Term, n: int) -> list[int]:

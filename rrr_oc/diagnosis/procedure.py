@@ -17,9 +17,9 @@ from rrr_oc.calibration.term_fit import bounds
 from rrr_oc.diagnosis.data import Data, link_errors
 from rrr_oc.diagnosis.findings import Finding, Possible, found
 from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
-from rrr_oc.diagnosis.held_out import Fold, checked, mean_nrmse, nrmse
+from rrr_oc.diagnosis.held_out import Check, Fold, checked, mean_nrmse, nrmse, repeated
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
-from rrr_oc.diagnosis.search import Search
+from rrr_oc.diagnosis.search import Search, beside
 from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
@@ -91,12 +91,12 @@ class Shares:
     gain: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, folds: Sequence[Fold], findings: Sequence[Finding], n: int) -> "Shares":
-        """From folds in which the findings were added in their order."""
-        total = np.sum([f.squares for f in folds], axis=0)
-        errors = [mean_nrmse(np.concatenate([f.errors[k] for f in folds])) for k in range(len(findings) + 1)]
+    def of(cls, checks: Sequence[Check], findings: Sequence[Finding], n: int) -> "Shares":
+        """From checks in which the findings were added in their order."""
+        total = np.sum([c.squares for c in checks], axis=0)
+        errors = [mean_nrmse(np.concatenate([c.errors[k] for c in checks])) for k in range(len(findings) + 1)]
         joints = [list(f.term.effect.joints) or list(range(n)) for f in findings]
-        gains = np.array([f.gains for f in folds]).reshape(len(folds), -1)
+        gains = np.array([c.gains for c in checks]).reshape(len(checks), -1)
         return cls(
             tuple(float((total[k] - total[k + 1]) / max(total[0], 1e-300)) for k in range(len(findings))),
             tuple(float(np.nanmean(errors[k][j])) for k, j in enumerate(joints)),
@@ -122,21 +122,27 @@ def diagnose(
     whole, fitter, every, plain = ready(recordings, priors or Priors())
     begin = fitter.with_signs(fitter.fit(plain, np.zeros(fitter.data.links.shape[1])))
     report("looking for effects")
-    search = Search(fitter, every, report)
+    search, refuted = Search(fitter, every, report), []
     at = search.run(begin)
-    findings, possible = found(search, at)
-    report("repeating everything without the recordings that are held out" if findings else "predicting held-out recordings")
-    way, folds = checked(fitter, every, begin, findings, jobs)
-    confirmed = [f for k, f in enumerate(findings) if _confirmed(folds, k)]
-    refuted = tuple(f for f in findings if f not in confirmed)
-    kept = tuple(f.term for f in confirmed)
+    while True:
+        findings, possible = found(search, at)
+        report("predicting held-out recordings")
+        checks = checked(fitter, begin, findings, jobs)
+        out = unconfirmed(findings, checks)
+        if not out:
+            break
+        refuted += out
+        search = search.refuting([f.term for f in out])
+        at = search.run(search.without(at, [f.term for f in out]).fitted)
+    if findings:
+        report("repeating the search without the recordings that are held out")
+    way, folds = repeated(search, begin, bool(findings), jobs)
+    kept = tuple(f.term for f in findings)
     final = at.fitted if kept else begin
     if kept and kept != at.fitted.extra:  # some are missing, or in another order
         model = replace(at.fitted.model, terms=(*at.fitted.model.terms[: at.fitted.base], *kept))
         final = fitter.fit(model, at.fitted.links, at.fitted.posterior)
-    if refuted:
-        way, folds = checked(fitter, every, begin, confirmed, jobs)
-    return _assembled(recordings, whole, fitter, (begin, final), (confirmed, possible, refuted), (way, folds))
+    return _assembled(recordings, whole, fitter, (begin, final), (findings, possible, tuple(refuted)), (way, checks, folds))
 
 
 def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...], CalibratedModel]:
@@ -167,22 +173,31 @@ def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared],
     return whole, Fitter(data, seen, families, std, priors), every, plain
 
 
-def _confirmed(folds: Sequence[Fold], k: int) -> bool:
-    """Whether an effect is found again without held-out recordings and predicts them better; True where no fold can tell.
+def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Finding]:
+    """Effects that are not found again without held-out recordings, or do not predict them better, the least confirmed first.
 
-    Better: with a higher probability density and with a smaller squared error, neither of which implies the other.
+    Of those on a common joint only the first, since the others may be confirmed without it. Better: with a higher probability
+    density and with a smaller squared error, neither of which implies the other. What no part can tell is confirmed.
     """
-    values = np.array([[f.gains[k], f.falls[k], f.again[k]] for f in folds]).T
-    gains, falls, again = (x[np.isfinite(x)] for x in values)
-    better = all(not len(x) or float(np.sum(x)) > 0.0 for x in (gains, falls))
-    return better and (not len(again) or float(np.mean(again)) >= 0.5)
+    found: list[tuple[float, Finding]] = []
+    for k, finding in enumerate(findings):
+        gains, falls, again = np.array([[c.gains[k], c.falls[k], c.again[k]] for c in checks]).T
+        better = all(not np.isfinite(x).any() or float(np.nansum(x)) > 0.0 for x in (gains, falls))
+        seen = float(np.nanmean(again)) if np.isfinite(again).any() else 1.0
+        if not better or seen < 0.5:
+            found.append((seen + float(np.nansum(falls)), finding))
+    result: list[Finding] = []
+    for _, finding in sorted(found, key=lambda f: f[0]):
+        if not any(beside(finding.term.effect, other.term.effect) for other in result):
+            result.append(finding)
+    return result
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosis:
-    (begin, final), (confirmed, possible, refuted), (way, folds) = fits, told, check
+    (begin, final), (findings, possible, refuted), (way, checks, folds) = fits, told, check
     plain = finished(recordings, whole, described(begin), {"way": "posterior"}, perf_counter())
-    model = finished(recordings, whole, described(final), {"way": "posterior"}, perf_counter()) if confirmed else plain
-    findings = [replace(f, term=t) for f, t in zip(confirmed, model.terms[final.base :], strict=True)]
+    model = finished(recordings, whole, described(final), {"way": "posterior"}, perf_counter()) if findings else plain
+    findings = [replace(f, term=t) for f, t in zip(findings, model.terms[final.base :], strict=True)]
     before = mean_nrmse(np.concatenate([f.before for f in folds]))
     after = mean_nrmse(np.concatenate([f.after for f in folds])) if findings else before
     if not findings:
@@ -196,7 +211,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosi
         tuple(findings),
         tuple(possible),
         refuted,
-        Shares.of(folds, findings, fitter.data.n) if findings else Shares(),
+        Shares.of(checks, findings, fitter.data.n) if findings else Shares(),
         calibration,
         (before, after),
         way,

@@ -22,6 +22,9 @@ SETTLED = 30.0  # nats by which the best alternative in an effect's place falls 
 MOST = 14  # effects at which a search ends
 
 
+Identity = tuple[str, tuple[int, ...], Effect | None]  # name and joints of an effect, and which, of black-box terms
+
+
 @dataclass
 class State:
     """A structure that was visited.
@@ -40,6 +43,11 @@ def name_of(term: Term) -> tuple:
     return term.effect.without_range(), term.groups
 
 
+def identity(effect: Effect) -> Identity:
+    """What tells an effect from others."""
+    return effect.name, effect.joints, effect.without_range() if effect.black_box else None
+
+
 @dataclass
 class Search:
     """One search.
@@ -48,14 +56,14 @@ class Search:
         fitter: Fits models.
         trials: All trials of the catalogue.
         report: Receives one line of progress at a time.
-        black_box: Whether black-box terms are sought.
+        refuted: Effects that are not sought, as held-out recordings did not confirm them.
         visited: Log posterior of each structure that was scored, by its effects.
     """
 
     fitter: Fitter
     trials: tuple[Trial, ...]
     report: Callable[[str], None] = lambda _: None
-    black_box: bool = True
+    refuted: frozenset = frozenset()
     visited: dict[frozenset, float] = field(default_factory=dict)
     foreseen: dict[frozenset, float] = field(default_factory=dict)
     settled: dict[frozenset, float] = field(default_factory=dict)
@@ -78,12 +86,17 @@ class Search:
             better = self._added(at)
             if better is None:
                 better = self._exchanged(at)
-            if better is None and self.black_box:
+            if better is None:
                 better = self._unexplained(at)
             if better is None:
                 break
             at = self._pruned(better)
         return at
+
+    def refuting(self, out: Sequence[Term]) -> "Search":
+        """The search in which some effects are refuted."""
+        refuted = self.refuted | {identity(t.effect) for t in out}
+        return Search(self.fitter, self.trials, self.report, refuted)
 
     # moves
 
@@ -98,17 +111,19 @@ class Search:
         """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
         goal, kept = at.score if goal is None else goal, at.fitted.extra
         self.nearest = -np.inf
+        start = at.fitted.posterior
+        level = at.score - self.fitter.freed(at.fitted, start).log_evidence  # from a freed evidence to a score
         table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
         hopeful: list[tuple[Screen, Candidate]] = []
         seen: set = set()
-        for post, count in ((under or at.fitted.posterior, EXACT), (self._exact(under or at.fitted.posterior), EXACT // 2)):
+        for post, count in ((under or start, EXACT), (self._exact(under or start), EXACT // 2)):
             if post is None:
                 continue
             post = self.fitter.freed(at.fitted, post)
             screen = Screen.of(self.fitter, at.fitted, table, post)
-            candidates = [c for c in screen.candidates() if not self._present(c, kept) and not _same(c, out)]
+            candidates = [c for c in screen.candidates() if self._open(c, kept) and not _same(c, out)]
             # of the structure without the candidate, under the sizes of the screen
-            base = at.score + post.log_evidence - at.fitted.log_evidence
+            base = level + post.log_evidence
             if count == EXACT:
                 for c in candidates[:KEPT]:
                     key = frozenset([*(name_of(t) for t in kept), name_of(c.term)])
@@ -120,7 +135,7 @@ class Search:
             ]
             hopeful += own[:count]
             seen |= {(c.key, c.scope) for _, c in own[:count]}
-        return self._best(at, hopeful, goal)
+        return self._best(at, hopeful, level, goal)
 
     def _exact(self, post: Posterior) -> Posterior | None:
         """The posterior with sizes of an exact arm; None where they are as small."""
@@ -130,13 +145,13 @@ class Search:
         links = min(EXACT_LINKS, sizes.links) if self.fitter.data.free else sizes.links
         return replace(post, sizes=replace(sizes, links=links, discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS)))
 
-    def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], goal: float) -> State | None:
-        """The best of some candidates beyond `goal`, fitted exactly."""
+    def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], level: float, goal: float) -> State | None:
+        """The best of some candidates beyond `goal`, fitted exactly; `level` is what turns a freed evidence into a score."""
         judged: list[tuple[float, Candidate, Posterior]] = []
         for screen, c in hopeful:
             post = screen.evaluated(c)
             believed = c.log_prior + float(np.log(EXCESS[c.excess]))
-            judged.append((at.score + post.log_evidence - at.fitted.log_evidence + believed, c, post))
+            judged.append((level + post.log_evidence + believed, c, post))
         judged.sort(key=lambda x: -x[0])
         found: list[State] = []
         for k, (score, c, post) in enumerate(judged[:FITTED]):
@@ -145,9 +160,7 @@ class Search:
                 continue
             model = replace(at.fitted.model, terms=self._extended(at.fitted, c))
             starts, exact = [(model, at.fitted.links)], self._exact(post) if _bent(c) else None
-            if (
-                exact is not None
-            ):  # where a discrepancy takes up nothing, a shape that is far from its best is still drawn there
+            if exact is not None:  # a discrepancy takes up nothing, so that a shape that is far from its best is drawn there
                 near = self.fitter.fit(model, at.fitted.links, exact, fixed=True)
                 starts.append((near.model, near.links))
             fits = [self.fitter.with_signs(self.fitter.fit(*start, post)) for start in starts]
@@ -169,11 +182,13 @@ class Search:
             and (not t.groups or c.scope is None or set(c.scope) & set(t.groups))
         ]
 
-    def _present(self, c: Candidate, extra: Sequence[Term]) -> bool:
-        """Whether a candidate is there already, unless it says that some of the groups that have it differ from the others."""
+    def _open(self, c: Candidate, extra: Sequence[Term]) -> bool:
+        """Whether a candidate is new and not refuted; where its effect is there, it may say that some groups differ from the rest."""
         labels = self.fitter.data.labels
-        return c.trial.effect.placement != "many" and any(
-            c.scope is None or not c.trial.effect.partly or not set(c.scope) < set(t.groups or labels)
+        if identity(c.trial.effect) in self.refuted:
+            return False
+        return c.trial.effect.placement == "many" or all(
+            c.scope is not None and c.trial.effect.partly > 0 and set(c.scope) < set(t.groups or labels)
             for t in self._overlapping(c, extra)
         )
 
@@ -194,7 +209,7 @@ class Search:
             for i, term in enumerate(at.fitted.extra):
                 if self._worth(at, i) > NEAR:
                     continue
-                options.append(self._without(at, [term]))
+                options.append(self.without(at, [term]))
             best = max(options, key=lambda s: s.score, default=None)
             if best is None or best.score <= at.score:
                 return at
@@ -203,9 +218,10 @@ class Search:
 
     def worths(self, at: State) -> list[float]:
         """By how much the log posterior falls without each effect."""
-        return [at.score - self._without(at, [t]).score for t in at.fitted.extra]
+        return [at.score - self.without(at, [t]).score for t in at.fitted.extra]
 
-    def _without(self, at: State, out: Sequence[Term]) -> State:
+    def without(self, at: State, out: Sequence[Term]) -> State:
+        """The structure without some of its effects."""
         terms = tuple(t for t in at.fitted.model.terms if not any(t is o for o in out))
         less = self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior)
         return self.scored(self.fitter.with_signs(less))
@@ -227,16 +243,16 @@ class Search:
     def _exchanged(self, at: State) -> State | None:
         """One or two effects in place of one or two others."""
         extra = at.fitted.extra
-        groups = [[t] for t in extra] + [[a, b] for k, a in enumerate(extra) for b in extra[:k] if _beside(a.effect, b.effect)]
+        groups = [[t] for t in extra] + [[a, b] for k, a in enumerate(extra) for b in extra[:k] if beside(a.effect, b.effect)]
         best = None
         for out in groups:
             name = frozenset(name_of(t) for t in out)
             if self.settled.get(name, 0.0) > len(out) * SETTLED:
                 continue
-            less = self._without(at, out)
+            less = self.without(at, out)
             if less.score > at.score:
                 return less
-            near = [t for t in self.trials if any(_beside(t.effect, o.effect) for o in out)]
+            near = [t for t in self.trials if any(beside(t.effect, o.effect) for o in out)]
             found = self._added(less, near, at.fitted.posterior, out, at.score)
             self.settled[name] = at.score - self.nearest
             if found is not None and (best is None or found.score > best.score):
@@ -260,7 +276,7 @@ def _bent(c: Candidate) -> bool:
     return len(effect.parameters) > len(effect.amplitudes) or effect.side in ("motion", "body")
 
 
-def _beside(a: Effect, b: Effect) -> bool:
+def beside(a: Effect, b: Effect) -> bool:
     """Whether two effects change the torque of a common joint; what moves links or alters bodies changes that of many."""
     return any(not x.joints or x.side in ("motion", "body") for x in (a, b)) or bool(set(a.joints) & set(b.joints))
 
