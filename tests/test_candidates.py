@@ -58,8 +58,9 @@ def test_gains_are_differences_of_evidence(fitted, exact):
             columns[j][:, own.used[j]] = own.values[j]
         inside = np.array([c.scope is None or data.labels[k] in c.scope for k in data.label])
         columns = np.concatenate([post.columns, columns * inside[None, :, None]], axis=2)
-        whole = solve(data, at.residual, columns, joined(prior, fitter.priors.scales(fitter.view, c.trial)), post, fixed=True)
-        gain = whole.log_evidence - post.log_evidence
+        scales = c.excess * fitter.priors.scales(fitter.view, c.trial)
+        whole = solve(data, at.residual, columns, joined(prior, scales), post, fixed=True)
+        gain = whole.log_evidence - post.log_evidence + np.log(EXCESS[c.excess])
         assert c.gain - c.log_prior == pytest.approx(gain, abs=1e-3 + 1e-5 * abs(gain)), (c.key, c.scope)
         np.testing.assert_allclose(c.coefficients, whole.step[len(post.step) :], rtol=1e-4, atol=1e-7)
         assert c.log_prior == pytest.approx(fitter.log_prior(c.trial.effect, c.scope))

@@ -11,8 +11,9 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
-from rrr_oc.diagnosis.held_out import Fold, _means, acts_on, in_closed_loop, intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, _confirmed
+from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares, unconfirmed
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
@@ -24,19 +25,19 @@ from rrr_oc.report.diagnosis_words import sentence
 STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 
 
-def fold(k: int, models=(None, None), errors=(None, None), gains=(), again=(), falls=None) -> Fold:
-    """A fold that holds out recording k, with gains and confirmations of effects; errors fall where densities rise unless they are given."""
+def fold(k: int, models, errors) -> Fold:
+    """A fold that holds out recording k."""
+    return Fold((k,), *models, *errors)
+
+
+def check(gains, again, falls=None) -> Check:
+    """A check of effects; squared errors fall where densities rise unless they are given."""
     none = np.zeros(len(gains) + 1)
-    return Fold(
-        (k,),
-        *models,
-        *errors,
-        np.array(gains),
-        np.array(gains if falls is None else falls),
-        np.array(again),
-        none,
-        np.zeros((len(none), 1, 3)),
-    )
+    return Check(np.array(gains), np.array(gains if falls is None else falls), np.array(again), none, none)
+
+
+def finding(effect) -> Finding:
+    return Finding(Term(effect, ()), 1.0, 1.0, 10.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -175,16 +176,28 @@ def test_a_twin_that_diverges_on_a_recording_gives_no_mean():
     ],
 )
 def test_an_effect_is_confirmed_that_is_found_again_and_predicts_better(gains, again, confirmed):
-    """The second of two effects; the first is never confirmed."""
-    folds = [fold(k, gains=(-1.0, g), again=(0.0, a)) for k, (g, a) in enumerate(zip(gains, again, strict=True))]
-    assert _confirmed(folds, 1) == confirmed
-    assert not _confirmed(folds, 0)
+    """The second of two effects on different joints; the first is never confirmed."""
+    checks = [check((-1.0, g), (0.0, a)) for g, a in zip(gains, again, strict=True)]
+    first, second = finding(ParallelSpring((0,))), finding(ParallelSpring((1,)))
+    assert unconfirmed([first, second], checks) == ([first] if confirmed else [first, second])
 
 
 def test_an_effect_that_raises_the_density_but_also_the_error_is_not_confirmed():
-    assert _confirmed([fold(k, gains=(300.0,), again=(1.0,), falls=(f,)) for k, f in enumerate((-0.5, 0.6))], 0)
-    assert not _confirmed([fold(k, gains=(300.0,), again=(1.0,), falls=(f,)) for k, f in enumerate((-0.5, 0.4))], 0)
-    assert _confirmed([fold(k, gains=(300.0,), again=(1.0,), falls=(f,)) for k, f in enumerate((np.nan, 0.4))], 0)
+    one = finding(ParallelSpring((0,)))
+
+    def refuted(*falls):
+        return unconfirmed([one], [check((300.0,), (1.0,), (f,)) for f in falls])
+
+    assert not refuted(-0.5, 0.6)
+    assert refuted(-0.5, 0.4)
+    assert not refuted(np.nan, 0.4)
+
+
+def test_of_effects_on_a_joint_the_least_confirmed_is_refuted_first():
+    """The other one may be confirmed without it."""
+    some = [finding(ParallelSpring((0,))), finding(GravityTilt(())), finding(ParallelSpring((1,)))]
+    checks = [check((1.0, -1.0, -1.0), (1.0, 0.0, 0.4))] * 2
+    assert unconfirmed(some, checks) == [some[1]]
 
 
 @pytest.mark.parametrize(
