@@ -9,6 +9,7 @@ from recorded import Plant, as_set, record
 
 from rrr_oc.diagnosis.candidates import Screen, joined, signatures
 from rrr_oc.diagnosis.evidence import solve
+from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.effects import Trial
 from rrr_oc.effects.elastic.cable_harness import CableHarness
