@@ -94,9 +94,13 @@ class Search:
         return at
 
     def refuting(self, out: Sequence[Term]) -> "Search":
-        """The search in which some effects are refuted."""
+        """The search in which some effects are refuted; it remembers the structures without them."""
         refuted = self.refuted | {identity(t.effect) for t in out}
-        return Search(self.fitter, self.trials, self.report, refuted)
+        visited, foreseen = (
+            {key: score for key, score in known.items() if not any(identity(effect) in refuted for effect, _ in key)}
+            for known in (self.visited, self.foreseen)
+        )
+        return replace(self, refuted=refuted, visited=visited, foreseen=foreseen, settled=dict(self.settled))
 
     # moves
 
