@@ -23,7 +23,7 @@ BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 DIFFERENCE = 0.01  # of a width, for derivatives by it
 MIXTURES = 2  # directions in which ways of changing sign are mixed
-OTHER_SIGN = 1.0  # nats from which another way in which friction changes sign is fitted
+OTHER_SIGN = 3.0  # nats from which another way in which friction changes sign is fitted
 
 
 @dataclass(frozen=True)

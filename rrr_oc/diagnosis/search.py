@@ -80,11 +80,11 @@ class Search:
         return State(fitted, score)
 
     def run(self, start: Fitted) -> State:
-        """The best structure that the moves reach from a fitted model."""
+        """The best structure that the moves reach from a fitted model; once effects are refuted, none are exchanged any more."""
         at = self.scored(start)
         while len(at.fitted.extra) < MOST:
             better = self._added(at)
-            if better is None:
+            if better is None and not self.refuted:
                 better = self._exchanged(at)
             if better is None:
                 better = self._unexplained(at)
