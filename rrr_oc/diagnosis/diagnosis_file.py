@@ -37,6 +37,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
         "unexplained": [_unexplained(diagnosis, i) for i, empirical in enumerate(black_box) if empirical],
+        "priors_file": diagnosis.priors,
         "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [
             {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}

@@ -48,6 +48,7 @@ class Diagnosis:
         suggestions: Recordings that would separate effects which these do not separate.
         folds: The held-out fits behind `held_out`.
         above_noise: Residual of the final model over noise, (n,).
+        priors: File from which priors were read; None for what the effects declare.
     """
 
     recordings: RecordingSet
@@ -64,6 +65,7 @@ class Diagnosis:
     suggestions: tuple[Suggestion, ...] = ()
     folds: tuple[Fold, ...] = ()
     above_noise: tuple[float, ...] = ()
+    priors: str | None = None
 
     @property
     def verdict(self) -> str:
@@ -219,6 +221,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosi
         tuple(suggest(recordings, plain, findings, bool(np.any(left > FAR)), fitter.view)),
         tuple(folds),
         tuple(left.tolist()),
+        fitter.priors.file,
     )
 
 

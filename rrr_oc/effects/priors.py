@@ -43,11 +43,13 @@ class Priors:
         given: Priors by effect's name that replace those declared.
         springs: Whether the arm carries springs; None where nobody said so.
         exact_inertias: Whether the links' inertial parameters are known exactly.
+        file: Where they were read from; None for what the effects declare.
     """
 
     given: Mapping[str, Prior] = field(default_factory=dict)
     springs: bool | None = None
     exact_inertias: bool = False
+    file: str | None = None
 
     def of(self, kind: type[Effect]) -> Prior:
         """The prior of an effect."""
@@ -83,7 +85,7 @@ def load_priors(path: str | Path) -> Priors:
     check_names(tables, (name for name, kind in CATALOGUE.items() if kind.role != "plain"), path, "effect")
     found = validated(path, tables, dict[str, Given])
     given = {name: _changed(path, CATALOGUE[name], one) for name, one in found.items()}
-    return Priors(given, context.springs, context.inertias == "exact")
+    return Priors(given, context.springs, context.inertias == "exact", str(path))
 
 
 def _parsed(path: str | Path) -> dict[str, Any]:
