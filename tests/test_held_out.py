@@ -32,8 +32,9 @@ def fold(k: int, models, errors) -> Fold:
 
 def check(gains, again, falls=None) -> Check:
     """A check of effects; squared errors fall where densities rise unless they are given."""
-    none = np.zeros(len(gains) + 1)
-    return Check(np.array(gains), np.array(gains if falls is None else falls), np.array(again), none, none)
+    falls = np.array(gains if falls is None else falls)
+    squares = 10.0 - np.concatenate([[0.0], np.cumsum(np.nan_to_num(falls))])
+    return Check(np.array(gains), falls, np.array(again), squares, 0 * squares)
 
 
 def finding(effect) -> Finding:
