@@ -102,7 +102,8 @@ class Fitter:
         data: The data.
         view: What the recordings show.
         families: Trials by name and joints of their effect.
-        exact: Whether the links' inertial parameters are exact.
+        plain_std: Prior standard deviations of the plain model's parameters.
+        priors: What is believed of effects.
     """
 
     data: Data

@@ -113,7 +113,7 @@ def as_seen(prepared: Sequence[Prepared], model: CalibratedModel, terms: Sequenc
 class SignatureCache:
     """Filtered signatures that were computed before, shared by all models that are compared on the same recordings.
 
-    A `Bench` owns it, and benches of some of its recordings share it; it lives as long as they do. The key is the recording, the
+    `Data` owns it, and data of some of its recordings share it; it lives as long as they do. The key is the recording, the
     trial, and what else of the model the signature depends on: of the last, the first value and the newest are kept.
     """
 
