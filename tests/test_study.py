@@ -13,6 +13,13 @@ import pytest
 from chains import arm, joint, link, robot
 from commands import run
 
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.calibration.model_file import save_model
+from rrr_oc.effects import CATALOGUE
+from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.robot.robot import load_robot
+
 ROOT = Path(__file__).resolve().parents[1]
 STUDY = ROOT / "studies" / "pea_bpea.py"
 TINY = [
@@ -218,3 +225,105 @@ def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypat
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"
+
+
+def own_task(folder: Path, **changes) -> str:
+    """A task of an arm of its own whose joints are j1 to j3 and which has one spring."""
+    spring = {"effect": "parallel_spring", "joint": "j2", "active": "below"}
+    spring |= {"stiffness_Nm_per_rad": [0, 20], "equilibrium_deg": [-10, 140]}
+    content = json.loads(Path(with_robot(folder, arm(3))).read_text()) | {"name": "own", "springs": [spring]}
+    content |= {"tool": {"link": "l3", "position_m": [0.2, 0, 0]}, "payload_kg": 1.0, "duration_s": [0.8, 3.0]} | changes
+    (folder / "task.json").write_text(json.dumps(content))
+    return str(folder / "task.json")
+
+
+def own_model(folder: Path) -> str:
+    """A calibrated model of that arm, with viscous friction in every joint."""
+    robot = load_robot(folder / "arm.urdf")
+    terms = tuple(Term(CATALOGUE["viscous_friction"]((j,)), (Estimate(1.0),)) for j in range(robot.n))
+    zero, urdf = np.zeros(robot.n), (folder / "arm.urdf").read_text()
+    constants = (None,) * robot.n
+    tool = robot.point("l3", (0.2, 0.0, 0.0))
+    model = CalibratedModel(robot, "arm.urdf", urdf, tool, "motor", constants, "nominal", terms, zero, zero)
+    save_model(model, folder / "model.json")
+    return str(folder / "model.json")
+
+
+OWN = ["--configurations", "SA,PEA", "--starts", "1", "--hops", "0", "--tolerance", "1e-2", "--jobs", "1"]
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory) -> Path:
+    """The folder of a study of an arm that is not the paper's, with a calibrated model of it and every other option at its default."""
+    folder = tmp_path_factory.mktemp("own")
+    preset = own_task(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        assert run(study, patch, *OWN, "--preset", preset, "--model", own_model(folder), "--out", str(folder / "results")) == 0
+    return folder
+
+
+def test_another_arm_is_tracked_in_its_calibrated_model(own):
+    """The bundled catalogue and drives are the prototype's: without others there are neither starred designs nor Eq. 10."""
+    found = json.loads((own / "results" / "summary.json").read_text())["configurations"]
+    assert list(found) == ["SA", "PEA"]
+    for c in found.values():
+        assert c["calibrated"]["engine"]["E1"] == pytest.approx(c["E1"], rel=0.01)  # viscous friction is no load torque
+        assert c["calibrated"]["eq10"] is None
+    assert "In the twin calibrated on recordings" in (own / "results" / "report.md").read_text()
+
+
+def shop(folder: Path, **springs: list[float]) -> str:
+    (folder / "shop.json").write_text(json.dumps({"format": "rrr_oc-catalogue/1", "parallel_springs_Nm_per_rad": springs}))
+    return str(folder / "shop.json")
+
+
+LATE = {
+    "a catalogue without springs for the joint": (lambda f: ["--catalogue", shop(f, j3=[5.0])], "no parallel spring for j2"),
+    "a catalogue of springs out of bounds": (lambda f: ["--catalogue", shop(f, j2=[50.0])], "no k_p of 0 … 20"),
+    "drives of other joints": (lambda f: ["--actuators", "prototype"], "no joint 'j2'"),
+    "a cost that needs drives": (lambda f: ["--cost", "motor"], "needs the actuators of j2"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), LATE.values(), ids=LATE.keys())
+def test_what_can_be_checked_is_checked_before_the_first_solve(monkeypatch, capsys, tmp_path, arguments, message):
+    monkeypatch.setattr(study, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    assert (
+        run(study, monkeypatch, *OWN, "--preset", own_task(tmp_path), *arguments(tmp_path), "--out", str(tmp_path / "x")) == 2
+    )
+    assert message in capsys.readouterr().err
+
+
+def failing(error: BaseException):
+    """A function that raises, whatever it is given."""
+
+    def fail(*_, **__):
+        raise error
+
+    return fail
+
+
+STEPS = {
+    "the catalogue cannot be solved": ("search_catalogue", SolverFailure("lost", 0, 0.0, ""), 0),
+    "the catalogue's search is interrupted": ("search_catalogue", KeyboardInterrupt(), 130),
+    "the calibrated model cannot be tracked": ("describe_transfer", UserError("nothing is tracked"), 2),
+}
+
+
+@pytest.mark.parametrize(("step", "error", "status"), STEPS.values(), ids=STEPS.keys())
+def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_path, step, error, status):
+    command = [*OWN, "--configurations", "PEA", "--preset", own_task(tmp_path), "--catalogue", shop(tmp_path, j2=[5.0, 8.0])]
+    command += ["--model", own_model(tmp_path), "--out", str(tmp_path / "results")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, step, failing(error))
+        assert run(study, patch, *command) == status
+    first = json.loads((tmp_path / "results" / "summary.json").read_text())["configurations"]
+    assert list(first) == ["PEA"]
+    assert "PEA" in (tmp_path / "results" / "report.md").read_text()
+    capsys.readouterr()
+    assert run(study, monkeypatch, *command) == 0
+    assert "PEA: taken from" in capsys.readouterr().out.replace("\n", " ")
+    again = json.loads((tmp_path / "results" / "summary.json").read_text())["configurations"]
+    assert list(again) == ["PEA", "PEA*"]
+    assert again["PEA"]["E1"] == first["PEA"]["E1"]
+    assert again["PEA*"]["springs"]["k_p2"] in (5.0, 8.0)

@@ -1,18 +1,20 @@
 """An optimum's motion, sampled densely, its metrics, and its simulation in MuJoCo."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.local_optima import transcribed
+from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.solver import Solution
-from rrr_oc.simulation.engine_model import Form, Settings
+from rrr_oc.simulation.engine_model import Form, Settings, twin
 from rrr_oc.simulation.tracking import Reference, Tracked, track
 
 SAVED = ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload")  # arrays of a saved design's motion
@@ -89,6 +91,26 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
         start += solution.durations[i]
     columns = [np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)]
     return SampledMotion(**dict(zip(SAVED, columns, strict=True)))
+
+
+def restart_arrays(solution: Solution) -> dict[str, np.ndarray]:
+    """The variables and the mesh of an optimum by name, from which `restored` makes it again."""
+    mesh = {f"mesh_{phase}": fractions for phase, fractions in zip(PHASES, solution.transcription.mesh, strict=True)}
+    return {"variables": solution.w, "cost": np.array(solution.cost), **mesh}
+
+
+def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.ndarray]) -> Solution:
+    """An optimum from its `restart_arrays`, without multipliers; `options` are those of its search."""
+    mesh = tuple(arrays[f"mesh_{phase}"] for phase in PHASES)
+    problem = replace(design.problem, data=design.data(options.widths[-1]))
+    transcription = replace(transcribed(design, options, 1), problem=problem, mesh=mesh)
+    empty, cost = np.empty(0), float(arrays["cost"])
+    return Solution(transcription, arrays["variables"], empty, empty, cost, "", 0, 0.0)
+
+
+def check_simulation(design: CoDesign) -> None:
+    """Raise `UserError` where MuJoCo cannot simulate the arm with the design's springs."""
+    twin(design.model, design.model.theta({}), settings=Settings("native"))
 
 
 def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form: Form = "generated") -> Tracked:

@@ -56,7 +56,7 @@ def _optima_table(found: dict) -> str:
                 name,
                 f"{c['E1']:.3f}",
                 fall,
-                "" if c["published_springs_E1"] is None else f"{c['published_springs_E1']:.2f}",
+                "" if c.get("published_springs_E1") is None else f"{c['published_springs_E1']:.2f}",
                 f"{engine['E1']:.3f}",
                 f"{engine['energy_residual']:.1e}",
                 f"{certificate['mesh']['error']:.1e}{'' if certificate['mesh']['converged'] else ' (not met)'}",
@@ -95,6 +95,8 @@ def _certificate(name: str, c: dict) -> str:
         f"{_origin(c)} One more kg of payload: {100 * k['sensitivity']:+.1f} % of E1.\n",
     ]
     lines += [f"- {bound['sentence']}" for bound in k["active"]]
+    if "not_bought" in c:
+        lines.append(f"\nNo choice of the catalogue could be solved: {c['not_bought']}")
     if "catalogue" in c:
         cover = c["catalogue"]
         lines.append(f"\n{_coverage(cover)}")
