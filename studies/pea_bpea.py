@@ -12,7 +12,7 @@ same model; every optimum comes with a certificate and is simulated again in MuJ
 import json
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -30,20 +30,22 @@ from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.catalogue import Catalogue, check_offers, load_catalogue
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
+from rrr_oc.codesign.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
 from rrr_oc.codesign.optimum import (
     SAVED,
     SampledMotion,
     check_simulation,
     describe,
     describe_simulation,
+    idle_springs,
+    mounted,
     restart_arrays,
     restored,
     sample_motion,
 )
 from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import METHODS, search_catalogue
-from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
+from rrr_oc.codesign.springs import CONFIGURATIONS, arrangements
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, transfer_table
 from rrr_oc.errors import UserError, entry_point
@@ -53,11 +55,14 @@ from rrr_oc.paper.published import published_springs
 from rrr_oc.parallel import check_jobs
 from rrr_oc.report.console import wide_console
 from rrr_oc.report.design_figures import draw_all
-from rrr_oc.report.design_report import report
+from rrr_oc.report.design_report import does_nothing, report
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.storage import check_folder, write_json, write_npz, write_text
 
 COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}
+CHEAPER = (
+    1e-4  # [1] a design whose springs do nothing must be cheaper by this share before the stiff arm is solved from its motion
+)
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
 console = wide_console()
@@ -95,7 +100,8 @@ def main(
     check_folder(out)
     actuators, catalogue = (_source(given, preset) for given in (actuators, catalogue))
     drives = None if actuators is None else load_actuators(task.joints, actuators)
-    designs = {name: CoDesign(task, spring_bounds(task, name), cost, None if cost == "load" else drives) for name in names}
+    needed = None if cost == "load" else drives
+    designs = {name: [CoDesign(task, springs, cost, needed) for springs in arrangements(task, name)] for name in names}
     options = SearchOptions(starts=starts, seed=seed, jobs=jobs, hops=hops, refinement=Refinement(tolerance))
     asked = {"preset": preset, "cost": cost, "catalogue": catalogue, "catalogue_search": catalogue_search}
     files = [f for f in (preset, catalogue, None if cost == "load" else actuators) if f is not None and Path(f).is_file()]
@@ -107,9 +113,11 @@ def main(
     _check(study, designs)
     found: dict[str, Any] = {}
     try:
-        for name, design in designs.items():
-            for key, result in _results(study, name, design):
+        for name, ways in designs.items():
+            for key, result in _results(study, name, ways):
                 found[key] = result
+        if "SA" in found:
+            found |= _with_idle_motion(study, designs, found)
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
             _write(out, task, {"cost": cost, "options": options, "wall_s": time.perf_counter() - began}, found)
@@ -152,20 +160,21 @@ def _source(given: str | None, preset: str) -> str | None:
     return None if given == "none" else given
 
 
-def _check(study: Study, designs: dict[str, CoDesign]) -> None:
+def _check(study: Study, designs: Mapping[str, Sequence[CoDesign]]) -> None:
     """Raise `UserError` for what would end the study after its first design was solved."""
-    for design in designs.values():
+    for design, *_ in designs.values():
         if study.shop is not None:
             check_offers(design, study.shop)
         check_simulation(design)
     if study.twin is not None:
-        check_transfer(next(iter(designs.values())), study.twin.model)
+        check_transfer(next(iter(designs.values()))[0], study.twin.model)
 
 
-def _results(study: Study, name: str, design: CoDesign) -> Iterator[tuple[str, dict[str, Any]]]:
+def _results(study: Study, name: str, ways: Sequence[CoDesign]) -> Iterator[tuple[str, dict[str, Any]]]:
     """A configuration and its starred design by name: each as soon as it is saved, and again with what is compared with it."""
-    solved = _once(study, name, partial(_solve, study, name, design))
+    solved = _once(study, name, partial(_solve, study, name, ways))
     yield name, solved
+    design = _chosen(ways, solved)
     if not solved["interrupted"]:
         solved |= _compared(study, name, design)
         yield name, solved
@@ -180,6 +189,30 @@ def _results(study: Study, name: str, design: CoDesign) -> Iterator[tuple[str, d
         return
     yield starred, bought
     yield starred, bought | _compared(study, starred, design)
+
+
+def _chosen(ways: Sequence[CoDesign], solved: dict[str, Any]) -> CoDesign:
+    """The design with the springs mounted as in a result."""
+    return next(design for design in ways if plain(mounted(design)) == solved["mounted"])
+
+
+def _with_idle_motion(study: Study, designs: Mapping[str, Sequence[CoDesign]], found: dict[str, Any]) -> dict[str, Any]:
+    """The stiff arm moved as a design whose springs do nothing, if that is cheaper than what its own search found; saved."""
+    stiff, (design,) = found["SA"], designs["SA"]
+    idle = [name for name in designs if name in found and does_nothing(found[name])]
+    cheapest = min(idle, key=lambda name: found[name]["cost"], default="SA")
+    if stiff["interrupted"] or found[cheapest]["cost"] >= stiff["cost"] * (1 - CHEAPER):
+        return {}
+    began = time.perf_counter()
+    with np.load(study.out / f"{cheapest}.npz") as file:
+        guess = restored(_chosen(designs[cheapest], found[cheapest]), study.options, file).guess()
+    tried = continue_from([(design, replace(guess, parameters=np.zeros(0)))], study.options)
+    if not tried or tried[0][1].cost >= stiff["cost"]:
+        return {}
+    better = _describe(study.out, "SA", SearchResult(design, (tried[0][1],), (), False), began)
+    better |= {key: stiff[key] for key in ("optima", "layers")}
+    _save(study, "SA", better)
+    return {"SA": better | _compared(study, "SA", design)}
 
 
 def _compared(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
@@ -216,23 +249,35 @@ def _once(study: Study, name: str, solve: Callable[[], dict[str, Any]], files: S
     """A result by name: the one in the folder if a run with the same settings wrote it, else that of `solve`, which is saved at once
     unless it was interrupted. `files` are the npz files that belong to it, by default that of its name."""
     saved = study.out / f".{name}.json"
-    key = json.loads(json.dumps(plain(study.asked)))
     if saved.is_file():
         content = json.loads(saved.read_text())
-        if content["asked"] == key and all((study.out / f"{n}.npz").is_file() for n in ([name] if files is None else files)):
+        if content["asked"] == _key(study) and all(
+            (study.out / f"{n}.npz").is_file() for n in ([name] if files is None else files)
+        ):
             console.print(f"{name}: taken from the interrupted or repeated run in {study.out}")
             return content["found"]
     saved.unlink(missing_ok=True)  # the motion beside it is about to change
     found = solve()
     if not found.get("interrupted"):
-        write_json(saved, {"asked": key, "found": found})
+        _save(study, name, found)
     return found
 
 
-def _solve(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
-    """A configuration; writes its motion."""
+def _save(study: Study, name: str, found: dict[str, Any]) -> None:
+    write_json(study.out / f".{name}.json", {"asked": _key(study), "found": found})
+
+
+def _key(study: Study) -> dict[str, Any]:
+    """The settings as they are read back from JSON."""
+    return json.loads(json.dumps(plain(study.asked)))
+
+
+def _solve(study: Study, name: str, ways: Sequence[CoDesign]) -> dict[str, Any]:
+    """A configuration, its springs mounted in the best of some ways; writes its motion."""
     began = time.perf_counter()
-    return _describe(study.out, name, _search(name, design, study.options), began)
+    if len(ways) > 1:
+        console.print(f"{name}: the task leaves {len(ways)} ways to mount the springs open; each is tried", highlight=False)
+    return _describe(study.out, name, _search(name, best_arranged(ways, study.options), study.options), began)
 
 
 def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
@@ -293,6 +338,8 @@ def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[
         "cost": solution.cost,
         "lowest_tool_m": min(float(design.model.tool_height(q)) for q in design.task.full(motion.q).T[::7]),
         "springs": design.hardware(solution.parameters),
+        "mounted": mounted(design),
+        "idle": idle_springs(design, motion, solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
         "certificate": asdict(certify(result, result.best)),

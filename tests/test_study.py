@@ -5,6 +5,7 @@ import importlib.resources
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from commands import run
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.model_file import save_model
+from rrr_oc.codesign.springs import arrangements, spring_bounds
+from rrr_oc.codesign.task import load_task
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
@@ -327,3 +330,57 @@ def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_
     assert list(again) == ["PEA", "PEA*"]
     assert again["PEA"]["E1"] == first["PEA"]["E1"]
     assert again["PEA*"]["springs"]["k_p2"] in (5.0, 8.0)
+
+
+WRONG_SIDE = {"effect": "parallel_spring", "joint": "j2", "stiffness_Nm_per_rad": [1, 20], "equilibrium_deg": [-180, -100]}
+
+
+def idle_run(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str, **fixed: str) -> dict:
+    preset = own_task(folder, springs=[WRONG_SIDE | fixed])
+    assert run(study, monkeypatch, *OWN, *arguments, "--preset", preset, "--out", str(folder / "results")) == 0
+    return json.loads((folder / "results" / "summary.json").read_text())["configurations"]
+
+
+def test_a_spring_that_is_never_taut_is_said_and_its_motion_offered_to_the_stiff_arm(monkeypatch, tmp_path):
+    """A spring that pulls below -100° and an arm that stays above -20°; the stiff arm's own search is made worse by 3 %."""
+    describe = study._describe
+
+    def worse(out, name, result, began):
+        found = describe(out, name, result, began)
+        return (
+            found | {"cost": 1.03 * found["cost"], "E1": 1.03 * found["E1"]} if name == "SA" and len(result.starts) else found
+        )
+
+    monkeypatch.setattr(study, "_describe", worse)
+    found = idle_run(tmp_path, monkeypatch, active="below")
+    assert found["PEA"]["idle"] == {"parallel_spring[j2]": "never taut"}
+    assert found["SA"]["cost"] == pytest.approx(found["PEA"]["cost"], rel=1e-3)  # without the offer, 3 % more
+    text = (tmp_path / "results" / "report.md").read_text()
+    assert "PEA: parallel_spring[j2] is never taut" in text
+    assert "springs do nothing" in text
+
+
+def test_a_spring_is_mounted_in_the_better_way_unless_the_task_says_how(monkeypatch, tmp_path):
+    """With gravity turned round the arm must be held down, which a spring does that acts above its equilibrium."""
+    spring = WRONG_SIDE | {"equilibrium_deg": [-140, 10], "stiffness_Nm_per_rad": [0, 20]}
+    found = {}
+    for name, fixed in (("open", {}), ("fixed", {"active": "below"})):
+        preset = own_task(tmp_path, springs=[spring | fixed], gravity=[0, 0, 9.81])
+        arguments = [*OWN, "--configurations", "PEA", "--preset", preset, "--out", str(tmp_path / name)]
+        assert run(study, monkeypatch, *arguments) == 0
+        found[name] = json.loads((tmp_path / name / "summary.json").read_text())["configurations"]["PEA"]
+    assert found["open"]["mounted"] == {"parallel_spring[j2]": {"active": "above"}}
+    assert found["open"]["idle"] == {}
+    assert found["fixed"]["mounted"] == {"parallel_spring[j2]": {"active": "below"}}
+    assert found["open"]["E1"] < 0.5 * found["fixed"]["E1"]
+
+
+def test_what_a_task_leaves_open_is_arranged_in_every_way():
+    """Two sides for each parallel spring and four windings for a biarticular one; the bundled task names all of them."""
+    task = load_task("paper")
+    assert [len(arrangements(task, name)) for name in ("SA", "PEA", "PEA+BPEA")] == [1, 1, 1]
+    keys = ("active", "winding")
+    bare = replace(task, springs=tuple({k: v for k, v in spring.items() if k not in keys} for spring in task.springs))
+    ways = arrangements(bare, "PEA+BPEA")
+    assert len({tuple((s.effect.joints, *(getattr(s.effect, k) for k in s.effect.options)) for s in way) for way in ways}) == 16
+    assert [s.effect for s in ways[0]] == [s.effect for s in spring_bounds(task, "PEA+BPEA")]

@@ -18,6 +18,7 @@ from rrr_oc.simulation.engine_model import Form, Settings, twin
 from rrr_oc.simulation.tracking import Reference, Tracked, track
 
 SAVED = ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload")  # arrays of a saved design's motion
+IDLE = 1e-3  # [1] of the largest torque: a spring that adds no more does nothing; doubled, weak springs are called idle sooner
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,6 +92,31 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
         start += solution.durations[i]
     columns = [np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)]
     return SampledMotion(**dict(zip(SAVED, columns, strict=True)))
+
+
+def mounted(design: CoDesign) -> dict[str, dict[str, Any]]:
+    """How each spring of a design is mounted: the values of its effect's options, by its label."""
+    springs = [s.effect for s in design.springs if not s.known]
+    return {design.model.label(effect): {key: getattr(effect, key) for key in effect.options} for effect in springs}
+
+
+def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:
+    """Why a spring does nothing along a motion, by its label, for each that does nothing: its exact torque stays below `IDLE` of the
+    largest torque that the motion needs."""
+    idle, at = {}, 0
+    needed = float(np.max(np.abs(motion.tau_load + motion.tau_spring)))
+    for spring in design.springs:
+        effect, size = spring.effect, len(spring.effect.parameters)
+        theta, at = parameters[at : at + size], at + size
+        model = design.task.model([effect])
+        exact = np.zeros(model.widths.size)
+        torques = [model.inverse(p.q, p.dq, p.ddq, p.payload[0], theta, exact)[1] for p in motion.by_phase(design.task)]
+        if spring.known or max(float(np.max(np.abs(np.array(tau)))) for tau in torques) > IDLE * needed:
+            continue
+        names = [p.name for p in effect.parameters]
+        soft = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
+        idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
+    return idle
 
 
 def restart_arrays(solution: Solution) -> dict[str, np.ndarray]:

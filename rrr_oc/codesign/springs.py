@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -73,6 +73,28 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     if missing:
         raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
     return springs
+
+
+def arrangements(task: Task, configuration: str) -> list[tuple[SpringBounds, ...]]:
+    """The springs of a configuration in every way to mount them that the task leaves open, those of `spring_bounds` first.
+
+    An effect's `options`, such as the side on which a spring pulls, are open where the task's entry does not name them.
+    """
+    springs = spring_bounds(task, configuration)
+    kinds = {spring.effect.name for spring in springs}
+    entries = [entry for entry in task.springs if entry["effect"] in kinds]
+    return list(itertools.product(*(_ways(s, entry) for s, entry in zip(springs, entries, strict=True))))
+
+
+def _ways(spring: SpringBounds, entry: Mapping) -> list[SpringBounds]:
+    effect = spring.effect
+    left = {key: getattr(effect, key) for key in effect.options if key not in entry}
+    lists = []
+    for key, default in left.items():
+        allowed = effect.options[key]
+        values = list(itertools.product(allowed, repeat=len(default))) if isinstance(default, tuple) else list(allowed)
+        lists.append(sorted(values, key=lambda value, default=default: value != default))
+    return [replace(spring, effect=replace(effect, **dict(zip(left, v, strict=True)))) for v in itertools.product(*lists)]
 
 
 def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,7 @@ def report(summary: dict[str, Any]) -> str:
         f"{summary['wall_s']:.0f} s.\n",
         "## Optima\n",
         _optima_table(found),
+        *_idle(found),
         "`published springs`: Table 4's hardware, its motion re-optimised on this model. `engine`: re-simulated in MuJoCo with "
         "feed-forward and the paper's P-controllers, load torque read from the engine. `mesh error`: between the nodes, "
         "relative. `over limits`: the largest excess of a limit between the nodes, relative to its scale (the mesh is not "
@@ -30,6 +31,20 @@ def report(summary: dict[str, Any]) -> str:
     parts += ["## Hardware and durations (Table 4): ours | paper\n", _hardware(found)]
     parts += ["## Certificates\n", *[_certificate(name, c) for name, c in found.items()]]
     return "\n".join(parts)
+
+
+def does_nothing(c: dict[str, Any]) -> bool:
+    """Whether a design has springs and none of them does anything."""
+    return bool(c.get("idle")) and set(c["idle"]) == set(c["mounted"])
+
+
+def _idle(found: dict) -> list[str]:
+    """A sentence for each spring that does nothing along the motion of its design."""
+    return [
+        f"**{name}: {label} is {why}** ({', '.join(f'{k} {v}' for k, v in c['mounted'][label].items())}).\n"
+        for name, c in found.items()
+        for label, why in c.get("idle", {}).items()
+    ]
 
 
 def _optima_table(found: dict) -> str:
@@ -51,6 +66,8 @@ def _optima_table(found: dict) -> str:
     for name, c in found.items():
         certificate, engine = c["certificate"], c["mujoco"]
         fall = "" if stiff is None or name == "SA" else f"{100 * decrease(c['E1'], stiff):.1f} %"
+        if does_nothing(c):
+            fall = "springs do nothing"
         rows.append(
             [
                 name,
