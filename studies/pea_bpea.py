@@ -29,7 +29,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.catalogue import Catalogue, check_offers, load_catalogue
 from rrr_oc.codesign.certificate import certify
-from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
 from rrr_oc.codesign.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
 from rrr_oc.codesign.optimum import (
     SAVED,
@@ -64,6 +64,7 @@ CHEAPER = (
     1e-4  # [1] a design whose springs do nothing must be cheaper by this share before the stiff arm is solved from its motion
 )
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
+QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")
 console = wide_console()
 
@@ -120,7 +121,12 @@ def main(
             found |= _with_idle_motion(study, designs, found)
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            _write(out, task, {"cost": cost, "options": options, "wall_s": time.perf_counter() - began}, found)
+            _write(
+                out,
+                task,
+                {"cost": cost, "paper": study.paper, "options": options, "wall_s": time.perf_counter() - began},
+                found,
+            )
 
 
 @dataclass(frozen=True)
@@ -230,6 +236,9 @@ def _write(out: Path, task: Task, settings: dict[str, Any], found: dict[str, Any
     summary = {
         "preset": task.name,
         "cost": COSTS[settings["cost"]],
+        "quantity": [QUANTITIES[settings["cost"]], COST_UNITS[settings["cost"]]],
+        "paper": settings["paper"],
+        "joints": list(task.robot.joints),
         "seed": options.seed,
         "starts": options.starts,
         "wall_s": settings["wall_s"],
@@ -347,7 +356,7 @@ def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[
         "mujoco": describe_simulation(design, solution, motion),
         "optima": [
             {
-                "E1": o.solution.cost,
+                "cost": o.solution.cost,
                 "reached": o.reached,
                 "refined": len(o.meshes) > 1,
                 "durations": dict(zip(PHASES, o.solution.durations.tolist(), strict=True)),

@@ -384,3 +384,28 @@ def test_what_a_task_leaves_open_is_arranged_in_every_way():
     ways = arrangements(bare, "PEA+BPEA")
     assert len({tuple((s.effect.joints, *(getattr(s.effect, k) for k in s.effect.options)) for s in way) for way in ways}) == 16
     assert [s.effect for s in ways[0]] == [s.effect for s in spring_bounds(task, "PEA+BPEA")]
+
+
+def test_another_arm_is_reported_by_its_own_names_and_without_the_papers_numbers(own):
+    text = (own / "results" / "report.md").read_text()
+    assert "k_p of j2 [Nm/rad]" in text
+    papers = ("ours | paper", "\\|", "k_p2 [", "published springs", "Table 4")
+    assert not [part for part in papers if part in text]
+
+
+def test_the_papers_task_stands_beside_the_papers_numbers(out):
+    text = (out / "report.md").read_text()
+    assert all(part in text for part in ("ours | paper", "| 13.7039", "k_p2 [Nm/rad]", "published springs"))
+
+
+def test_another_cost_is_headed_by_its_own_name_and_unit(monkeypatch, tmp_path):
+    drive = {"torque_constant_Nm_per_A": 1.0, "c_0_A": 0.0, "viscous_A_s_per_rad": 0.1, "c_v2_A_s2_per_rad2": 0.0}
+    drive |= {"c_1_A_per_Nm": 1.0, "c_12_A_per_Nm": 0.0, "inertia_A_s2_per_rad": 0.0, "resistance_Ohm": 1.0}
+    (tmp_path / "drives.json").write_text(json.dumps({"j2": drive}))
+    command = [*OWN, "--configurations", "SA", "--preset", own_task(tmp_path), "--actuators", str(tmp_path / "drives.json")]
+    assert run(study, monkeypatch, *command, "--cost", "energy", "--out", str(tmp_path / "x")) == 0
+    text, summary = ((tmp_path / "x" / name).read_text() for name in ("report.md", "summary.json"))
+    assert "| energy [J] |" in text
+    assert f"{json.loads(summary)['configurations']['SA']['cost']:.3f}" in text
+    assert "of energy." in text  # the sensitivity
+    assert "E1 = " not in text
