@@ -50,7 +50,7 @@ class SampledMotion(Motion):
 
     def by_phase(self, task: Task) -> list[Motion]:
         """The motion of all joints (n, K) in each phase, from time 0, with the task's payloads."""
-        rows = [(k, [task.full(x[:, k]) for x in (self.q, self.dq, self.ddq)]) for k in self.phases()]
+        rows = [(k, [task.full(self.q[:, k]), *(task.full_rates(x[:, k]) for x in (self.dq, self.ddq))]) for k in self.phases()]
         return [
             Motion(self.t[k] - self.t[k[0]], *values, payload=np.full(len(k), payload))
             for (k, values), payload in zip(rows, task.payloads, strict=True)

@@ -69,6 +69,11 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
         if entry.get("effect") not in known:
             raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
     springs = tuple(_spring(task, entry) for entry in task.springs if entry["effect"] in kinds)
+    places = [(s.effect.name, s.effect.joints) for s in springs]
+    for spring in springs:
+        if places.count((spring.effect.name, spring.effect.joints)) > 1:
+            names = " and ".join(task.robot.joints[j] for j in spring.effect.joints)
+            raise UserError(f"task {task.name!r}: two entries are a {spring.effect.name} of {names}; one is allowed")
     missing = [kind for kind in kinds if kind not in {s.effect.name for s in springs}]
     if missing:
         raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
@@ -127,6 +132,9 @@ def _spring(task: Task, entry: Mapping) -> SpringBounds:
     if place not in entry:
         raise UserError(f"{where} lacks the key {place!r}")
     names = entry[place] if place == "joints" else [entry[place]]
+    locked = [joint for joint in names if task.robot.index(joint) not in task.moving]
+    if locked:
+        raise UserError(f"{where}: {locked[0]} does not move in this task; moving are {', '.join(task.joints)}")
     options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in kind.options if key in entry}
     effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
     bounds = {q.symbol: _bounds(where, entry, q.key, q.unit) for q in form.quantities}
