@@ -597,3 +597,30 @@ def test_positions_given_within_a_turn_go_on(write):
     np.testing.assert_allclose(loaded.recordings[0].q, q[:, kept], atol=1e-12)
     assert loaded.recordings[0].turned == ("q_joint1",)
     assert "jumped by a whole turn" in loaded.notes[0]
+
+
+def moved_set(folder, motion, swap=False):
+    """A recording of the arm in the contract's example whose joints move as `motion` (K times -> q, dq) says."""
+    t = np.linspace(0, 4, 401)
+    q, dq = motion(t)
+    dq = dq[[1, 0, 2]] if swap else dq
+    names = [f"{kind}_{joint}" for kind in ("q", "dq", "tau") for joint in JOINTS]
+    rows = np.column_stack([t, *q, *dq, *(0.1 * np.cos(t + i) for i in range(3))])
+    lines = [",".join(["t", *names]), *(",".join(map(repr, row)) for row in rows.tolist())]
+    (folder / "a.csv").write_text("\n".join(lines))
+    write_json(folder / "recordings.json", EXAMPLE | {"recordings": [{"file": "a.csv"}]})
+    return load_recordings(folder).notes
+
+
+def swinging(t):
+    rates = np.array([[1.0], [1.7], [2.3]])
+    return 0.4 * np.sin(rates * t), 0.4 * rates * np.cos(rates * t)
+
+
+def test_speeds_of_another_joint_and_standstill_are_warned_of(tmp_path):
+    assert not [note for note in moved_set(tmp_path, swinging) if "swapped" in note or "moves" in note]
+    notes = moved_set(tmp_path, swinging, swap=True)
+    assert "a.csv: dq_joint1 is the derivative of q_joint2, not of q_joint1; are columns swapped?" in notes
+    assert len([note for note in notes if "swapped" in note]) == 2
+    notes = moved_set(tmp_path, lambda t: np.zeros((2, 3, t.size)) + 0.3 * np.array([1, 0])[:, None, None])
+    assert any("a.csv: no joint moves" in note for note in notes)

@@ -5,6 +5,7 @@ import importlib.resources
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,15 @@ import pea_bpea as study
 import pytest
 from chains import arm, joint, link, robot
 from commands import run
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.calibration.model_file import save_model
+from rrr_oc.codesign.springs import arrangements, spring_bounds
+from rrr_oc.codesign.task import load_task
+from rrr_oc.effects import CATALOGUE
+from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.robot.robot import load_robot
 
 ROOT = Path(__file__).resolve().parents[1]
 STUDY = ROOT / "studies" / "pea_bpea.py"
@@ -218,3 +228,184 @@ def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypat
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"
+
+
+def own_task(folder: Path, **changes) -> str:
+    """A task of an arm of its own whose joints are j1 to j3 and which has one spring."""
+    spring = {"effect": "parallel_spring", "joint": "j2", "active": "below"}
+    spring |= {"stiffness_Nm_per_rad": [0, 20], "equilibrium_deg": [-10, 140]}
+    content = json.loads(Path(with_robot(folder, arm(3))).read_text()) | {"name": "own", "springs": [spring]}
+    content |= {"tool": {"link": "l3", "position_m": [0.2, 0, 0]}, "payload_kg": 1.0, "duration_s": [0.8, 3.0]} | changes
+    (folder / "task.json").write_text(json.dumps(content))
+    return str(folder / "task.json")
+
+
+def own_model(folder: Path) -> str:
+    """A calibrated model of that arm, with viscous friction in every joint."""
+    robot = load_robot(folder / "arm.urdf")
+    terms = tuple(Term(CATALOGUE["viscous_friction"]((j,)), (Estimate(1.0),)) for j in range(robot.n))
+    zero, urdf = np.zeros(robot.n), (folder / "arm.urdf").read_text()
+    constants = (None,) * robot.n
+    tool = robot.point("l3", (0.2, 0.0, 0.0))
+    model = CalibratedModel(robot, "arm.urdf", urdf, tool, "motor", constants, "nominal", terms, zero, zero)
+    save_model(model, folder / "model.json")
+    return str(folder / "model.json")
+
+
+OWN = ["--configurations", "SA,PEA", "--starts", "1", "--hops", "0", "--tolerance", "1e-2", "--jobs", "1"]
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory) -> Path:
+    """The folder of a study of an arm that is not the paper's, with a calibrated model of it and every other option at its default."""
+    folder = tmp_path_factory.mktemp("own")
+    preset = own_task(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        assert run(study, patch, *OWN, "--preset", preset, "--model", own_model(folder), "--out", str(folder / "results")) == 0
+    return folder
+
+
+def test_another_arm_is_tracked_in_its_calibrated_model(own):
+    """The bundled catalogue and drives are the prototype's: without others there are neither starred designs nor Eq. 10."""
+    found = json.loads((own / "results" / "summary.json").read_text())["configurations"]
+    assert list(found) == ["SA", "PEA"]
+    for c in found.values():
+        assert c["calibrated"]["engine"]["E1"] == pytest.approx(c["E1"], rel=0.01)  # viscous friction is no load torque
+        assert c["calibrated"]["eq10"] is None
+    assert "In the twin calibrated on recordings" in (own / "results" / "report.md").read_text()
+
+
+def shop(folder: Path, **springs: list[float]) -> str:
+    (folder / "shop.json").write_text(json.dumps({"format": "rrr_oc-catalogue/1", "parallel_springs_Nm_per_rad": springs}))
+    return str(folder / "shop.json")
+
+
+LATE = {
+    "a catalogue without springs for the joint": (lambda f: ["--catalogue", shop(f, j3=[5.0])], "no parallel spring for j2"),
+    "a catalogue of springs out of bounds": (lambda f: ["--catalogue", shop(f, j2=[50.0])], "no k_p of 0 … 20"),
+    "drives of other joints": (lambda f: ["--actuators", "prototype"], "no joint 'j2'"),
+    "a cost that needs drives": (lambda f: ["--cost", "motor"], "needs the actuators of j2"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), LATE.values(), ids=LATE.keys())
+def test_what_can_be_checked_is_checked_before_the_first_solve(monkeypatch, capsys, tmp_path, arguments, message):
+    monkeypatch.setattr(study, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    assert (
+        run(study, monkeypatch, *OWN, "--preset", own_task(tmp_path), *arguments(tmp_path), "--out", str(tmp_path / "x")) == 2
+    )
+    assert message in capsys.readouterr().err
+
+
+def failing(error: BaseException):
+    """A function that raises, whatever it is given."""
+
+    def fail(*_, **__):
+        raise error
+
+    return fail
+
+
+STEPS = {
+    "the catalogue cannot be solved": ("search_catalogue", SolverFailure("lost", 0, 0.0, ""), 0),
+    "the catalogue's search is interrupted": ("search_catalogue", KeyboardInterrupt(), 130),
+    "the calibrated model cannot be tracked": ("describe_transfer", UserError("nothing is tracked"), 2),
+}
+
+
+@pytest.mark.parametrize(("step", "error", "status"), STEPS.values(), ids=STEPS.keys())
+def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_path, step, error, status):
+    command = [*OWN, "--configurations", "PEA", "--preset", own_task(tmp_path), "--catalogue", shop(tmp_path, j2=[5.0, 8.0])]
+    command += ["--model", own_model(tmp_path), "--out", str(tmp_path / "results")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, step, failing(error))
+        assert run(study, patch, *command) == status
+    first = json.loads((tmp_path / "results" / "summary.json").read_text())["configurations"]
+    assert list(first) == ["PEA"]
+    assert "PEA" in (tmp_path / "results" / "report.md").read_text()
+    capsys.readouterr()
+    assert run(study, monkeypatch, *command) == 0
+    assert "PEA: taken from" in capsys.readouterr().out.replace("\n", " ")
+    again = json.loads((tmp_path / "results" / "summary.json").read_text())["configurations"]
+    assert list(again) == ["PEA", "PEA*"]
+    assert again["PEA"]["E1"] == first["PEA"]["E1"]
+    assert again["PEA*"]["springs"]["k_p2"] in (5.0, 8.0)
+
+
+WRONG_SIDE = {"effect": "parallel_spring", "joint": "j2", "stiffness_Nm_per_rad": [1, 20], "equilibrium_deg": [-180, -100]}
+
+
+def idle_run(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str, **fixed: str) -> dict:
+    preset = own_task(folder, springs=[WRONG_SIDE | fixed])
+    assert run(study, monkeypatch, *OWN, *arguments, "--preset", preset, "--out", str(folder / "results")) == 0
+    return json.loads((folder / "results" / "summary.json").read_text())["configurations"]
+
+
+def test_a_spring_that_is_never_taut_is_said_and_its_motion_offered_to_the_stiff_arm(monkeypatch, tmp_path):
+    """A spring that pulls below -100° and an arm that stays above -20°; the stiff arm's own search is made worse by 3 %."""
+    describe = study._describe
+
+    def worse(out, name, result, began):
+        found = describe(out, name, result, began)
+        return (
+            found | {"cost": 1.03 * found["cost"], "E1": 1.03 * found["E1"]} if name == "SA" and len(result.starts) else found
+        )
+
+    monkeypatch.setattr(study, "_describe", worse)
+    found = idle_run(tmp_path, monkeypatch, active="below")
+    assert found["PEA"]["idle"] == {"parallel_spring[j2]": "never taut"}
+    assert found["SA"]["cost"] == pytest.approx(found["PEA"]["cost"], rel=1e-3)  # without the offer, 3 % more
+    text = (tmp_path / "results" / "report.md").read_text()
+    assert "PEA: parallel_spring[j2] is never taut" in text
+    assert "springs do nothing" in text
+
+
+def test_a_spring_is_mounted_in_the_better_way_unless_the_task_says_how(monkeypatch, tmp_path):
+    """With gravity turned round the arm must be held down, which a spring does that acts above its equilibrium."""
+    spring = WRONG_SIDE | {"equilibrium_deg": [-140, 10], "stiffness_Nm_per_rad": [0, 20]}
+    found = {}
+    for name, fixed in (("open", {}), ("fixed", {"active": "below"})):
+        preset = own_task(tmp_path, springs=[spring | fixed], gravity=[0, 0, 9.81])
+        arguments = [*OWN, "--configurations", "PEA", "--preset", preset, "--out", str(tmp_path / name)]
+        assert run(study, monkeypatch, *arguments) == 0
+        found[name] = json.loads((tmp_path / name / "summary.json").read_text())["configurations"]["PEA"]
+    assert found["open"]["mounted"] == {"parallel_spring[j2]": {"active": "above"}}
+    assert found["open"]["idle"] == {}
+    assert found["fixed"]["mounted"] == {"parallel_spring[j2]": {"active": "below"}}
+    assert found["open"]["E1"] < 0.5 * found["fixed"]["E1"]
+
+
+def test_what_a_task_leaves_open_is_arranged_in_every_way():
+    """Two sides for each parallel spring and four windings for a biarticular one; the bundled task names all of them."""
+    task = load_task("paper")
+    assert [len(arrangements(task, name)) for name in ("SA", "PEA", "PEA+BPEA")] == [1, 1, 1]
+    keys = ("active", "winding")
+    bare = replace(task, springs=tuple({k: v for k, v in spring.items() if k not in keys} for spring in task.springs))
+    ways = arrangements(bare, "PEA+BPEA")
+    assert len({tuple((s.effect.joints, *(getattr(s.effect, k) for k in s.effect.options)) for s in way) for way in ways}) == 16
+    assert [s.effect for s in ways[0]] == [s.effect for s in spring_bounds(task, "PEA+BPEA")]
+
+
+def test_another_arm_is_reported_by_its_own_names_and_without_the_papers_numbers(own):
+    text = (own / "results" / "report.md").read_text()
+    assert "k_p of j2 [Nm/rad]" in text
+    papers = ("ours | paper", "\\|", "k_p2 [", "published springs", "Table 4")
+    assert not [part for part in papers if part in text]
+
+
+def test_the_papers_task_stands_beside_the_papers_numbers(out):
+    text = (out / "report.md").read_text()
+    assert all(part in text for part in ("ours | paper", "| 13.7039", "k_p2 [Nm/rad]", "published springs"))
+
+
+def test_another_cost_is_headed_by_its_own_name_and_unit(monkeypatch, tmp_path):
+    drive = {"torque_constant_Nm_per_A": 1.0, "c_0_A": 0.0, "viscous_A_s_per_rad": 0.1, "c_v2_A_s2_per_rad2": 0.0}
+    drive |= {"c_1_A_per_Nm": 1.0, "c_12_A_per_Nm": 0.0, "inertia_A_s2_per_rad": 0.0, "resistance_Ohm": 1.0}
+    (tmp_path / "drives.json").write_text(json.dumps({"j2": drive}))
+    command = [*OWN, "--configurations", "SA", "--preset", own_task(tmp_path), "--actuators", str(tmp_path / "drives.json")]
+    assert run(study, monkeypatch, *command, "--cost", "energy", "--out", str(tmp_path / "x")) == 0
+    text, summary = ((tmp_path / "x" / name).read_text() for name in ("report.md", "summary.json"))
+    assert "| energy [J] |" in text
+    assert f"{json.loads(summary)['configurations']['SA']['cost']:.3f}" in text
+    assert "of energy." in text  # the sensitivity
+    assert "E1 = " not in text

@@ -10,6 +10,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
 
@@ -175,6 +178,13 @@ WRONG = {
     "unknown link": ({"tool": {"link": "hand", "position_m": [0, 0, 0]}}, "no link 'hand'; it has base"),
     "tool on the base": ({"tool": {"link": "base", "position_m": [0, 0, 0]}}, "link 'base' .* does not move"),
     "position without the last link": ({"tool": {"link": "link2", "position_m": [0.1, 0, 0]}}, "give angles_deg"),
+    "out of reach, where": ({"release__position_m": [0.7, 0, 0.07]}, r"at \[0\.6, 0\.0, 0\.07\] m"),
+    "a coordinate that no joint changes": (
+        {"release__position_m": [0.3, 0.2, 0.07]},
+        r"at \[0\.3, 0\.0, 0\.07\] m; joint2, joint3 cannot change y",
+    ),
+    "a moving joint locked": ({"locked_deg": {"joint2": 10}}, "locked_deg: unknown locked joint 'joint2'; allowed are joint1"),
+    "locked outside the range": ({"locked_deg": {"joint1": 1e4}}, r"locked_deg\.joint1: found 10000; its range is"),
     "missing robot": ({"robot": "nowhere.urdf"}, "no robot at 'nowhere.urdf'"),
 }
 
@@ -221,3 +231,42 @@ def test_a_malformed_value_is_the_users_to_mend(tmp_path, changes):
     """Style: validate at the door. Every one of these must be a `UserError`, none a traceback from inside."""
     with pytest.raises(UserError):
         load_task(task_file(tmp_path, **changes))
+
+
+def test_a_locked_joint_stands_where_the_task_says(tmp_path):
+    """In positions, and not in rates."""
+    ends = {"start": {"angles_deg": [70, -100]}, "release": {"angles_deg": [40, -90]}}
+    still, turned = (load_task(task_file(tmp_path, locked_deg=d, **ends)) for d in ({}, {"joint1": 30.0}))
+    np.testing.assert_allclose(still.full(still.start), [0.0, *np.radians([70, -100])])
+    np.testing.assert_allclose(turned.full(turned.start), np.radians([30, 70, -100]))
+    np.testing.assert_array_equal(turned.full_rates(np.ones((2, 4)))[0], np.zeros(4))
+    assert turned.full(np.zeros((2, 4))).shape == (3, 4)
+
+
+def test_springs_on_locked_joints_and_springs_given_twice_are_refused(tmp_path):
+    spring = PAPER["springs"][0]
+    for springs, message in (
+        ([spring | {"joint": "joint1"}], "joint1 does not move in this task; moving are joint2, joint3"),
+        ([spring, spring], "two entries are a parallel_spring of joint2; one is allowed"),
+    ):
+        with pytest.raises(UserError, match=message):
+            spring_bounds(load_task(task_file(tmp_path, springs=springs)), "PEA")
+
+
+def test_a_locked_joint_changes_what_holding_costs(tmp_path):
+    """Gravity along y instead of z: what the moving joints hold depends on where joint 1 is locked."""
+    ends = {"start": {"angles_deg": [70, -100]}, "release": {"angles_deg": [40, -90]}}
+    q = np.radians([70, -100])
+    found = []
+    for angle in (0.0, 90.0):
+        task = load_task(task_file(tmp_path, locked_deg={"joint1": angle}, gravity=[0, -9.81, 0], **ends))
+        design = CoDesign(task, ())
+        found.append(np.array(design.torques(q, 0 * q, 0 * q, 5.0, [], [])[0]).ravel())
+        full = np.array(task.model().inverse(task.full(q), np.zeros(3), np.zeros(3), 5.0, [], [])[0]).ravel()
+        np.testing.assert_allclose(found[-1], full[1:], atol=1e-12)
+    assert np.abs(found[0] - found[1]).max() > 1.0
+
+
+def test_a_search_without_starts_is_refused():
+    with pytest.raises(UserError, match="1 start or more, got starts=0"):
+        SearchOptions(starts=0)

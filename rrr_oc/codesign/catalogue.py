@@ -131,6 +131,12 @@ def choices_of(design: CoDesign, catalogue: Catalogue) -> Choices:
     return Choices(design, [kinds for kinds, _ in offers], int(np.prod([count for _, count in offers], dtype=int)))
 
 
+def check_offers(design: CoDesign, catalogue: Catalogue) -> None:
+    """Raise `UserError` where a catalogue has nothing within the task's bounds for a spring of a design."""
+    for spring in design.springs:
+        _inside(design, spring, catalogue)
+
+
 def _inside(design: CoDesign, spring: SpringBounds, catalogue: Catalogue) -> dict[str, list[float]]:
     """Values in the catalogue of each quantity of a spring within the task's bounds, by the quantity's name in the design."""
     form, joints = spring.form, [design.task.robot.joints[j] for j in spring.effect.joints]

@@ -117,16 +117,17 @@ class CoDesign:
         tau = self._load_torque(x[:m], x[m:], u, payload, p, d[1 : 1 + self.model.widths.size])[0]
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for i in limited])
         if np.isfinite(task.floor):
-            path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m])))
+            path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m], self.task.locked)))
         return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), self._cost_rate(x[m:], u, tau), path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
         moving = list(self.task.moving)
-        tau, spring = self.model.inverse(*(self._all_joints(v) for v in (q, dq, ddq)), payload, theta, widths)
+        rates = (self._all_joints(v) for v in (dq, ddq))
+        tau, spring = self.model.inverse(self._all_joints(q, self.task.locked), *rates, payload, theta, widths)
         return tau[moving], spring[moving]
 
-    def _all_joints(self, moving: ca.SX) -> ca.SX:
-        full = ca.SX.zeros(self.task.robot.n)
+    def _all_joints(self, moving: ca.SX, locked: Sequence[float] = ()) -> ca.SX:
+        full = ca.SX(list(locked)) if any(locked) else ca.SX.zeros(self.task.robot.n)
         full[list(self.task.moving)] = moving
         return full
 

@@ -1,21 +1,24 @@
 """An optimum's motion, sampled densely, its metrics, and its simulation in MuJoCo."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.local_optima import transcribed
+from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.solver import Solution
-from rrr_oc.simulation.engine_model import Form, Settings
+from rrr_oc.simulation.engine_model import Form, Settings, twin
 from rrr_oc.simulation.tracking import Reference, Tracked, track
 
 SAVED = ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload")  # arrays of a saved design's motion
+IDLE = 1e-3  # [1] of the largest torque: a spring that adds no more does nothing; doubled, weak springs are called idle sooner
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -47,7 +50,7 @@ class SampledMotion(Motion):
 
     def by_phase(self, task: Task) -> list[Motion]:
         """The motion of all joints (n, K) in each phase, from time 0, with the task's payloads."""
-        rows = [(k, [task.full(x[:, k]) for x in (self.q, self.dq, self.ddq)]) for k in self.phases()]
+        rows = [(k, [task.full(self.q[:, k]), *(task.full_rates(x[:, k]) for x in (self.dq, self.ddq))]) for k in self.phases()]
         return [
             Motion(self.t[k] - self.t[k[0]], *values, payload=np.full(len(k), payload))
             for (k, values), payload in zip(rows, task.payloads, strict=True)
@@ -89,6 +92,51 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
         start += solution.durations[i]
     columns = [np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)]
     return SampledMotion(**dict(zip(SAVED, columns, strict=True)))
+
+
+def mounted(design: CoDesign) -> dict[str, dict[str, Any]]:
+    """How each spring of a design is mounted: the values of its effect's options, by its label."""
+    springs = [s.effect for s in design.springs if not s.known]
+    return {design.model.label(effect): {key: getattr(effect, key) for key in effect.options} for effect in springs}
+
+
+def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:
+    """Why a spring does nothing along a motion, by its label, for each that does nothing: its exact torque stays below `IDLE` of the
+    largest torque that the motion needs."""
+    idle, at = {}, 0
+    needed = float(np.max(np.abs(motion.tau_load + motion.tau_spring)))
+    for spring in design.springs:
+        effect, size = spring.effect, len(spring.effect.parameters)
+        theta, at = parameters[at : at + size], at + size
+        model = design.task.model([effect])
+        exact = np.zeros(model.widths.size)
+        torques = [model.inverse(p.q, p.dq, p.ddq, p.payload[0], theta, exact)[1] for p in motion.by_phase(design.task)]
+        if spring.known or max(float(np.max(np.abs(np.array(tau)))) for tau in torques) > IDLE * needed:
+            continue
+        names = [p.name for p in effect.parameters]
+        soft = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
+        idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
+    return idle
+
+
+def restart_arrays(solution: Solution) -> dict[str, np.ndarray]:
+    """The variables and the mesh of an optimum by name, from which `restored` makes it again."""
+    mesh = {f"mesh_{phase}": fractions for phase, fractions in zip(PHASES, solution.transcription.mesh, strict=True)}
+    return {"variables": solution.w, "cost": np.array(solution.cost), **mesh}
+
+
+def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.ndarray]) -> Solution:
+    """An optimum from its `restart_arrays`, without multipliers; `options` are those of its search."""
+    mesh = tuple(arrays[f"mesh_{phase}"] for phase in PHASES)
+    problem = replace(design.problem, data=design.data(options.widths[-1]))
+    transcription = replace(transcribed(design, options, 1), problem=problem, mesh=mesh)
+    empty, cost = np.empty(0), float(arrays["cost"])
+    return Solution(transcription, arrays["variables"], empty, empty, cost, "", 0, 0.0)
+
+
+def check_simulation(design: CoDesign) -> None:
+    """Raise `UserError` where MuJoCo cannot simulate the arm with the design's springs."""
+    twin(design.model, design.model.theta({}), settings=Settings("native"))
 
 
 def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form: Form = "generated") -> Tracked:

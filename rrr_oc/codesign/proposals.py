@@ -20,7 +20,7 @@ LAYERS = ("sobol", "cma-es")
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Settings of a multistart. Raises `UserError` for unknown layers.
+    """Settings of a multistart. Raises `UserError` for unknown layers and for no starts.
 
     Attributes:
         starts: Number of starting points that IPOPT polishes, half of them from each layer.
@@ -60,6 +60,8 @@ class SearchOptions:
     refinement: Refinement = field(default_factory=Refinement)
 
     def __post_init__(self) -> None:
+        if self.starts < 1:
+            raise UserError(f"a search needs 1 start or more, got starts={self.starts}")
         if self.layers not in (LAYERS, *((layer,) for layer in LAYERS)):
             raise UserError(f"a search's layers are {LAYERS}, or one of them, got {self.layers}")
 

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -69,10 +69,37 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
         if entry.get("effect") not in known:
             raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
     springs = tuple(_spring(task, entry) for entry in task.springs if entry["effect"] in kinds)
+    places = [(s.effect.name, s.effect.joints) for s in springs]
+    for spring in springs:
+        if places.count((spring.effect.name, spring.effect.joints)) > 1:
+            names = " and ".join(task.robot.joints[j] for j in spring.effect.joints)
+            raise UserError(f"task {task.name!r}: two entries are a {spring.effect.name} of {names}; one is allowed")
     missing = [kind for kind in kinds if kind not in {s.effect.name for s in springs}]
     if missing:
         raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
     return springs
+
+
+def arrangements(task: Task, configuration: str) -> list[tuple[SpringBounds, ...]]:
+    """The springs of a configuration in every way to mount them that the task leaves open, those of `spring_bounds` first.
+
+    An effect's `options`, such as the side on which a spring pulls, are open where the task's entry does not name them.
+    """
+    springs = spring_bounds(task, configuration)
+    kinds = {spring.effect.name for spring in springs}
+    entries = [entry for entry in task.springs if entry["effect"] in kinds]
+    return list(itertools.product(*(_ways(s, entry) for s, entry in zip(springs, entries, strict=True))))
+
+
+def _ways(spring: SpringBounds, entry: Mapping) -> list[SpringBounds]:
+    effect = spring.effect
+    left = {key: getattr(effect, key) for key in effect.options if key not in entry}
+    lists = []
+    for key, default in left.items():
+        allowed = effect.options[key]
+        values = list(itertools.product(allowed, repeat=len(default))) if isinstance(default, tuple) else list(allowed)
+        lists.append(sorted(values, key=lambda value, default=default: value != default))
+    return [replace(spring, effect=replace(effect, **dict(zip(left, v, strict=True)))) for v in itertools.product(*lists)]
 
 
 def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:
@@ -105,6 +132,9 @@ def _spring(task: Task, entry: Mapping) -> SpringBounds:
     if place not in entry:
         raise UserError(f"{where} lacks the key {place!r}")
     names = entry[place] if place == "joints" else [entry[place]]
+    locked = [joint for joint in names if task.robot.index(joint) not in task.moving]
+    if locked:
+        raise UserError(f"{where}: {locked[0]} does not move in this task; moving are {', '.join(task.joints)}")
     options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in kind.options if key in entry}
     effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
     bounds = {q.symbol: _bounds(where, entry, q.key, q.unit) for q in form.quantities}

@@ -66,6 +66,7 @@ class TaskFile(Schema, frozen=True):
     path_margin: NonNegative | None = None
     floor_m: float = -np.inf
     springs: list[dict[str, Any]] = field(default_factory=list)
+    locked_deg: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_interval("duration_s", self.duration_s)
@@ -81,7 +82,7 @@ class Task:
         name: Name in reports.
         robot: The whole arm.
         tool: Where it holds the payload.
-        moving: Indices of the joints that move (m); the others are locked at zero.
+        moving: Indices of the joints that move (m); the others are locked.
         start, release: Angles of the moving joints [rad], (m,).
         payload: Carried in the go phase only [kg].
         duration: Bounds of each phase's duration [s].
@@ -91,6 +92,7 @@ class Task:
         torque: Load-torque limits [Nm], (m,); infinite where there is none.
         floor: Height that the tool stays above [m], against gravity; -infinity where nothing stands below.
         springs: The springs that a design may use, as in the file.
+        locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
     """
 
     name: str
@@ -108,6 +110,7 @@ class Task:
     torque: np.ndarray
     floor: float
     springs: tuple[Mapping[str, Any], ...]
+    locked: tuple[float, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -128,7 +131,12 @@ class Task:
         return Model(self.robot, self.tool, tuple(effects))
 
     def full(self, moving: np.ndarray) -> np.ndarray:
-        """Values of all joints, (n, ...), from those of the moving ones, (m, ...); the locked ones are zero."""
+        """Angles of all joints, (n, ...), from those of the moving ones, (m, ...)."""
+        still = np.array(self.locked or (0.0,) * self.robot.n).reshape(-1, *[1] * (np.ndim(moving) - 1))
+        return self.full_rates(moving) + still
+
+    def full_rates(self, moving: np.ndarray) -> np.ndarray:
+        """Speeds or accelerations of all joints, (n, ...), from those of the moving ones, (m, ...); the locked ones are zero."""
         values = np.zeros((self.robot.n, *np.shape(moving)[1:]))
         values[list(self.moving)] = moving
         return values
@@ -159,6 +167,7 @@ def load_task(source: str | Path) -> Task:
         duration=given.duration_s,
         floor=given.floor_m,
         springs=tuple(given.springs),
+        locked=_locked(where, robot, given),
         **_limits(where, robot, given),
     )
     body = rigid_body(robot)
@@ -192,6 +201,19 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
             raise UserError(f"{where}: at the {end} the tool stands {height:.4f} m high, below floor_m = {task.floor:g} m")
 
 
+def _locked(where: str, robot: Robot, given: TaskFile) -> tuple[float, ...]:
+    """Angles of the locked joints [rad], (n,), those of the moving ones zero; raises `UserError` for one outside its range."""
+    check_names(given.locked_deg, [j for j in robot.joints if j not in given.moving], f"{where}: locked_deg", "locked joint")
+    angles = np.zeros(robot.n)
+    for joint, degrees in given.locked_deg.items():
+        j = robot.index(joint)
+        angles[j] = np.radians(degrees)
+        if not robot.lower[j] <= angles[j] <= robot.upper[j]:
+            low, high = np.degrees([robot.lower[j], robot.upper[j]])
+            raise UserError(f"{where}: locked_deg.{joint}: found {degrees:g}; its range is {low:.2f}° … {high:.2f}°")
+    return tuple(angles.tolist())
+
+
 def _limits(where: str, robot: Robot, given: TaskFile) -> dict[str, np.ndarray]:
     """Limits of the moving joints in SI units, (m,) each, by the names of `Task`'s attributes."""
     check_names(given.limits, given.moving, f"{where}: limits", "joint")
@@ -199,6 +221,8 @@ def _limits(where: str, robot: Robot, given: TaskFile) -> dict[str, np.ndarray]:
     for joint in given.moving:
         j, own = robot.index(joint), given.limits.get(joint, Limits())
         low, high = own.range_deg or np.degrees([robot.lower[j], robot.upper[j]])
+        if not low < high:
+            raise UserError(f"{where}: limits.{joint}: key 'range_deg' is missing; the URDF's range is {low:g}° … {high:g}°")
         speed = own.speed_deg_per_s or np.degrees(robot.velocity[j])
         if not speed > 0:
             raise UserError(f"{where}: limits.{joint}: key 'speed_deg_per_s' is missing; the URDF allows no speed")
@@ -245,9 +269,16 @@ def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where:
     ]
     reached = [fit.x for fit in fits if np.abs(fit.fun).max() < 1e-8]
     if not reached:
-        nearest = min(float(np.linalg.norm(fit.fun)) for fit in fits)
+        nearest = min(fits, key=lambda fit: float(np.linalg.norm(fit.fun)))
         told = f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges"
-        raise UserError(f"{told}: the tool comes no nearer than {nearest:.4f} m")
+        point = (np.round(position + nearest.fun, 4) + 0.0).tolist()
+        fixed = [
+            axis
+            for axis, row in zip("xyz", np.array([slope(s) for s in starts]).swapaxes(0, 1), strict=True)
+            if np.abs(row).max() < 1e-9
+        ]
+        why = f"; {', '.join(task.joints)} cannot change {' and '.join(fixed)}" if fixed else ""
+        raise UserError(f"{told}: the tool comes no nearer than {np.linalg.norm(nearest.fun):.4f} m, at {point} m{why}")
     up = upwards(task.robot.gravity)
     best = max(reached, key=lambda q: float((up @ np.array(body.joint_frames(task.full(q)))[9:]).sum()))
     return np.clip(best, task.lower, task.upper)

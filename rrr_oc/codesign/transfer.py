@@ -11,12 +11,12 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion, describe
 from rrr_oc.effects import Body
 from rrr_oc.errors import UserError
-from rrr_oc.model.metrics import measure
+from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.drives import Actuators
 from rrr_oc.simulation.engine_model import Settings, twin
-from rrr_oc.simulation.tracking import Reference, check_gears, track
+from rrr_oc.simulation.tracking import Reference, Tracked, check_gears, track
 
 
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
@@ -68,7 +68,7 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
 
 
 def describe_transfer(
-    design: CoDesign, motion: SampledMotion, theta: np.ndarray, calibrated: CalibratedModel, drives: Actuators
+    design: CoDesign, motion: SampledMotion, theta: np.ndarray, calibrated: CalibratedModel, drives: Actuators | None
 ) -> dict[str, Any]:
     """The paper's metrics of an optimum tracked in the calibrated twin, with the load torque computed in two ways.
 
@@ -77,24 +77,29 @@ def describe_transfer(
 
     Args:
         theta: Parameters of the design's springs (np,).
+        drives: Of the moving joints; None where they are unknown.
 
     Returns:
         "engine": metrics of M ddq + C dq + G − tau_spring along the simulated motion; "eq10": of the load torque by Eq. 10 from the
-        motor torque; "motor": of the motor torque itself; each as `describe` gives it. "tracking_error_rad"; "saturated": whether a
-        controller reached its limit.
+        motor torque, None without drives; "motor": of the motor torque itself; each as `describe` gives it. "tracking_error_rad".
+        "saturated": whether a controller reached its limit.
     """
     task, arm = design.task, _calibrated_arm(design, calibrated, theta)
     references = reference_phases(design, motion, theta, calibrated)
     tracked = track(arm.model, references, arm.theta, settings=Settings(effects="native"), widths=arm.widths)
-    rows = [task.robot.index(joint) for joint in drives.joints]
-    by_eq10 = [np.array(drives.load_from_motor(p.dq[rows], p.ddq[rows], p.tau_motor[rows])[0]) for p in tracked.phases]
     return {
         "engine": describe(design, tracked.metrics, task.moving),
-        "eq10": describe(design, measure([(p.t, tau) for p, tau in zip(tracked.phases, by_eq10, strict=True)])),
+        "eq10": None if drives is None else describe(design, _by_eq10(tracked, drives, task.moving)),
         "motor": describe(design, measure([(p.t, p.tau_motor) for p in tracked.phases]), task.moving),
         "tracking_error_rad": tracked.tracking_error,
         "saturated": bool(np.any(tracked.saturated)),
     }
+
+
+def _by_eq10(tracked: Tracked, drives: Actuators, rows: Sequence[int]) -> Metrics:
+    """Metrics of the load torque by Eq. 10 from the motor torque of the joints in `rows`, which have these drives."""
+    at = list(rows)
+    return measure([(p.t, np.array(drives.load_from_motor(p.dq[at], p.ddq[at], p.tau_motor[at])[0])) for p in tracked.phases])
 
 
 def reference_phases(
@@ -131,6 +136,9 @@ def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:
     for name, c in known.items():
         cells = [name]
         for route in ("engine", "eq10"):
+            if c[route] is None:  # the drives are unknown
+                cells += ["–", "–"]
+                continue
             less = "" if stiff is None or name == "SA" else f"{100 * (1 - c[route]['E1'] / stiff[route]['E1']):.1f} %"
             cells += [f"{c[route]['E1']:.2f}", less]
         cells += [", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values()), f"{c['tracking_error_rad']:.4f}"]

@@ -25,6 +25,7 @@ LONGEST_STEP = 10.0  # [s], of a median step; longer ones are another unit of ti
 SLOW_STEP, SLOW_SPEED, SLOW_TRAVEL = 0.5, 0.003, 0.5  # [s], [rad/s], [rad]: long steps, far travel and no faster: milliseconds
 TORQUE_FACTOR = 10.0  # a median torque above so many effort limits is in mNm or mA; doubled, limits 50 times too low would pass
 ABSURD = 1e9  # in any unit: above it a number is no measurement, and its powers overflow; doubled, nothing changes
+STILL = 1e-3  # [rad] of travel, below which a joint stands still; doubled, slow short motions would be taken for standstill
 ROWS = 20_000  # first rows by which a derivative is judged; doubled, the check takes twice as long
 
 
@@ -94,6 +95,21 @@ def check_derivative(
         raise UserError(
             f"{column} is {ratio:.4g} times the derivative of '{value[0]}'; units are rad and s, it looks as if {looks}"
         )
+
+
+def stands_still(q: np.ndarray) -> bool:
+    """Whether no joint moves along q (n, K)."""
+    return bool(np.max(np.ptp(q, axis=1)) < STILL)
+
+
+def swapped(t: np.ndarray, segments: tuple[slice, ...], q: np.ndarray, dq: np.ndarray) -> list[tuple[int, int]]:
+    """Pairs (i, j) of joints where dq of i is the derivative of q of j and not of q of i; q, dq (n, K)."""
+    longest = max(segments, key=lambda s: s.stop - s.start)
+    part = slice(longest.start, min(longest.stop, longest.start + ROWS))
+    computed = differentiate(t[part], q[:, part], [slice(0, part.stop - part.start)])
+    with np.errstate(invalid="ignore", divide="ignore"):  # a joint at rest is correlated with nothing
+        alike = np.corrcoef(dq[:, part], computed)[: len(q), len(q) :] > CORRELATION
+    return [(i, j) for i, j in np.argwhere(alike).tolist() if i != j and not alike[i, i]]
 
 
 def check_torques(where: str, robot: Robot, torque: np.ndarray, columns: tuple[str, ...], unit: str) -> None:

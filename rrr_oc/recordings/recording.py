@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from rrr_oc.model.motion import Motion
+from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.header import HEADER, Spring
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint
 
@@ -103,6 +104,7 @@ class RecordingSet:
         for names, found in self._by("ignored").items():
             locked = "; joints that are not listed are taken to stay at 0" * any(name.startswith("q_") for name in names)
             notes.append(f"{_named(found)}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
+        notes += self._doubts()
         default = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
         if default and any(np.any(r.payload > 0) for r in self.recordings):
             notes.append(
@@ -110,6 +112,17 @@ class RecordingSet:
                 f"{np.linalg.norm(self.tool.position):.3g} m from {self.joints[self.tool.joint]}; 'tool' says where else it may be"
             )
         return tuple(notes)
+
+    def _doubts(self) -> list[str]:
+        """What looks wrong in the recorded motions and is no error for certain, a sentence each."""
+        still = [r for r in self.recordings if plausibility.stands_still(r.q)]
+        doubts = [f"{_named(still)}: no joint moves, which says nothing of friction and inertia"] if still else []
+        for r in self.recordings:
+            measured = not any(f"dq_{joint}" in r.computed for joint in self.joints)
+            for i, j in plausibility.swapped(r.t, r.segments, r.q, r.dq) if measured and len(self.joints) > 1 else ():
+                columns = f"dq_{self.joints[i]} is the derivative of q_{self.joints[j]}, not of q_{self.joints[i]}"
+                doubts.append(f"{r.file}: {columns}; are columns swapped?")
+        return doubts
 
     def _by(self, names: str) -> dict[tuple[str, ...], list[Recording]]:
         """Recordings by one of their tuples of columns, where it is not empty."""

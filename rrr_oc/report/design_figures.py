@@ -32,7 +32,7 @@ def draw_all(folder: Path, task: Task) -> list[Path]:
 
 def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
     """Load and spring torque over time, summed over the moving joints, both phases (as Figure 5)."""
-    rows = (len(motions) + 1) // 2
+    rows, (what, unit) = (len(motions) + 1) // 2, summary["quantity"]
     figure, axes = plt.subplots(rows, min(2, len(motions)), figsize=(12, 3.2 * rows), squeeze=False, sharey=True)
     for axis, (name, m) in zip(axes.ravel(), motions.items(), strict=False):
         load, spring = m["tau_load"].sum(axis=0), m["tau_spring"].sum(axis=0)
@@ -47,7 +47,7 @@ def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
             "payload released", (change, 0.97), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right", **FOOTER
         )
         axis.axhline(0, color="0.8", lw=0.8)
-        axis.set_title(f"{name}: E1 = {summary['configurations'][name]['E1']:.4g} N²m²s", fontsize=10)
+        axis.set_title(f"{name}: {what} = {summary['configurations'][name]['cost']:.4g} {unit}", fontsize=10)
         axis.set_xlabel("time [s]")
     for axis in axes[:, 0]:
         axis.set_ylabel("sum over joints [Nm]")
@@ -94,7 +94,9 @@ def draw_arm(name: str, m: dict, task: Task, springs: dict[str, float]) -> Any:
     """The arm as a stick figure at equal times of each phase, the tool's path, and the springs at their joints."""
     body = rigid_body(task.robot)
     figure, axes = plt.subplots(1, len(PHASES), figsize=(12, 5), sharex=True, sharey=True)
-    stiff = [f"joint{n}: {k} = {springs[k]:.3g} Nm/rad" for n in range(1, task.robot.n + 1) if (k := f"k_p{n}") in springs]
+    stiff = [
+        f"{joint}: k_p = {springs[k]:.3g} Nm/rad" for n, joint in enumerate(task.robot.joints, 1) if (k := f"k_p{n}") in springs
+    ]
     for i, axis in enumerate(axes):
         k = np.flatnonzero(m["phase"] == i)
         q = task.full(m["q"][:, k])
@@ -152,7 +154,7 @@ def draw_landscape(summary: dict) -> Any:
             for o in optima:
                 axis.plot(
                     o["durations"][phase],
-                    o["E1"],
+                    o["cost"],
                     "o" if o["refined"] else "s",
                     ms=5 + 2.5 * np.sqrt(max(o["reached"], 0)),
                     mfc=COLOURS[0] if o["refined"] else "none",
@@ -161,7 +163,7 @@ def draw_landscape(summary: dict) -> Any:
                 )
                 axis.annotate(
                     str(o["reached"] or "hop"),
-                    (o["durations"][phase], o["E1"]),
+                    (o["durations"][phase], o["cost"]),
                     textcoords="offset points",
                     xytext=(7, 3),
                     **FOOTER,
@@ -173,8 +175,8 @@ def draw_landscape(summary: dict) -> Any:
             axis.set_xlim(middle - half, middle + half)
             axis.margins(y=0.25)
             axis.ticklabel_format(useOffset=False)
-    axes[0, 0].set_ylabel("E1 [N²m²s]")
-    axes[1, 0].set_ylabel("E1 [N²m²s]")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("{} [{}]".format(*summary["quantity"]))
     note = "filled: refined to the mesh tolerance; open: on the first fine mesh; number and size: starts that ended there (hop: by hopping)"
     figure.text(0.5, -0.02, note, ha="center", **FOOTER)
     figure.tight_layout()

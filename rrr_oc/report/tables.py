@@ -23,13 +23,14 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def table_3(ours: Results, joints: Sequence[str], total: str, digits: int, measured: bool = False) -> str:
+def table_3(ours: Results, joints: Sequence[str], total: str, digits: int, measured: bool = False, beside: bool = True) -> str:
     """Relative decrease of E1, RMS and peak load torque against stiff actuation [%], ours beside the paper's.
 
     Args:
         ours: Results with "E1_joint", "rms" and "peak" by joint, and their E1 under the key `total`.
         digits: Decimals of our numbers.
         measured: Whether to print the paper's real-world numbers instead of the simulated ones.
+        beside: Whether the paper's numbers stand beside ours; not for a task that is none of its own.
     """
     paper = published()["real_world_percent" if measured else "decrease_percent"]
     columns = [
@@ -42,9 +43,10 @@ def table_3(ours: Results, joints: Sequence[str], total: str, digits: int, measu
         printed, row = paper.get(name, {}), [name]
         for key, label, i in columns:
             falls = _decreases(results, ours["SA"], digits, lambda r, k=key, j=joints[i]: r[k][j])
-            row.append(_beside(falls, str(printed[label][i]) if i < len(printed.get(label, ())) else NONE))
+            theirs = str(printed[label][i]) if i < len(printed.get(label, ())) else NONE
+            row.append(_beside(falls, theirs if beside else None))
         falls = _decreases(results, ours["SA"], digits, lambda r: r[total])
-        row.append(_beside(falls, None if measured else str(printed.get("E1_total", NONE))))
+        row.append(_beside(falls, None if measured or not beside else str(printed.get("E1_total", NONE))))
         rows.append(row)
     return markdown(["", *[f"{what} {joint}" for what in ("E1", "RMS", "peak") for joint in joints], "E1 total"], rows)
 
@@ -58,14 +60,21 @@ def _beside(ours: Sequence[str], paper: str | None) -> str:
     return " \\| ".join([*ours, *([] if paper is None else [paper])])
 
 
-def table_4(ours: Results, names: Sequence[str], digits: int, formats: tuple[str, str] = ("g", "g")) -> str:
+def table_4(
+    ours: Results,
+    names: Sequence[str],
+    digits: int,
+    formats: tuple[str, str] | None = ("g", "g"),
+    titles: Mapping[str, str] | None = None,
+) -> str:
     """Hardware and durations, ours beside the paper's.
 
     Args:
         ours: Results with "springs" (by name, SI) and "durations" [s] of the phases.
         names: Springs' names, one column each.
         digits: Decimals of our numbers.
-        formats: Formats of the paper's springs and durations.
+        formats: Formats of the paper's springs and durations; None leaves them out, for a task that is none of its own.
+        titles: What the columns are called, by spring's name; default the names.
     """
     paper, rows = published()["springs"], []
     for name, results in ours.items():
@@ -73,19 +82,23 @@ def table_4(ours: Results, names: Sequence[str], digits: int, formats: tuple[str
         for key in names:
             suffix, factor, _ = _unit(key)
             numbers = [None if r is None or key not in r["springs"] else r["springs"][key] * factor for r in results]
-            row.append(_numbers(numbers, digits, printed.get(key + suffix), formats[0]))
+            row.append(_numbers(numbers, digits, printed.get(key + suffix), formats and formats[0]))
         for i, phase in enumerate(PHASES):
             numbers = [None if r is None else r["durations"][i] for r in results]
-            row.append(_numbers(numbers, digits, printed.get(f"t_{phase}"), formats[1], always=True))
+            row.append(_numbers(numbers, digits, printed.get(f"t_{phase}"), formats and formats[1], always=True))
         rows.append(row)
-    return markdown(["", *[f"{n} [{_unit(n)[2]}]" for n in names], *[f"t_{p} [s]" for p in PHASES]], rows)
+    called = titles or {}
+    return markdown(["", *[f"{called.get(n, n)} [{_unit(n)[2]}]" for n in names], *[f"t_{p} [s]" for p in PHASES]], rows)
 
 
-def _numbers(ours: Sequence[float | None], digits: int, paper: float | None, form: str, always: bool = False) -> str:
-    """Our numbers and the paper's; a single dash where there is none at all, unless `always`."""
-    if not always and paper is None and all(v is None for v in ours):
+def _numbers(ours: Sequence[float | None], digits: int, paper: float | None, form: str | None, always: bool = False) -> str:
+    """Our numbers and, unless `form` is None, the paper's; a single dash where there is none at all, unless `always`."""
+    if not always and (paper is None or form is None) and all(v is None for v in ours):
         return NONE
-    return _beside([NONE if v is None else f"{v:.{digits}f}" for v in ours], NONE if paper is None else f"{paper:{form}}")
+    return _beside(
+        [NONE if v is None else f"{v:.{digits}f}" for v in ours],
+        None if form is None else NONE if paper is None else f"{paper:{form}}",
+    )
 
 
 def _unit(spring: str) -> tuple[str, float, str]:
