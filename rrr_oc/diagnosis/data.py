@@ -27,7 +27,7 @@ from rrr_oc.recordings.recording import Recording
 ROWS_PER_LAG = 30  # rows that each lag needs; with fewer the order is lower
 LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimated
 EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
-TURNS = 0.3  # share of a row's filter on samples at a reversal from which the row counts as one
+TURNS = 0.02  # share of a row's filter on samples at a reversal from which the row counts as one
 SLOW, SIGN = (0.02, 0.05, 0.12), 0.03  # speeds below which dry friction may be off, and width of its sign [rad/s]
 ORDERS = {"q": 8, "dq": 4, "load": 4}  # of the cosines of a discrepancy over each variable
 

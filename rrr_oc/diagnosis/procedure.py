@@ -17,7 +17,7 @@ from rrr_oc.calibration.term_fit import bounds
 from rrr_oc.diagnosis.data import Data, link_errors
 from rrr_oc.diagnosis.findings import Finding, Possible, found
 from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, checked, mean_nrmse, nrmse, repeated
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
 from rrr_oc.diagnosis.search import Search, beside
 from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
@@ -136,9 +136,18 @@ def diagnose(
         refuted += out
         search = search.refuting([f.term for f in out])
         at = search.run(search.without(at, [f.term for f in out]).fitted)
-    if findings:
-        report("repeating the search without the recordings that are held out")
-    way, folds = repeated(search, begin, bool(findings), jobs)
+    while True:
+        if findings:
+            report("repeating the search without the recordings that are held out")
+        way, folds = repeated(search, begin, bool(findings), jobs)
+        out = worse(findings, folds)
+        if not out:
+            break
+        refuted += out
+        search = search.refuting([f.term for f in out])
+        at = search.without(at, [f.term for f in out])
+        findings = [f for f in findings if f not in out]
+        checks = checked(fitter, begin, findings, jobs)
     kept = tuple(f.term for f in findings)
     final = at.fitted if kept else begin
     if kept and kept != at.fitted.extra:  # some are missing, or in another order
@@ -195,6 +204,12 @@ def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Fi
         if not any(beside(finding.term.effect, other.term.effect) for other in result):
             result.append(finding)
     return result
+
+
+def worse(findings: Sequence[Finding], folds: Sequence[Fold]) -> list[Finding]:
+    """Effects on joints of none of which the repeated search predicts held-out recordings better than the plain model does."""
+    before, after = (mean_nrmse(np.concatenate([getattr(f, key) for f in folds])) for key in ("before", "after"))
+    return [f for f in findings if not np.any((after < before)[acts_on(f.term, len(before))])]
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosis:
