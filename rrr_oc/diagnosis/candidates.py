@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import logsumexp
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.diagnosis.data import Data
@@ -118,7 +117,7 @@ class Screen:
             t = np.zeros((labels, len(d), total))
             for g, rows in enumerate(at):
                 part = c[rows]
-                cross[np.ix_([g], live, used)] += (x[rows].T @ part)[None] / sigma2
+                cross[g][np.ix_(live, used)] += x[rows].T @ part / sigma2
                 right[g, used] += y[rows] @ part / sigma2
                 t[g][:, used] = (one.turn.T @ (one.features[rows].T @ part)) * np.sqrt(d[:, None] / sigma2)
                 square = np.sum(part**2, axis=0) / sigma2
@@ -156,7 +155,7 @@ class Screen:
         for (name, joints, scope), every in found.items():
             best = max(every, key=lambda c: c.gain)
             prior = self.fitter.log_prior(best.trial.effect, scope) - np.log(numbers[name, joints])
-            gain = float(logsumexp([c.gain for c in every])) + prior
+            gain = float(np.logaddexp.reduce([c.gain for c in every])) + prior
             result.append(replace(best, gain=gain, log_prior=prior))
         return sorted(result, key=lambda c: -c.gain)
 

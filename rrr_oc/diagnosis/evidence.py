@@ -276,7 +276,8 @@ def _reduced(g: Gram, one: Joint, sigma: float, discrepancy: float) -> tuple[np.
     """Normal equations of a joint with its discrepancy integrated out."""
     d = 1 / (one.values + (sigma / discrepancy) ** 2)
     scaled = g.tx * d[:, None]
-    return (g.xx - g.tx.T @ scaled) / sigma**2, (g.xy - scaled.T @ g.ty) / sigma**2, (g.yy - g.ty @ (d * g.ty)) / sigma**2
+    misfit = float(g.yy - g.ty @ (d * g.ty)) / sigma**2
+    return (g.xx - g.tx.T @ scaled) / sigma**2, (g.xy - scaled.T @ g.ty) / sigma**2, misfit
 
 
 def at_size(prior: Prior, links: float) -> Prior:

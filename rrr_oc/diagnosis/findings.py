@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import Term
@@ -69,7 +68,7 @@ class Possible:
 def probabilities(search: Search) -> list[tuple[frozenset, float]]:
     """Structures that were visited, by their effects, with their posterior probabilities."""
     scores = {**search.foreseen, **search.visited}
-    total = logsumexp(list(scores.values()))
+    total = np.logaddexp.reduce(list(scores.values()))
     return [(key, float(np.exp(score - total))) for key, score in scores.items()]
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import comb
+from typing import cast
 
 import numpy as np
 
@@ -151,9 +152,8 @@ class Fitter:
         """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""
         tried: set = set()
         while True:
-            better = {
-                i: form for i, gain, *form in self._other_signs(fitted) if gain > OTHER_SIGN and (i, form[0]) not in tried
-            }
+            found = [(i, form, width) for i, gain, form, width in self._other_signs(fitted) if gain > OTHER_SIGN]
+            better = {i: (form, width) for i, form, width in found if (i, form) not in tried}
             if not better:
                 return fitted
             tried |= {(i, form) for i, (form, _) in better.items()}
@@ -170,7 +170,7 @@ class Fitter:
         data, columns = self.data, [fitted.posterior.columns[:, :, : len(self.prior(fitted.model, fitted.links).mean)]]
         for term in fitted.model.terms[: fitted.base]:
             if others := [form for form in term.effect.sign_forms if form != term.effect and term.width]:
-                forms = np.array([data.friction(form, term.width) for form in (term.effect, *others)])
+                forms = np.array([data.friction(form, cast(float, term.width)) for form in (term.effect, *others)])
                 u, s, _ = np.linalg.svd(term.values[0] * (forms[1:] - forms[0]).T, full_matrices=False)
                 own = np.zeros((data.n, len(u), MIXTURES))
                 own[term.effect.joints[0]] = u[:, :MIXTURES] * s[:MIXTURES]

@@ -133,7 +133,8 @@ def _check(fitter: Fitter, begin: Fitted, terms: tuple[Term, ...], held: list[in
     train, test, plain = _parts(fitter, begin, held)
     here = [[t.holds_for(p.recording) for p in train.data.prepared] for t in terms]
     there = [[t.holds_for(p.recording) for p in test.prepared] for t in terms]
-    count, search, fits = len(terms), Search(train, ()), {(): plain}
+    count, search = len(terms), Search(train, ())
+    fits: dict[tuple[int, ...], Fitted] = {(): plain}
     every = tuple(k for k in range(count) if any(here[k]))
 
     def fit(which: tuple[int, ...]) -> Fitted:

@@ -499,10 +499,10 @@ class Effect:
         if self.linear or self.side == "body" or len(self.parameters) > 1:
             return
         near = self.trial(view, **shape)
-        (name,), (typical,) = self.amplitudes, self.scales(view, near)
+        (parameter,), (typical,) = self.parameters, self.scales(view, near)
         for size in (share * float(typical) for share in SECANTS):
-            if self.parameters[0].lower <= size <= self.parameters[0].upper:
-                yield replace(near, points=({name: size},), size=size)
+            if parameter.lower <= size <= parameter.upper:
+                yield replace(near, points=({parameter.name: size},), size=size)
 
     def scales(self, view: View, trial: Trial, prior: Prior | None = None) -> np.ndarray:
         """Prior standard deviations of a trial's coefficients, (m,), by `prior` or that of the class.
