@@ -499,10 +499,11 @@ class Effect:
         if self.linear or self.side == "body" or len(self.parameters) > 1:
             return
         near = self.trial(view, **shape)
-        (parameter,), (typical,) = self.parameters, self.scales(view, near)
-        for size in (share * float(typical) for share in SECANTS):
-            if parameter.lower <= size <= parameter.upper:
-                yield replace(near, points=({parameter.name: size},), size=size)
+        typical = float(self.scales(view, near)[0])
+        for parameter in self.parameters:
+            for size in (share * typical for share in SECANTS):
+                if parameter.lower <= size <= parameter.upper:
+                    yield replace(near, points=({parameter.name: size},), size=size)
 
     def scales(self, view: View, trial: Trial, prior: Prior | None = None) -> np.ndarray:
         """Prior standard deviations of a trial's coefficients, (m,), by `prior` or that of the class.
