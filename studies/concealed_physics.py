@@ -260,7 +260,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     truth, recordings = read(sealed), load_recordings(folder / "data")
     kinds = [CATALOGUE[e["effect"]] for e in truth["effects"]]
     _, fitter, every, plain = ready(recordings, Priors({kind.name: of_any_size(kind) for kind in kinds}))
-    fitted, entries = fitter.fit(plain, np.zeros(fitter.data.links.shape[1])), []
+    fitted, entries = fitter.with_signs(fitter.fit(plain, np.zeros(fitter.data.links.shape[1]))), []
     for e in truth["effects"]:
         joints = sorted(recordings.joints.index(j) for j in place(e["joint"]))
         ways = [t for t in every if t.effect.name == e["effect"] and sorted(t.effect.joints) == joints]
@@ -295,7 +295,7 @@ def with_effect(fitter: Fitter, fitted: Fitted, ways: Sequence[Trial], recording
         if start is not None:
             term = replace(start.term, recordings="all" if recordings == "all" else tuple(recordings), groups=())
             model = replace(fitted.model, terms=(*fitted.model.terms, term))
-            fits.append(fitter.fit(model, fitted.links, fitted.posterior))
+            fits.append(fitter.with_signs(fitter.drawn(model, fitted.links, fitted.posterior)))
     return max(fits, key=lambda f: f.log_evidence, default=None)
 
 

@@ -24,6 +24,7 @@ BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 DIFFERENCE = 0.01  # of a width, for derivatives by it
 MIXTURES = 2  # directions in which ways of changing sign are mixed
+EXACT_LINKS, EXACT_LAWS = 0.01, 0.01  # sizes of the errors of links, and of a discrepancy, that an exact arm has
 OTHER_SIGN = 3.0  # nats from which another way in which friction changes sign is fitted
 
 
@@ -147,6 +148,25 @@ class Fitter:
                 columns = self.columns(model, found)
         assert best is not None
         return best
+
+    def exact(self, post: Posterior) -> Posterior | None:
+        """A posterior with sizes of an exact arm; None where they are as small."""
+        sizes = post.sizes
+        if sizes.links < EXACT_LINKS and np.all(sizes.discrepancy < EXACT_LAWS):
+            return None
+        links = min(EXACT_LINKS, sizes.links) if self.data.free else sizes.links
+        return replace(post, sizes=replace(sizes, links=links, discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS)))
+
+    def drawn(self, model: CalibratedModel, links: np.ndarray, start: Posterior, bent: bool = True) -> Fitted:
+        """The fit of a model; with shapes that may be far from their best (`bent`), the best of two.
+
+        The second begins with a fit under the sizes of an exact arm, where a discrepancy takes up nothing of what draws the shape.
+        """
+        fits, exact = [self.fit(model, links, start)], self.exact(start) if bent else None
+        if exact is not None:
+            near = self.fit(model, links, exact, fixed=True)
+            fits.append(self.fit(near.model, near.links, start))
+        return max(fits, key=lambda f: f.log_evidence)
 
     def with_signs(self, fitted: Fitted) -> Fitted:
         """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""

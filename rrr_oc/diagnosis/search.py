@@ -15,7 +15,6 @@ from rrr_oc.effects import Effect, Trial
 
 EXACT, FITTED = 4, 3  # candidates of a round whose sizes are estimated anew, and those fitted exactly
 KEPT = 12  # candidates of a round that count in the posterior
-EXACT_LINKS, EXACT_LAWS = 0.01, 0.01  # sizes of the errors of links, and of a discrepancy, that an exact arm has
 NEAR = 12.0  # nats below the best within which a candidate is followed
 SLACK = 0.15  # share of the nats to be made good by which a candidate's gain may be underestimated
 SETTLED = 30.0  # nats by which the best alternative in an effect's place falls short, from which it is not sought again
@@ -120,7 +119,7 @@ class Search:
         table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
         hopeful: list[tuple[Screen, Candidate]] = []
         seen: set = set()
-        for post, count in ((under or start, EXACT), (self._exact(under or start), EXACT // 2)):
+        for post, count in ((under or start, EXACT), (self.fitter.exact(under or start), EXACT // 2)):
             if post is None:
                 continue
             post = self.fitter.freed(at.fitted, post)
@@ -141,14 +140,6 @@ class Search:
             seen |= {(c.key, c.scope) for _, c in own[:count]}
         return self._best(at, hopeful, level, goal)
 
-    def _exact(self, post: Posterior) -> Posterior | None:
-        """The posterior with sizes of an exact arm; None where they are as small."""
-        sizes = post.sizes
-        if sizes.links < EXACT_LINKS and np.all(sizes.discrepancy < EXACT_LAWS):
-            return None
-        links = min(EXACT_LINKS, sizes.links) if self.fitter.data.free else sizes.links
-        return replace(post, sizes=replace(sizes, links=links, discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS)))
-
     def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], level: float, goal: float) -> State | None:
         """The best of some candidates beyond `goal`, fitted exactly; `level` is what turns a freed evidence into a score."""
         judged: list[tuple[float, Candidate, Posterior]] = []
@@ -163,12 +154,7 @@ class Search:
             if score < best - (NEAR if _bent(c) else 1.0) and not (k == 0 and _bent(c)):
                 continue
             model = replace(at.fitted.model, terms=self._extended(at.fitted, c))
-            starts, exact = [(model, at.fitted.links)], self._exact(post) if _bent(c) else None
-            if exact is not None:  # a discrepancy takes up nothing, so that a shape that is far from its best is drawn there
-                near = self.fitter.fit(model, at.fitted.links, exact, fixed=True)
-                starts.append((near.model, near.links))
-            fits = [self.fitter.with_signs(self.fitter.fit(*start, post)) for start in starts]
-            found.append(self.scored(max(fits, key=lambda f: f.log_evidence)))
+            found.append(self.scored(self.fitter.with_signs(self.fitter.drawn(model, at.fitted.links, post, _bent(c)))))
         result = max(found, key=lambda s: s.score, default=None)
         if result is None or result.score <= goal:
             return None
