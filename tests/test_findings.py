@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.diagnosis import findings
 from rrr_oc.diagnosis.diagnosis_file import _prior
 from rrr_oc.diagnosis.findings import _rivals, contribution, found, identities, identity, probabilities
@@ -22,6 +22,10 @@ from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 SPRING, HARNESS, OFFSET = (ParallelSpring((0,)), ()), (CableHarness((0,)), ()), (TorqueOffset((0,)), ())
 
 PRIORS = Priors({"torque_offset": Prior(0.02, {"offset": (0.1, "torque")}, "made up")})
+
+
+def placed(effect) -> Term:
+    return Term(effect, tuple(Estimate(0.0) for _ in effect.parameters))
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ def test_two_black_box_terms_of_a_joint_have_probabilities_of_their_own(monkeypa
     monkeypatch.setattr(findings, "wald", lambda *_: 0.5)
     monkeypatch.setattr(Search, "worths", lambda *_: [9.0, 1.0])
     monkeypatch.setattr(findings, "contribution", lambda *_: 1.0)
-    extra = tuple(Term(e, ()) for e in (wider, second))
+    extra = tuple(placed(e) for e in (wider, second))
     claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=extra)))
     assert [f.term for f in claimed] == [extra[0]]
     assert claimed[0].probability == pytest.approx(1.0)
@@ -85,7 +89,7 @@ def test_an_effect_too_small_to_matter_is_possible_but_not_claimed(monkeypatch, 
     monkeypatch.setattr(findings, "wald", lambda *_: 1e-9)
     monkeypatch.setattr(Search, "worths", lambda *_: [50.0])
     monkeypatch.setattr(findings, "contribution", lambda *_: size)
-    claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=(Term(OFFSET[0], ()),))))
+    claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=(placed(OFFSET[0]),))))
     assert (len(claimed), len(possible)) == (claims, 1 - claims)
     assert (claimed or possible)[0].probability == pytest.approx(1.0)
 
@@ -97,7 +101,7 @@ def test_a_claim_rests_on_its_prior_by_the_rule_of_bayes(beforehand):
     prior = replace(PRIORS.of(TorqueOffset), probability=beforehand)
     for factor, rests in ((0.99 * 190 / odds, True), (1.01 * 190 / odds, False)):
         now, less = (x / (1 + x) for x in (odds * factor, odds / 10 * factor))
-        finding = findings.Finding(Term(OFFSET[0], ()), now, now, 9.0, 1e-9, (), prior)
+        finding = findings.Finding(placed(OFFSET[0]), now, now, 9.0, 1e-9, (), prior)
         assert finding.rests_on_prior == rests == (less < CLAIM)
         assert _prior(finding, ["a"]) == {
             "effect": "torque_offset",

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.fitting import Fitted
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
@@ -89,7 +89,8 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     for i, term in enumerate(at.fitted.extra):
         others = _rivals(own[i], every, set(own))
         both = sum(p for structure, p in every if identities(structure) & {own[i], *others})
-        shown = tuple(dict.fromkeys(other[:2] for other in others if other[:2] != own[i][:2]))
+        rivals = (*(other[:2] for other in others), *equal(search.fitter.data, at.fitted, i))
+        shown = tuple(dict.fromkeys(rival for rival in rivals if rival != own[i][:2]))
         alone = share.get(own[i], 1.0)
         findings.append(
             Finding(term, min(both, 1.0), alone, worths[i], wald(at.fitted, i), shown, _before(search, term.effect))
@@ -137,6 +138,19 @@ def contribution(data: Data, fitted: Fitted, i: int) -> float:
     rows = data.counted & np.isin(np.array(data.labels)[data.label], term.groups or data.labels)
     rms = np.sqrt(np.sum((change * rows) ** 2, axis=1) / np.maximum(rows.sum(axis=1), 1))
     return float(np.max(rms / data.torque))
+
+
+def equal(data: Data, fitted: Fitted, i: int) -> list[Key]:
+    """Effects that, in the place of an added one, predict the same over these recordings, so that nothing can tell them apart."""
+    term, result = fitted.extra[i], []
+    for effect, theta in term.effect.equivalents(term.named):
+        estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
+        other = replace(term, effect=effect, estimates=estimates, width=nominal_term(effect).width)
+        model = replace(fitted.model, terms=tuple(other if t is term else t for t in fitted.model.terms))
+        change = (data.rows(model).residual - fitted.residual) * data.counted
+        if np.all(np.sqrt(np.mean(change**2, axis=1)) < NEGLIGIBLE * data.torque):
+            result.append((effect.name, effect.joints))
+    return result
 
 
 def wald(fitted: Fitted, i: int) -> float:
