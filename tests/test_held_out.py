@@ -32,8 +32,8 @@ def fold(k: int, models, errors) -> Fold:
 
 def check(gains, again, falls=None) -> Check:
     """A check of effects; squared errors fall where densities rise unless they are given."""
-    falls = np.array(gains if falls is None else falls)
-    squares = 10.0 - np.concatenate([[0.0], np.cumsum(np.nan_to_num(falls))])
+    falls = np.array(gains if falls is None else falls).reshape(len(gains), -1)  # (effects, joints)
+    squares = 10.0 - np.concatenate([0.0 * falls[:1], np.cumsum(np.nan_to_num(falls), axis=0)])
     return Check(np.array(gains), falls, np.array(again), squares, 0 * squares)
 
 
@@ -192,6 +192,13 @@ def test_an_effect_that_raises_the_density_but_also_the_error_is_not_confirmed()
     assert not refuted(-0.5, 0.6)
     assert refuted(-0.5, 0.4)
     assert not refuted(np.nan, 0.4)
+
+
+def test_an_effect_of_several_joints_is_confirmed_by_one_of_them():
+    """Another joint may be far from the noise for other reasons."""
+    one = finding(GravityTilt(()))
+    assert not unconfirmed([one], [check((30.0,), (1.0,), ((-5.0, 0.1),))] * 2)
+    assert unconfirmed([one], [check((30.0,), (1.0,), ((-5.0, -0.1),))] * 2)
 
 
 def test_of_effects_on_a_joint_the_least_confirmed_is_refuted_first():

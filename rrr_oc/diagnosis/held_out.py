@@ -58,9 +58,10 @@ class Check:
     Attributes:
         gains: Fall of the negative log predictive density with the effect, beside all others [nats]; NaN where the held-out
             recordings or the rest lack it.
-        falls: Fall of the weighted squared residual, likewise, over the joints that it acts on.
+        falls: Fall of each joint's squared residual over what remains with all effects, likewise, (effects, n); NaN where it does
+            not act.
         again: Whether the rest alone supports it (its posterior odds are above 1); NaN where the rest lacks it.
-        squares: Weighted squared residual with the first 0, 1, … effects, (effects + 1,).
+        squares: Squared residual of each joint, over the same, with the first 0, 1, … effects, (effects + 1, n).
         errors: NRMSE of each of these models, (effects + 1, number held out, n).
     """
 
@@ -146,15 +147,15 @@ def _check(fitter: Fitter, begin: Fitted, terms: tuple[Term, ...], held: list[in
     nested = [fit(tuple(i for i in every if i < k)) for k in range(count + 1)]
     full = nested[-1]
     weights = 1 / np.maximum(_squares(test, full.model), 1e-12)
-    gains, falls, again = np.full((3, count), np.nan)
+    gains, again, falls = np.full(count, np.nan), np.full(count, np.nan), np.full((count, test.n), np.nan)
     for k in every:
         less = fit(tuple(i for i in every if i != k))
         again[k] = search.scored(full).score > search.scored(less).score
         if any(there[k]):
             gains[k] = density(test, full.model, full.posterior) - density(test, less.model, full.posterior)
             own = acts_on(terms[k], test.n)
-            falls[k] = weights[own] @ (_squares(test, less.model) - _squares(test, full.model))[own]
-    squares = np.array([float(weights @ _squares(test, f.model)) for f in nested])
+            falls[k, own] = (weights * (_squares(test, less.model) - _squares(test, full.model)))[own]
+    squares = np.array([weights * _squares(test, f.model) for f in nested])
     return Check(gains, falls, again, squares, np.array([nrmse(test, f.model) for f in nested]))
 
 

@@ -95,7 +95,7 @@ class Shares:
     @classmethod
     def of(cls, checks: Sequence[Check], findings: Sequence[Finding], n: int) -> "Shares":
         """From checks in which the findings were added in their order."""
-        total = np.sum([c.squares for c in checks], axis=0)
+        total = np.sum([c.squares for c in checks], axis=(0, 2))
         errors = [mean_nrmse(np.concatenate([c.errors[k] for c in checks])) for k in range(len(findings) + 1)]
         joints = [list(f.term.effect.joints) or list(range(n)) for f in findings]
         gains = np.array([c.gains for c in checks]).reshape(len(checks), -1)
@@ -188,14 +188,16 @@ def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Fi
     """Effects that are not found again without held-out recordings, or do not predict them better, the least confirmed first.
 
     Of those on a common joint only the first, since the others may be confirmed without it. Better: with a higher probability
-    density and a smaller squared error beside all others, and with a smaller squared error beside the more important ones alone; none
-    of these implies another. What no part can tell is confirmed.
+    density beside all others, and on one of its joints with a smaller squared error beside all others and beside the more important
+    ones alone; none of these implies another. What no part can tell is confirmed.
     """
     found: list[tuple[float, Finding]] = []
     for k, finding in enumerate(findings):
-        gains, falls, again = np.array([[c.gains[k], c.falls[k], c.again[k]] for c in checks]).T
-        first = np.array([c.squares[k] - c.squares[k + 1] if np.isfinite(c.gains[k]) else np.nan for c in checks])
-        better = all(not np.isfinite(x).any() or float(np.nansum(x)) > 0.0 for x in (gains, falls, first))
+        gains, again = np.array([[c.gains[k], c.again[k]] for c in checks]).T
+        falls = np.array([c.falls[k] for c in checks])  # (parts, n)
+        first = np.where(np.isfinite(falls), [c.squares[k] - c.squares[k + 1] for c in checks], np.nan)
+        smaller = (np.nansum(falls, axis=0) > 0) & (np.nansum(first, axis=0) > 0)
+        better = not np.isfinite(gains).any() or (float(np.nansum(gains)) > 0.0 and bool(smaller.any()))
         seen = float(np.nanmean(again)) if np.isfinite(again).any() else 1.0
         if not better or seen < 0.5:
             found.append((seen + float(np.nansum(falls)), finding))
