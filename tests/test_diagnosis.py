@@ -349,7 +349,7 @@ STICKS = pytest.mark.xfail(
 )
 
 
-@pytest.mark.parametrize(("seed", "loss"), [pytest.param(1, 1.0, marks=STICKS), pytest.param(1, 2.0, marks=STICKS), (2, 1.0)])
+@pytest.mark.parametrize(("seed", "loss"), [(1, 1.0), pytest.param(1, 2.0, marks=STICKS), (2, 1.0)])
 def test_abrupt_dry_friction_that_holds_a_joint_for_a_moment_is_no_effect(planar, seed, loss):
     plant, rng = planar(1), np.random.default_rng(seed)
     found = diagnose(as_set(plant, [by_engine(plant, f"{i}.csv", rng, loss) for i in range(4)]), jobs=1)
