@@ -62,9 +62,7 @@ SEVERAL = ("pair", "triple", "outside_pair")
 DETECTED = 1e-3  # p-value of a likelihood ratio
 ABSENT = 0.01  # residual after plain calibration over noise, below which no data of this size hold an effect
 NEAR = 1.1  # error over the oracle's up to which a repaired model is as good
-WIDER = (
-    100.0  # times the typical size of an effect, up to which the oracle takes it; much less, strong effects come out too weak
-)
+WIDER = 100.0  # times an effect's typical size: width of the oracle's prior; with less, strong effects come out too weak
 IMPERFECT = "imperfect"  # the kind whose arms have small faults everywhere
 BINS = (0.5, 0.8, 0.95, 1.0)  # of stated probabilities; the last one is of what is claimed
 SLOPES, LAPSES = (0.3, 30.0), (0.0, 0.1)  # of the curve of what is named over the strength's logarithm

@@ -60,9 +60,7 @@ from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.storage import check_folder, write_json, write_npz, write_text
 
 COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}
-CHEAPER = (
-    1e-4  # [1] a design whose springs do nothing must be cheaper by this share before the stiff arm is solved from its motion
-)
+CHEAPER = 1e-4  # [1] share by which a design with idle springs must be cheaper for the stiff arm to be solved from its motion
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
 QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")

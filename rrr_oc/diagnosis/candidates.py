@@ -106,13 +106,13 @@ class Screen:
         through, at = [], [np.flatnonzero(data.label == g) for g in range(labels)]
         for j, one in enumerate(post.joints):
             sigma2 = post.sizes.sigma[j] ** 2
-            d = 1 / (one.values + sigma2 / post.sizes.discrepancy[j] ** 2)
+            rho = sigma2 / post.sizes.discrepancy[j] ** 2
+            d = 1 / (one.values + rho)
             live = np.flatnonzero(np.any(post.columns[j] != 0, axis=0))
             x, y = one.white @ post.columns[j][:, live], one.white @ fitted.residual[j]
-            tx, ty = one.along(x), one.along(y)
-            y = y - one.features @ (one.turn @ (d * ty))
+            y = one.beyond_discrepancy(y, rho)
             slope[live] += x.T @ y / sigma2
-            x = x - one.features @ (one.turn @ (d[:, None] * tx))
+            x = one.beyond_discrepancy(x, rho)
             c, used = one.white @ found.values[j], found.used[j]
             t = np.zeros((labels, len(d), total))
             for g, rows in enumerate(at):

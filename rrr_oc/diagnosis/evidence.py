@@ -124,6 +124,10 @@ class Joint:
         """Products of the orthogonal features with whitened columns, (F, …)."""
         return self.turn.T @ (self.features.T @ x)
 
+    def beyond_discrepancy(self, x: np.ndarray, rho: float) -> np.ndarray:
+        """Whitened columns (M, …) with the discrepancy integrated out, rho = (σ / its size)²: W⁻ᵀ P W⁻¹ x of `docs/discovery.md`."""
+        return x - self.features @ (self.turn @ (self.along(x).T / (self.values + rho)).T)
+
 
 def _tail(error: np.ndarray, freedom: float) -> tuple[float, float, np.ndarray]:
     """Logarithm of Student's likelihood of white errors, up to a constant, with its scale and the weight of each error."""

@@ -211,8 +211,7 @@ class Fitter:
             changes = term.values[0] * np.array([data.friction(*other) - own for other in others]).T
             one, sigma = post.joints[j], post.sizes.sigma[j]
             d, y, x = one.white @ changes, one.white @ fitted.residual[j], one.white @ post.columns[j]
-            share = 1 / (one.values + (sigma / post.sizes.discrepancy[j]) ** 2)
-            left = (d - one.features @ (one.turn @ (share[:, None] * one.along(d)))) / sigma**2  # without the discrepancy
+            left = one.beyond_discrepancy(d, (sigma / post.sizes.discrepancy[j]) ** 2) / sigma**2
             slope = x.T @ left
             gains = y @ left - 0.5 * np.sum(d * left, axis=0) + 0.5 * np.sum(slope * (inverse @ slope), axis=0)
             best = int(np.argmax(gains))

@@ -119,7 +119,7 @@ def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, 
 
 def _fold(search: Search, begin: Fitted, found: bool, held: list[int]) -> Fold:
     train, test, plain = _parts(search.fitter, begin, held)
-    model = (Search(train, search.trials, refuted=search.refuted).run(plain).fitted if found else plain).model
+    model = (replace(search, fitter=train).run(plain).fitted if found else plain).model
     return Fold(tuple(held), plain.model, model, nrmse(test, plain.model), nrmse(test, model))
 
 

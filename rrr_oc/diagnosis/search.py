@@ -276,5 +276,6 @@ def _same(c: Candidate, out: Sequence[Term]) -> bool:
 
 
 def described(term: Term, fitted: Fitted) -> str:
+    """An effect with its joints and groups, for a line of progress."""
     joints = ", ".join(fitted.model.joints[j] for j in term.effect.joints)
     return term.effect.name + (f" of {joints}" if joints else "") + (f" in {term.groups}" if term.groups else "")
