@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, unconfirmed, worse
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares, unconfirmed, unrepeated
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
@@ -208,12 +209,59 @@ def test_of_effects_on_a_joint_the_least_confirmed_is_refuted_first():
     assert unconfirmed(some, checks) == [some[1]]
 
 
-def test_what_the_repeated_search_predicts_no_better_is_not_claimed():
-    """An effect of several joints is kept where one of them is predicted better."""
-    some = [finding(ParallelSpring((0,))), finding(ParallelSpring((1,))), finding(GravityTilt(()))]
-    errors = [np.array([[0.2, 0.3, 0.1]]), np.array([[0.2, 0.2, 0.2]])]
-    assert worse(some, [fold(0, (None, None), errors)]) == [some[0]]
-    assert worse(some, [fold(0, (None, None), errors), fold(1, (None, None), [errors[1], errors[0]])]) == some
+def searched(k: int, effects, before=0.3, after=0.2, n=2) -> Fold:
+    """A fold that holds out recording k and in which a search finds effects."""
+    plain = SimpleNamespace(terms=())
+    model = SimpleNamespace(terms=tuple(Term(effect, ()) for effect in effects))
+    return fold(k, (plain, model), (np.full((1, n), before), np.full((1, n), after)))
+
+
+@pytest.mark.parametrize(
+    ("found", "after", "confirmed"),
+    [
+        ((1, 1, 1), (0.2, 0.2, 0.2), True),
+        ((1, 0, 0), (0.2, 0.2, 0.2), False),  # not found again by most
+        ((1, 1, 0), (0.2, 0.2, 0.9), True),  # counted, not averaged
+        ((1, 1, 1), (0.4, 0.4, 0.2), False),  # most are predicted worse
+    ],
+)
+def test_an_effect_is_claimed_that_the_repeated_search_finds_and_that_predicts_better(found, after, confirmed):
+    spring, parts = ParallelSpring((0,)), [SimpleNamespace(springs=(), file="a", group="")] * 3
+    folds = [searched(k, [spring] * f, after=a) for k, (f, a) in enumerate(zip(found, after, strict=True))]
+    assert (unrepeated([finding(spring)], parts, folds) == []) == confirmed
+
+
+def test_what_may_be_in_its_place_stands_for_an_effect_that_is_sought_again():
+    parts = [SimpleNamespace(springs=(), file="a", group="")] * 2
+    folds = [searched(k, [Backlash((0,))]) for k in range(2)]
+    one = finding(ParallelSpring((0,)))
+    assert unrepeated([one], parts, folds) == [one]
+    other = replace(one, rivals=(("backlash", (0,)),))
+    assert unrepeated([other], parts, folds) == []
+
+
+def test_an_effect_of_one_recording_only_cannot_be_sought_again():
+    """No held-out error tells of it: the other recordings lack it, and without the one it cannot be found."""
+    parts = [SimpleNamespace(springs=(), file=f, group=f) for f in "abc"]
+    one = finding(ParallelSpring((0,)))
+    one = replace(one, term=replace(one.term, recordings=(), groups=("b",)))
+    spring = ParallelSpring((0,))
+    folds = [searched(k, [] if k == 1 else [spring], after=0.9) for k in range(3)]
+    assert unrepeated([one], parts, folds) == []
+    assert unrepeated([one], parts, [searched(k, []) for k in range(3)]) == [one]
+
+
+def test_an_effect_of_several_joints_is_kept_where_one_of_them_is_predicted_better():
+    parts, tilt, springs = (
+        [SimpleNamespace(springs=(), file="a", group="")] * 2,
+        GravityTilt(()),
+        [ParallelSpring((0,)), ParallelSpring((1,))],
+    )
+    folds = [searched(k, [tilt, *springs]) for k in range(2)]
+    for f in folds:
+        f.after[:, 0] = 0.4
+    some = [finding(springs[0]), finding(springs[1]), finding(tilt)]
+    assert unrepeated(some, parts, folds) == [some[0]]
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,7 @@ def seen() -> View:
         low=np.array([-1.0, -0.5, 0.0]),
         high=np.array([1.0, 0.5, 3.0]),
         speed=np.array([2.0, 1.0, 4.0]),
+        usual_speed=np.array([1.0, 0.5, 2.0]),
         duration=20.0,
         widths=np.full(3, 0.05),
         positions=np.random.default_rng(0).uniform([[-1.0], [-0.5], [0.0]], [[1.0], [0.5], [3.0]], (3, 200)),

@@ -19,7 +19,7 @@ from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.search import Search
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.storage import number
 
 if TYPE_CHECKING:
@@ -103,12 +103,12 @@ def _blocks(data: Data) -> Data:
     return Data(tuple(pieces), data.start, data.links, data.free, type(data.signatures)())
 
 
-def repeated(search: Search, begin: Fitted, found: bool, jobs: int) -> tuple[str, list[Fold]]:
-    """The way of holding out, and one fold for each part of the recordings, in which the search is repeated if it found anything."""
+def repeated(search: Search, begin: Fitted, found: bool, jobs: int) -> tuple[str, list[Recording], list[Fold]]:
+    """The way of holding out, what is held out by number, and the folds, in which the search is repeated if it found anything."""
     way, data, held = folds_of(search.fitter.data)
     whole = replace(search.fitter, data=data)
     arguments = [(Search(whole, search.trials, refuted=search.refuted), begin, found, one) for one in held]
-    return way, parallel.ordered(_fold, arguments, jobs if found else 1)
+    return way, [p.recording for p in data.prepared], parallel.ordered(_fold, arguments, jobs if found else 1)
 
 
 def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, Data, Fitted]:

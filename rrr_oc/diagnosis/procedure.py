@@ -24,7 +24,7 @@ from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
 from rrr_oc.effects.priors import Priors
-from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.inertial_parameters import from_log_cholesky, prior, to_log_cholesky
 
 NORMAL = 1.96  # standard deviations of a 95 % interval
@@ -132,22 +132,16 @@ def diagnose(
         checks = checked(fitter, begin, findings, jobs)
         out = unconfirmed(findings, checks)
         if not out:
-            break
-        refuted += out
-        search = search.refuting([f.term for f in out])
-        at = search.run(search.without(at, [f.term for f in out]).fitted)
-    while True:
-        if findings:
-            report("repeating the search without the recordings that are held out")
-        way, folds = repeated(search, begin, bool(findings), jobs)
-        out = worse(findings, folds)
+            if findings:
+                report("repeating the search without the recordings that are held out")
+            way, parts, folds = repeated(search, begin, bool(findings), jobs)
+            out = unrepeated(findings, parts, folds)
         if not out:
             break
         refuted += out
-        search = search.refuting([f.term for f in out])
         at = search.without(at, [f.term for f in out])
-        findings = [f for f in findings if f not in out]
-        checks = checked(fitter, begin, findings, jobs)
+        search = search.refuting([f.term for f in out], at.fitted.extra)
+        at = search.run(at.fitted)
     kept = tuple(f.term for f in findings)
     final = at.fitted if kept else begin
     if kept and kept != at.fitted.extra:  # some are missing, or in another order
@@ -208,14 +202,35 @@ def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Fi
     return result
 
 
-def worse(findings: Sequence[Finding], folds: Sequence[Fold]) -> list[Finding]:
-    """Effects on joints of none of which the repeated search predicts more held-out recordings better than worse.
+def unrepeated(findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequence[Fold]) -> list[Finding]:
+    """Effects that the repeated search does not find in most folds, or on joints of none of which it predicts most parts better.
 
-    Counted, since in one part alone a search may find something that fits nowhere else.
+    Only folds count whose rest has the effect, and only held-out parts that have it: no other can tell. Found is also what may be in
+    the effect's place. Errors are counted, since in one fold alone a search may find something that fits nowhere else.
+
+    Args:
+        parts: What the folds hold out by number: the recordings, or blocks of the only one.
     """
-    before, after = (np.concatenate([getattr(f, key) for f in folds]) for key in ("before", "after"))
-    better = np.sum(after < before, axis=0) > np.sum(after > before, axis=0)
-    return [f for f in findings if not np.any(better[acts_on(f.term, len(better))])]
+    out = []
+    for f in findings:
+        there = np.array([f.term.holds_for(r) for r in parts])
+        could = [fold for fold in folds if np.any(np.delete(there, fold.held))]
+        again = [any(_stands_for(t, f) for t in fold.model.terms[len(fold.plain.terms) :]) for fold in could]
+        before, after = (
+            np.concatenate([getattr(fold, key)[there[list(fold.held)]] for fold in could] or [np.zeros((0, 1))])
+            for key in ("before", "after")
+        )
+        better = np.sum(after < before, axis=0) > np.sum(after > before, axis=0)
+        told = len(before) > 0
+        if (again and np.mean(again) < 0.5) or (told and not np.any(better[acts_on(f.term, len(better))])):
+            out.append(f)
+    return out
+
+
+def _stands_for(term: Term, finding: Finding) -> bool:
+    """Whether a term is a finding's effect, one that may be in its place, or black-box as it is."""
+    both = term.effect.black_box and finding.term.effect.black_box and term.effect.joints == finding.term.effect.joints
+    return both or (term.effect.name, term.effect.joints) in (finding.key, *finding.rivals)
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosis:

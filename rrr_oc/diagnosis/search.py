@@ -1,6 +1,6 @@
 """The search over structures: effects are added, removed, exchanged and merged until no move raises the posterior probability."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,14 +55,14 @@ class Search:
         fitter: Fits models.
         trials: All trials of the catalogue.
         report: Receives one line of progress at a time.
-        refuted: Effects that are not sought, as held-out recordings did not confirm them.
+        refuted: Effects that held-out recordings did not confirm, and how many of each they did: no more are sought.
         visited: Log posterior of each structure that was scored, by its effects.
     """
 
     fitter: Fitter
     trials: tuple[Trial, ...]
     report: Callable[[str], None] = lambda _: None
-    refuted: frozenset = frozenset()
+    refuted: Mapping[Identity, int] = field(default_factory=dict)
     visited: dict[frozenset, float] = field(default_factory=dict)
     foreseen: dict[frozenset, float] = field(default_factory=dict)
     settled: dict[frozenset, float] = field(default_factory=dict)
@@ -92,13 +92,16 @@ class Search:
             at = self._pruned(better)
         return at
 
-    def refuting(self, out: Sequence[Term]) -> "Search":
-        """The search in which some effects are refuted; it remembers the structures without them."""
-        refuted = self.refuted | {identity(t.effect) for t in out}
-        visited, foreseen = (
-            {key: score for key, score in known.items() if not any(identity(effect) in refuted for effect, _ in key)}
-            for known in (self.visited, self.foreseen)
-        )
+    def refuting(self, out: Sequence[Term], kept: Sequence[Term]) -> "Search":
+        """The search in which some effects are refuted beside others; it remembers the structures without them."""
+        some = {identity(t.effect) for t in out}
+        refuted = {**self.refuted, **{one: sum(identity(t.effect) == one for t in kept) for one in some}}
+
+        def allowed(structure: frozenset) -> bool:
+            present = [identity(effect) for effect, _ in structure]
+            return all(present.count(one) <= most for one, most in refuted.items())
+
+        visited, foreseen = ({k: score for k, score in known.items() if allowed(k)} for known in (self.visited, self.foreseen))
         return replace(self, refuted=refuted, visited=visited, foreseen=foreseen, settled=dict(self.settled))
 
     # moves
@@ -175,7 +178,8 @@ class Search:
     def _open(self, c: Candidate, extra: Sequence[Term]) -> bool:
         """Whether a candidate is new and not refuted; where its effect is there, it may say that some groups differ from the rest."""
         labels = self.fitter.data.labels
-        if identity(c.trial.effect) in self.refuted:
+        own = identity(c.trial.effect)
+        if own in self.refuted and sum(identity(t.effect) == own for t in extra) >= self.refuted[own]:
             return False
         return c.trial.effect.placement == "many" or all(
             c.scope is not None and c.trial.effect.partly > 0 and set(c.scope) < set(t.groups or labels)

@@ -11,7 +11,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.jacobian import Prediction
-from rrr_oc.calibration.samples import Prepared
+from rrr_oc.calibration.samples import REST_SPEED, Prepared
 from rrr_oc.effects import CATALOGUE, Signals, Trial, View
 from rrr_oc.robot.rigid_body import rigid_body
 
@@ -38,6 +38,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         low=low,
         high=np.maximum(high, low + 1e-3),
         speed=np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3),
+        usual_speed=np.array([np.median(v[v > REST_SPEED]) if np.any(v > REST_SPEED) else REST_SPEED for v in np.abs(dq)]),
         duration=max(float(np.ptp(p.recording.t)) for p in prepared),
         widths=widths,
         positions=positions,

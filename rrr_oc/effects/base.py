@@ -107,7 +107,7 @@ class View:
 
     Attributes:
         low, high: Least and greatest position of each joint [rad], (n,).
-        speed: Largest speed of each joint [rad/s], (n,).
+        speed, usual_speed: Largest speed of each joint, and its median while it moves [rad/s], (n,).
         duration: Duration of the longest recording [s].
         widths: Speeds over which each joint's dry friction changes sign [rad/s], (n,).
         positions: A sample of joint positions [rad], (n, K).
@@ -122,6 +122,7 @@ class View:
     low: np.ndarray
     high: np.ndarray
     speed: np.ndarray
+    usual_speed: np.ndarray
     duration: float
     widths: np.ndarray
     positions: np.ndarray

@@ -7,7 +7,7 @@ from rrr_oc.numerics.smooth import sin
 from rrr_oc.robot.parameters import Parameter
 
 LEAST_CYCLES = 2  # that recordings must see of a trial; with fewer, it may be any smooth torque, and a series is tried first
-MOST_CYCLES = 64  # per turn of a joint, of the trials; twice as many double their number
+FASTEST = 5.0  # [Hz] of a trial at the joint's usual speed: what the filter of the recordings lets through
 
 
 class TorqueRipple(Effect):
@@ -31,23 +31,21 @@ class TorqueRipple(Effect):
 
     @classmethod
     def trials(cls, view):
-        """Whole orders of which the recordings see at least two cycles."""
+        """Whole orders of which the recordings see at least two cycles, slow enough to pass the filter."""
         for j in range(view.n):
-            least = _order(view, j, LEAST_CYCLES)
-            yield from cls._whole(j, least, max(MOST_CYCLES, 2 * least) if least <= 2 * MOST_CYCLES else 0)
+            yield from cls._whole(j, _order(view, j, LEAST_CYCLES), _fastest(view, j))
 
     @classmethod
     def sparse_trials(cls, view, j):
         """Whole orders of which the recordings see one cycle and less than two."""
-        least = _order(view, j, 1)
-        yield from cls._whole(j, least, _order(view, j, LEAST_CYCLES) if least <= MOST_CYCLES else 0)
+        yield from cls._whole(j, _order(view, j, 1), min(_order(view, j, LEAST_CYCLES), _fastest(view, j)))
 
     def is_sparse(self, view, theta):
         return theta["order"] < _order(view, self.joints[0], LEAST_CYCLES)
 
     @classmethod
     def _whole(cls, j, least, most):
-        for order in range(max(least, 1), most):
+        for order in range(max(least, 1), most, max(1, least // (4 * LEAST_CYCLES))):  # a quarter cycle apart over the travel
             yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
 
     def canonical(self, theta):
@@ -64,3 +62,8 @@ class TorqueRipple(Effect):
 def _order(view: View, j: int, cycles: float) -> int:
     """The least whole order of which the recordings see that many cycles."""
     return int(np.ceil(2 * np.pi * cycles / (view.high[j] - view.low[j])))
+
+
+def _fastest(view: View, j: int) -> int:
+    """The least whole order that is too fast for the filter at the joint's usual speed."""
+    return int(np.ceil(2 * np.pi * FASTEST / view.usual_speed[j]))
