@@ -14,12 +14,13 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, unconfirmed, unrepeated
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares, stable, unconfirmed, worse
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
+from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import sentence
 
@@ -216,52 +217,71 @@ def searched(k: int, effects, before=0.3, after=0.2, n=2) -> Fold:
     return fold(k, (plain, model), (np.full((1, n), before), np.full((1, n), after)))
 
 
+def parts(*groups: str) -> list[SimpleNamespace]:
+    """Recordings of these groups."""
+    return [SimpleNamespace(springs=(), file=g, group=g) for g in groups]
+
+
 @pytest.mark.parametrize(
-    ("found", "after", "confirmed"),
-    [
-        ((1, 1, 1), (0.2, 0.2, 0.2), True),
-        ((1, 0, 0), (0.2, 0.2, 0.2), False),  # not found again by most
-        ((1, 1, 0), (0.2, 0.2, 0.9), True),  # counted, not averaged
-        ((1, 1, 1), (0.4, 0.4, 0.2), False),  # most are predicted worse
-    ],
+    ("found", "confirmed"), [((1, 1, 1, 1), True), ((1, 0, 1, 0), True), ((0, 1, 0, 0), False), ((2, 0, 0, 0), False)]
 )
-def test_an_effect_is_claimed_that_the_repeated_search_finds_and_that_predicts_better(found, after, confirmed):
-    spring, parts = ParallelSpring((0,)), [SimpleNamespace(springs=(), file="a", group="")] * 3
-    folds = [searched(k, [spring] * f, after=a) for k, (f, a) in enumerate(zip(found, after, strict=True))]
-    assert (unrepeated([finding(spring)], parts, folds) == []) == confirmed
+def test_an_effect_is_stable_that_half_of_the_searches_find(found, confirmed):
+    spring = ParallelSpring((0,))
+    folds = [searched(k, [spring] * f) for k, f in enumerate(found)]
+    most, out = stable([finding(spring)], parts(*"abcd"), folds)
+    assert (out == []) == confirmed
+    assert most == {("parallel_spring", (0,)): int(confirmed)}
+
+
+def test_of_effects_of_one_kind_as_many_are_stable_as_half_of_the_searches_find():
+    ripples = [finding(TorqueRipple((0,))) for _ in range(2)]
+    folds = [searched(k, [TorqueRipple((0,))] * f) for k, f in enumerate((2, 1, 1, 0))]
+    most, out = stable(ripples, parts(*"abcd"), folds)
+    assert out == ripples[1:]
+    assert most == {("torque_ripple", (0,)): 1}
+
+
+def test_what_most_searches_find_is_sought_again():
+    most, out = stable([finding(ParallelSpring((0,)))], parts(*"abc"), [searched(k, [Backlash((0,))]) for k in range(3)])
+    assert most == {("backlash", (0,)): 1}
+    assert len(out) == 1
 
 
 def test_what_may_be_in_its_place_stands_for_an_effect_that_is_sought_again():
-    parts = [SimpleNamespace(springs=(), file="a", group="")] * 2
     folds = [searched(k, [Backlash((0,))]) for k in range(2)]
     one = finding(ParallelSpring((0,)))
-    assert unrepeated([one], parts, folds) == [one]
+    assert stable([one], parts("a", "b"), folds)[1] == [one]
     other = replace(one, rivals=(("backlash", (0,)),))
-    assert unrepeated([other], parts, folds) == []
+    assert stable([other], parts("a", "b"), folds)[1] == []
 
 
-def test_an_effect_of_one_recording_only_cannot_be_sought_again():
+def test_an_effect_of_one_recording_only_is_judged_by_the_others_searches():
     """No held-out error tells of it: the other recordings lack it, and without the one it cannot be found."""
-    parts = [SimpleNamespace(springs=(), file=f, group=f) for f in "abc"]
-    one = finding(ParallelSpring((0,)))
-    one = replace(one, term=replace(one.term, recordings=(), groups=("b",)))
     spring = ParallelSpring((0,))
+    one = finding(spring)
+    one = replace(one, term=replace(one.term, recordings=(), groups=("b",)))
     folds = [searched(k, [] if k == 1 else [spring], after=0.9) for k in range(3)]
-    assert unrepeated([one], parts, folds) == []
-    assert unrepeated([one], parts, [searched(k, []) for k in range(3)]) == [one]
+    assert stable([one], parts(*"abc"), folds)[1] == []
+    assert worse([one], parts(*"abc"), folds) == []
+    assert stable([one], parts(*"abc"), [searched(k, []) for k in range(3)])[1] == [one]
+
+
+@pytest.mark.parametrize(
+    ("after", "confirmed"),
+    [((0.2, 0.2, 0.2), True), ((0.2, 0.2, 0.9), True), ((0.4, 0.4, 0.2), False), ((0.3, 0.3, 0.3), False)],
+)
+def test_an_effect_is_claimed_that_predicts_more_recordings_better_than_worse(after, confirmed):
+    spring = ParallelSpring((0,))
+    folds = [searched(k, [spring], after=a) for k, a in enumerate(after)]
+    assert (worse([finding(spring)], parts(*"abc"), folds) == []) == confirmed
 
 
 def test_an_effect_of_several_joints_is_kept_where_one_of_them_is_predicted_better():
-    parts, tilt, springs = (
-        [SimpleNamespace(springs=(), file="a", group="")] * 2,
-        GravityTilt(()),
-        [ParallelSpring((0,)), ParallelSpring((1,))],
-    )
-    folds = [searched(k, [tilt, *springs]) for k in range(2)]
+    some = [finding(effect) for effect in (ParallelSpring((0,)), ParallelSpring((1,)), GravityTilt(()))]
+    folds = [searched(k, [f.term.effect for f in some]) for k in range(2)]
     for f in folds:
         f.after[:, 0] = 0.4
-    some = [finding(springs[0]), finding(springs[1]), finding(tilt)]
-    assert unrepeated(some, parts, folds) == [some[0]]
+    assert worse(some, parts("a", "b"), folds) == [some[0]]
 
 
 @pytest.mark.parametrize(

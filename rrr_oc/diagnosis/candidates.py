@@ -240,18 +240,20 @@ class Screen:
         Coefficients out of bounds are made smaller or, one at a time, set to 0.
         """
         (own, raw), effect = quadratic, trial.effect
-        scales, use = self.fitter.priors.scales(self.fitter.view, trial), list(range(len(right)))
+        scales, use = self.fitter.scales(trial), list(range(len(right)))
         while use:
             if np.all(np.diag(own)[use] < UNIQUE * raw[use]):
                 return None
+            values, turn = np.linalg.eigh(own[np.ix_(use, use)] * np.outer(scales[use], scales[use]))
+            values, along = np.maximum(values, 0.0), turn.T @ (right[use] * scales[use])
             options = []
             for excess, believed in EXCESS.items():
-                s = scales[use] * excess
-                a, b = own[np.ix_(use, use)] * np.outer(s, s) + np.eye(len(use)), right[use] * s
-                w = np.linalg.solve(a, b)
-                gain = 0.5 * float(b @ w) - 0.5 * float(np.linalg.slogdet(a)[1]) + np.log(believed)
-                options.append((gain, excess, float(b @ w), w * s))
+                w = excess * along / (1 + excess**2 * values)
+                square = float(excess * along @ w)
+                gain = 0.5 * square - 0.5 * float(np.log1p(excess**2 * values).sum()) + np.log(believed)
+                options.append((gain, excess, square, excess * w))
             gain, excess, square, best = max(options, key=lambda o: o[0])
+            best = turn @ best * scales[use]
             full = np.zeros(len(right))
             full[use] = best
             for share in SHARES:
@@ -273,5 +275,5 @@ class Screen:
             columns[j][:, found.used[j]] = found.values[j]
         if candidate.scope is not None:
             columns *= np.isin(np.array(data.labels)[data.label], candidate.scope)[None, :, None]
-        prior = joined(self.post.base, candidate.excess * self.fitter.priors.scales(self.fitter.view, trial))
+        prior = joined(self.post.base, candidate.excess * self.fitter.scales(trial))
         return solve(data, self.fitted.residual, np.concatenate([post.columns, columns], axis=2), prior, post)

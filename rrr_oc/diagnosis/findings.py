@@ -10,13 +10,11 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.fitting import Fitted
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
-from rrr_oc.diagnosis.search import Identity, Search, State, identity
+from rrr_oc.diagnosis.search import Identity, Search, State, identity, kind
 from rrr_oc.effects import Effect
 from rrr_oc.effects.base import Prior
 
 LESS_PROBABLE = 10.0  # times that an effect may be less probable beforehand before its claim is said to rest on that
-RIVAL = 0.05  # odds of another effect in an effect's place from which it is named beside it
-POSSIBLE = 0.05  # probability from which an effect that is not claimed is mentioned
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it is shown
 
 
@@ -46,6 +44,10 @@ class Finding:
     def key(self) -> Key:
         """Name and joints."""
         return self.term.effect.name, self.term.effect.joints
+
+    def met_by(self, term: Term) -> bool:
+        """Whether a term is this effect, one that may be in its place, or black-box as it is."""
+        return kind(term.effect) == kind(self.term.effect) or (term.effect.name, term.effect.joints) in self.rivals
 
     @property
     def rests_on_prior(self) -> bool:
@@ -99,7 +101,7 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     sizes = [contribution(search.fitter.data, at.fitted, i) for i in range(len(findings))]
     claimed = [f for f, size in zip(findings, sizes, strict=True) if f.probability >= CLAIM and size >= NEGLIGIBLE]
     rest = [Possible(f.key, f.term.groups, f.probability) for f in findings if f not in claimed]
-    rest += [Possible(key[:2], (), p) for key, p in share.items() if p > POSSIBLE and key not in named]
+    rest += [Possible(key[:2], (), p) for key, p in share.items() if p > 1 - CLAIM and key not in named]
     return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: -p.probability)
 
 
@@ -110,7 +112,7 @@ def _before(search: Search, effect: Effect) -> Prior:
 
 
 def _rivals(own: Identity, every: Sequence[tuple[frozenset, float]], present: set[Identity]) -> list[Identity]:
-    """Effects in whose structures an effect is absent, with odds above `RIVAL`, most probable first.
+    """Effects in whose structures an effect is absent, with odds above 1 − `CLAIM`, most probable first.
 
     Args:
         present: The effects of the best structure, which are nobody's rivals.
@@ -124,7 +126,7 @@ def _rivals(own: Identity, every: Sequence[tuple[frozenset, float]], present: se
         else:
             for other in keys - present:
                 odds[other] = odds.get(other, 0.0) + p
-    return [other for other, p in sorted(odds.items(), key=lambda o: -o[1]) if p > RIVAL * with_it]
+    return [other for other, p in sorted(odds.items(), key=lambda o: -o[1]) if p > (1 - CLAIM) * with_it]
 
 
 def contribution(data: Data, fitted: Fitted, i: int) -> float:

@@ -1,9 +1,9 @@
 """Models fitted under their evidence: Gauss–Newton on the exact equations, with priors, noise and discrepancy estimated on the way."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import comb
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -113,6 +113,12 @@ class Fitter:
     families: dict[tuple, list[Trial]]
     plain_std: np.ndarray
     priors: Priors
+    _spans: dict[Effect, list[Span]] = field(default_factory=dict, repr=False, compare=False)
+    _scales: dict[int, tuple[Trial, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is computed again where it is needed: numbers of objects are others in another process."""
+        return {**self.__dict__, "_spans": {}, "_scales": {}}
 
     def fit(self, model: CalibratedModel, links: np.ndarray, start: Posterior | None = None, fixed: bool = False) -> Fitted:
         """All parameters of a model fitted, with sizes that begin with those of `start`, or stay `fixed` there."""
@@ -219,8 +225,9 @@ class Fitter:
 
     def believed(self, trial: Trial, theta: Mapping[str, float]) -> bool:
         """Whether an effect's parameters are where their prior is not 0."""
-        family = self.families.get((trial.effect.name, trial.effect.joints), [trial])
-        every = zip(trial.effect.parameters, spans(family, trial.effect, self.view, self.priors), strict=True)
+        if (trial.effect.name, trial.effect.joints) not in self.families:
+            return True  # a black-box term has the shape of its trial
+        every = zip(trial.effect.parameters, self.spans(trial.effect), strict=True)
         return all(span.low <= theta[p.name] <= span.high for p, span in every)
 
     def columns(self, model: CalibratedModel, found) -> np.ndarray:
@@ -264,7 +271,7 @@ class Fitter:
         at = plain
         for term in model.terms[base:]:
             wide = self.excess(term)[0]
-            for span, value in zip(self.spans(term), term.values, strict=True):
+            for span, value in zip(self.spans(term.effect), term.values, strict=True):
                 std = max(span.std * (abs(value) if span.log else wide if span.normal else 1.0), 1e-12)
                 precision.append(std**-2 if span.normal else 0.0)
                 flat.append(0.0 if span.normal else std**-2)
@@ -294,14 +301,22 @@ class Fitter:
         which[len(mean) - len(at) - k : len(mean) - len(at)] = self.data.free
         return Prior(np.array(mean), np.array(precision), np.array(proper), which, lower, upper, np.array(flat))
 
-    def spans(self, term: Term) -> list[Span]:
-        """The priors of a term's parameters."""
-        own = self.families.get((term.effect.name, term.effect.joints), [])
-        return spans(own, term.effect, self.view, self.priors)
+    def spans(self, effect: Effect) -> list[Span]:
+        """The priors of an effect's parameters."""
+        if effect not in self._spans:
+            family = self.families.get((effect.name, effect.joints), [])
+            self._spans[effect] = spans(family, effect, self.view, self.priors)
+        return self._spans[effect]
+
+    def scales(self, trial: Trial) -> np.ndarray:
+        """Prior standard deviations of a trial's coefficients, (m,)."""
+        if id(trial) not in self._scales:  # that trial is kept, so that no other is given its number
+            self._scales[id(trial)] = trial, self.priors.scales(self.view, trial)
+        return self._scales[id(trial)][1]
 
     def excess(self, term: Term) -> tuple[float, float]:
         """Of the widths that the prior of its amplitudes may have the likeliest, and the logarithm of what it is believed by."""
-        pairs = zip(self.spans(term), term.values, strict=True)
+        pairs = zip(self.spans(term.effect), term.values, strict=True)
         off = np.array([(value - span.centre) / span.std for span, value in pairs if span.normal])
         score = [np.log(w) - len(off) * np.log(k) - 0.5 * float(off @ off) / k**2 for k, w in EXCESS.items()]
         wide = list(EXCESS)[int(np.argmax(score))]

@@ -50,6 +50,11 @@ class Fold:
     before: np.ndarray
     after: np.ndarray
 
+    @property
+    def extra(self) -> tuple[Term, ...]:
+        """The effects that were found."""
+        return self.model.terms[len(self.plain.terms) :]
+
 
 @dataclass(frozen=True)
 class Check:
@@ -107,7 +112,7 @@ def repeated(search: Search, begin: Fitted, found: bool, jobs: int) -> tuple[str
     """The way of holding out, what is held out by number, and the folds, in which the search is repeated if it found anything."""
     way, data, held = folds_of(search.fitter.data)
     whole = replace(search.fitter, data=data)
-    arguments = [(Search(whole, search.trials, refuted=search.refuted), begin, found, one) for one in held]
+    arguments = [(Search(whole, search.trials), begin, found, one) for one in held]
     return way, [p.recording for p in data.prepared], parallel.ordered(_fold, arguments, jobs if found else 1)
 
 
@@ -121,6 +126,26 @@ def _fold(search: Search, begin: Fitted, found: bool, held: list[int]) -> Fold:
     train, test, plain = _parts(search.fitter, begin, held)
     model = (replace(search, fitter=train).run(plain).fitted if found else plain).model
     return Fold(tuple(held), plain.model, model, nrmse(test, plain.model), nrmse(test, model))
+
+
+def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding], jobs: int) -> list[Fold]:
+    """The folds with those effects alone that were found in them and are claimed."""
+    _, data, _ = folds_of(fitter.data)
+    arguments = [(replace(fitter, data=data), begin, fold, tuple(findings)) for fold in folds]
+    return parallel.ordered(_claimed, arguments, jobs if any(fold.extra for fold in folds) else 1)
+
+
+def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Finding]) -> Fold:
+    kept: list[Term] = []
+    for f in findings:
+        kept += [t for t in fold.extra if f.met_by(t) and not any(t is k for k in kept)][:1]
+    if len(kept) == len(fold.extra):
+        return fold
+    if not kept:
+        return replace(fold, model=fold.plain, after=fold.before)
+    train, test, plain = _parts(fitter, begin, fold.held)
+    model = train.fit(replace(plain.model, terms=(*plain.model.terms, *kept)), plain.links, plain.posterior).model
+    return replace(fold, model=model, after=nrmse(test, model))
 
 
 def checked(fitter: Fitter, begin: Fitted, findings: Sequence[Finding], jobs: int) -> list[Check]:

@@ -1,5 +1,6 @@
 """Diagnosis of a recording set: the plain model, the most probable structure, and one check of the whole on held-out recordings."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -17,9 +18,9 @@ from rrr_oc.calibration.term_fit import bounds
 from rrr_oc.diagnosis.data import Data, link_errors
 from rrr_oc.diagnosis.findings import Finding, Possible, found
 from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
-from rrr_oc.diagnosis.search import Search, beside
+from rrr_oc.diagnosis.search import Kind, Search, beside, kind
 from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
@@ -27,6 +28,7 @@ from rrr_oc.effects.priors import Priors
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.inertial_parameters import from_log_cholesky, prior, to_log_cholesky
 
+OFTEN = 0.5  # share of the searches on parts of the recordings that must find an effect
 NORMAL = 1.96  # standard deviations of a 95 % interval
 
 
@@ -124,24 +126,30 @@ def diagnose(
     whole, fitter, every, plain = ready(recordings, priors or Priors())
     begin = fitter.with_signs(fitter.fit(plain, np.zeros(fitter.data.links.shape[1])))
     report("looking for effects")
-    search, refuted = Search(fitter, every, report), []
+    search = Search(fitter, every, report)
     at = search.run(begin)
+    findings, possible = found(search, at)
+    if findings:
+        report("repeating the search without the recordings that are held out")
+    way, parts, searched = repeated(search, begin, bool(findings), jobs)
+    most, out = stable(findings, parts, searched)
+    refuted: list[Finding] = []
     while True:
-        findings, possible = found(search, at)
+        if out:
+            refuted += out
+            gone = [f.term for f in out]
+            at = search.without(at, gone)
+            search = search.within(most, gone)
+            at = search.run(at.fitted)
+            findings, possible = found(search, at)
         report("predicting held-out recordings")
         checks = checked(fitter, begin, findings, jobs)
-        out = unconfirmed(findings, checks)
-        if not out:
-            if findings:
-                report("repeating the search without the recordings that are held out")
-            way, parts, folds = repeated(search, begin, bool(findings), jobs)
-            out = unrepeated(findings, parts, folds)
+        folds = with_claims(fitter, begin, searched, findings, jobs)
+        out = unconfirmed(findings, checks) or worse(findings, parts, folds)
         if not out:
             break
-        refuted += out
-        at = search.without(at, [f.term for f in out])
-        search = search.refuting([f.term for f in out], at.fitted.extra)
-        at = search.run(at.fitted)
+        kinds = Counter(kind(f.term.effect) for f in findings if f not in out)
+        most |= {one: kinds[one] for one in (kind(f.term.effect) for f in out)}
     kept = tuple(f.term for f in findings)
     final = at.fitted if kept else begin
     if kept and kept != at.fitted.extra:  # some are missing, or in another order
@@ -178,8 +186,36 @@ def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared],
     return whole, Fitter(data, seen, families, std, priors), every, plain
 
 
+def stable(
+    findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequence[Fold]
+) -> tuple[dict[Kind, int], list[Finding]]:
+    """Kinds of effects that the searches on parts of the recordings find often, with how many of each, and findings that they do not.
+
+    Stability selection (Meinshausen & Bühlmann 2010). Only folds count whose rest has the effect: no other can tell.
+
+    Args:
+        findings: Most important first.
+        parts: What the folds hold out by number: the recordings, or blocks of the only one.
+    """
+    out = []
+    for i, f in enumerate(findings):
+        again = []
+        for fold in folds:
+            rest = [r for k, r in enumerate(parts) if k not in fold.held and f.term.holds_for(r)]
+            before = sum(f.met_by(g.term) and any(map(g.term.holds_for, rest)) for g in findings[:i])
+            if rest:
+                again.append(sum(f.met_by(t) and any(map(t.holds_for, rest)) for t in fold.extra) > before)
+        if again and np.mean(again) < OFTEN:
+            out.append(f)
+    kept = Counter(kind(f.term.effect) for f in findings if f not in out)
+    counts = [Counter(kind(t.effect) for t in fold.extra) for fold in folds]
+    often = (int(np.ceil(OFTEN * len(folds))) or 1) - 1
+    kinds = set().union(kept, *counts)
+    return {one: max(kept[one], sorted((c[one] for c in counts), reverse=True)[often]) for one in kinds}, out
+
+
 def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Finding]:
-    """Effects that are not found again without held-out recordings, or do not predict them better, the least confirmed first.
+    """Effects that the rest alone does not support or that do not predict held-out recordings better, the least confirmed first.
 
     Of those on a common joint only the first, since the others may be confirmed without it. Better: with a higher probability
     density beside all others, and on one of its joints with a smaller squared error beside all others and beside the more important
@@ -193,7 +229,7 @@ def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Fi
         smaller = (np.nansum(falls, axis=0) > 0) & (np.nansum(first, axis=0) > 0)
         better = not np.isfinite(gains).any() or (float(np.nansum(gains)) > 0.0 and bool(smaller.any()))
         seen = float(np.nanmean(again)) if np.isfinite(again).any() else 1.0
-        if not better or seen < 0.5:
+        if not better or seen < OFTEN:
             found.append((seen + float(np.nansum(falls)), finding))
     result: list[Finding] = []
     for _, finding in sorted(found, key=lambda f: f[0]):
@@ -202,35 +238,24 @@ def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Fi
     return result
 
 
-def unrepeated(findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequence[Fold]) -> list[Finding]:
-    """Effects that the repeated search does not find in most folds, or on joints of none of which it predicts most parts better.
+def worse(findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequence[Fold]) -> list[Finding]:
+    """Effects on joints of none of which the folds predict more of the held-out recordings that have them better than worse.
 
-    Only folds count whose rest has the effect, and only held-out parts that have it: no other can tell. Found is also what may be in
-    the effect's place. Errors are counted, since in one fold alone a search may find something that fits nowhere else.
-
-    Args:
-        parts: What the folds hold out by number: the recordings, or blocks of the only one.
+    Counted, since in one fold alone a search may find something that fits nowhere else.
     """
     out = []
     for f in findings:
         there = np.array([f.term.holds_for(r) for r in parts])
-        could = [fold for fold in folds if np.any(np.delete(there, fold.held))]
-        again = [any(_stands_for(t, f) for t in fold.model.terms[len(fold.plain.terms) :]) for fold in could]
+        could = [fold for fold in folds if np.any(np.delete(there, fold.held)) and np.any(there[list(fold.held)])]
+        if not could:
+            continue
         before, after = (
-            np.concatenate([getattr(fold, key)[there[list(fold.held)]] for fold in could] or [np.zeros((0, 1))])
-            for key in ("before", "after")
+            np.concatenate([getattr(fold, key)[there[list(fold.held)]] for fold in could]) for key in ("before", "after")
         )
         better = np.sum(after < before, axis=0) > np.sum(after > before, axis=0)
-        told = len(before) > 0
-        if (again and np.mean(again) < 0.5) or (told and not np.any(better[acts_on(f.term, len(better))])):
+        if not np.any(better[acts_on(f.term, len(better))]):
             out.append(f)
     return out
-
-
-def _stands_for(term: Term, finding: Finding) -> bool:
-    """Whether a term is a finding's effect, one that may be in its place, or black-box as it is."""
-    both = term.effect.black_box and finding.term.effect.black_box and term.effect.joints == finding.term.effect.joints
-    return both or (term.effect.name, term.effect.joints) in (finding.key, *finding.rivals)
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosis:

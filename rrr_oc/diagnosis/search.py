@@ -22,6 +22,7 @@ MOST = 14  # effects at which a search ends
 
 
 Identity = tuple[str, tuple[int, ...], Effect | None]  # name and joints of an effect, and which, of black-box terms
+Kind = tuple[str, tuple[int, ...]]  # name and joints of an effect; of black-box terms no name, since one stands for another
 
 
 @dataclass
@@ -47,6 +48,11 @@ def identity(effect: Effect) -> Identity:
     return effect.name, effect.joints, effect.without_range() if effect.black_box else None
 
 
+def kind(effect: Effect) -> Kind:
+    """What an effect has to share with another to be the same finding."""
+    return "" if effect.black_box else effect.name, effect.joints
+
+
 @dataclass
 class Search:
     """One search.
@@ -55,14 +61,14 @@ class Search:
         fitter: Fits models.
         trials: All trials of the catalogue.
         report: Receives one line of progress at a time.
-        refuted: Effects that held-out recordings did not confirm, and how many of each they did: no more are sought.
+        most: Kinds of effects that are sought, and how many of each; all if None.
         visited: Log posterior of each structure that was scored, by its effects.
     """
 
     fitter: Fitter
     trials: tuple[Trial, ...]
     report: Callable[[str], None] = lambda _: None
-    refuted: Mapping[Identity, int] = field(default_factory=dict)
+    most: Mapping[Kind, int] | None = None
     visited: dict[frozenset, float] = field(default_factory=dict)
     foreseen: dict[frozenset, float] = field(default_factory=dict)
     settled: dict[frozenset, float] = field(default_factory=dict)
@@ -79,11 +85,11 @@ class Search:
         return State(fitted, score)
 
     def run(self, start: Fitted) -> State:
-        """The best structure that the moves reach from a fitted model; once effects are refuted, none are exchanged any more."""
+        """The best structure that the moves reach from a fitted model."""
         at = self.scored(start)
         while len(at.fitted.extra) < MOST:
             better = self._added(at)
-            if better is None and not self.refuted:
+            if better is None:
                 better = self._exchanged(at)
             if better is None:
                 better = self._unexplained(at)
@@ -92,17 +98,16 @@ class Search:
             at = self._pruned(better)
         return at
 
-    def refuting(self, out: Sequence[Term], kept: Sequence[Term]) -> "Search":
-        """The search in which some effects are refuted beside others; it remembers the structures without them."""
-        some = {identity(t.effect) for t in out}
-        refuted = {**self.refuted, **{one: sum(identity(t.effect) == one for t in kept) for one in some}}
+    def within(self, most: Mapping[Kind, int], out: Sequence[Term]) -> "Search":
+        """The search among some kinds of effects, of each so many; it remembers the structures without those that are `out`."""
+        gone = {kind(t.effect) for t in out}
 
         def allowed(structure: frozenset) -> bool:
-            present = [identity(effect) for effect, _ in structure]
-            return all(present.count(one) <= most for one, most in refuted.items())
+            present = [kind(effect) for effect, _ in structure]
+            return all(present.count(one) <= most.get(one, 0) for one in gone)
 
         visited, foreseen = ({k: score for k, score in known.items() if allowed(k)} for known in (self.visited, self.foreseen))
-        return replace(self, refuted=refuted, visited=visited, foreseen=foreseen, settled=dict(self.settled))
+        return replace(self, most=most, visited=visited, foreseen=foreseen, settled=dict(self.settled))
 
     # moves
 
@@ -115,11 +120,14 @@ class Search:
         goal: float | None = None,
     ) -> State | None:
         """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
-        goal, kept = at.score if goal is None else goal, at.fitted.extra
         self.nearest = -np.inf
+        sought = [t for t in (self.trials if every is None else every) if self.most is None or self.most.get(kind(t.effect))]
+        if not sought:
+            return None
+        goal, kept = at.score if goal is None else goal, at.fitted.extra
         start = at.fitted.posterior
         level = at.score - self.fitter.freed(at.fitted, start).log_evidence  # from a freed evidence to a score
-        table = signatures(self.fitter.data, at.fitted.model, every or self.trials)
+        table = signatures(self.fitter.data, at.fitted.model, sought)
         hopeful: list[tuple[Screen, Candidate]] = []
         seen: set = set()
         for post, count in ((under or start, EXACT), (self.fitter.exact(under or start), EXACT // 2)):
@@ -176,10 +184,10 @@ class Search:
         ]
 
     def _open(self, c: Candidate, extra: Sequence[Term]) -> bool:
-        """Whether a candidate is new and not refuted; where its effect is there, it may say that some groups differ from the rest."""
+        """Whether a candidate is new and sought; where its effect is there, it may say that some groups differ from the rest."""
         labels = self.fitter.data.labels
-        own = identity(c.trial.effect)
-        if own in self.refuted and sum(identity(t.effect) == own for t in extra) >= self.refuted[own]:
+        own = kind(c.trial.effect)
+        if self.most is not None and sum(kind(t.effect) == own for t in extra) >= self.most.get(own, 0):
             return False
         return c.trial.effect.placement == "many" or all(
             c.scope is not None and c.trial.effect.partly > 0 and set(c.scope) < set(t.groups or labels)
@@ -256,7 +264,7 @@ class Search:
     def _unexplained(self, at: State) -> State | None:
         """A black-box term on the joint where one explains most."""
         data, best = self.fitter.data, None
-        for j in range(data.n):
+        for j in range(data.n) if self.most is None else [joints[0] for name, joints in self.most if not name]:
             every = black_box_trials(data.prepared, self.fitter.view, at.fitted.model, j)
             found = self._added(at, every)
             if found is not None and (best is None or found.score > best.score):
