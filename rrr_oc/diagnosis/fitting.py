@@ -168,11 +168,13 @@ class Fitter:
 
         The second begins with a fit under the sizes of an exact arm, where a discrepancy takes up nothing of what draws the shape.
         """
-        fits, exact = [self.fit(model, links, start)], self.exact(start) if bent else None
-        if exact is not None:
-            near = self.fit(model, links, exact, fixed=True)
-            fits.append(self.fit(near.model, near.links, start))
-        return max(fits, key=lambda f: f.log_evidence)
+        first = self.fit(model, links, start)
+        exact = self.exact(first.posterior) if bent else None
+        if exact is None:
+            return first
+        near = self.fit(model, links, exact, fixed=True)
+        second = self.fit(near.model, near.links, start)
+        return max(first, second, key=lambda f: f.log_evidence)
 
     def with_signs(self, fitted: Fitted) -> Fitted:
         """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""

@@ -119,18 +119,23 @@ class Search:
         out: Sequence[Term] = (),
         goal: float | None = None,
     ) -> State | None:
-        """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing."""
+        """A further effect, by its gain at the present sizes, or at those of an exact arm, where discrepancy and links absorb nothing.
+
+        In the place of others (`out`), sizes are those with them (`under`). A black-box term explains whatever these sizes do not.
+        """
         self.nearest = -np.inf
         sought = [t for t in (self.trials if every is None else every) if self.most is None or self.most.get(kind(t.effect))]
         if not sought:
             return None
         goal, kept = at.score if goal is None else goal, at.fitted.extra
-        start = at.fitted.posterior
+        start, black_box = at.fitted.posterior, sought[0].effect.black_box
         level = at.score - self.fitter.freed(at.fitted, start).log_evidence  # from a freed evidence to a score
         table = signatures(self.fitter.data, at.fitted.model, sought)
         hopeful: list[tuple[Screen, Candidate]] = []
+        every_score: list[tuple[float, Candidate]] = []
         seen: set = set()
-        for post, count in ((under or start, EXACT), (self.fitter.exact(under or start), EXACT // 2)):
+        exact = None if under or black_box else self.fitter.exact(start)
+        for post, count in ((under or start, EXACT), (exact, EXACT // 2)):
             if post is None:
                 continue
             post = self.fitter.freed(at.fitted, post)
@@ -142,14 +147,20 @@ class Search:
                 for c in candidates[:KEPT]:
                     key = frozenset([*(name_of(t) for t in kept), name_of(c.term)])
                     self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
-            self.nearest = max(self.nearest, *(base + c.gain for c in candidates[:1]), -np.inf)
+            every_score += [(base + c.gain, c) for c in candidates]
             least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, SLACK * (goal - base)) for c in candidates]
             own = [
                 (screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low and (c.key, c.scope) not in seen
             ]
             hopeful += own[:count]
             seen |= {(c.key, c.scope) for _, c in own[:count]}
-        return self._best(at, hopeful, level, goal)
+        self.nearest = max((score for score, _ in every_score), default=-np.inf)
+        best = self._best(at, hopeful, level, goal)
+        if best is not None:
+            own = best.fitted.extra[-1]
+            others = [score for score, c in every_score if c.key != (own.effect.name, own.effect.joints)]
+            self.settled[frozenset([name_of(own)])] = best.score - max(others, default=-np.inf)
+        return best
 
     def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], level: float, goal: float) -> State | None:
         """The best of some candidates beyond `goal`, fitted exactly; `level` is what turns a freed evidence into a score."""
@@ -243,13 +254,16 @@ class Search:
         return 0.5 * float(value @ np.linalg.pinv(inverse[np.ix_(own, own)]) @ value) - 8.0 * len(own)
 
     def _exchanged(self, at: State) -> State | None:
-        """One or two effects in place of one or two others."""
+        """One or two effects in place of one or two others.
+
+        Not of two whose first was far better than any other when it was added: one that stands for both would have been as good.
+        """
         extra = at.fitted.extra
-        groups = [[t] for t in extra] + [[a, b] for k, a in enumerate(extra) for b in extra[:k] if beside(a.effect, b.effect)]
+        groups = [[t] for t in extra] + [[b, a] for k, a in enumerate(extra) for b in extra[:k] if beside(a.effect, b.effect)]
         best = None
         for out in groups:
             name = frozenset(name_of(t) for t in out)
-            if self.settled.get(name, 0.0) > len(out) * SETTLED:
+            if self._settled(out) or self._settled(out[:1]):
                 continue
             less = self.without(at, out)
             if less.score > at.score:
@@ -260,6 +274,10 @@ class Search:
             if found is not None and (best is None or found.score > best.score):
                 best = found
         return best
+
+    def _settled(self, out: Sequence[Term]) -> bool:
+        """Whether what might be in the place of some effects falls far short."""
+        return self.settled.get(frozenset(name_of(t) for t in out), 0.0) > len(out) * SETTLED
 
     def _unexplained(self, at: State) -> State | None:
         """A black-box term on the joint where one explains most."""
