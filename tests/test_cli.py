@@ -1,6 +1,8 @@
 """The command line: what it prints and writes, and that a mistake is one sentence, exit status 2 and no file."""
 
 import json
+import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -9,7 +11,9 @@ import pytest
 from recorded import Plant, as_set, real, record
 from threadpoolctl import threadpool_info
 
-from rrr_oc import cli
+from rrr_oc import __version__, cli
+from rrr_oc.commands import common
+from rrr_oc.commands import diagnose as diagnosing
 from rrr_oc.recordings.writer import save_recordings
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
@@ -71,20 +75,22 @@ def test_evaluate_writes_all_that_is_asked_for(folder, monkeypatch, tmp_path, ca
 
 def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, capsys):
     (tmp_path / "known.toml").write_text('[context]\ninertias = "exact"\n[stribeck]\nprobability = 0.2\n')
-    given, found = [], cli.diagnose_recordings
+    given, found = [], diagnosing.diagnose
 
     def kept(recordings, report, jobs, priors):
         given.append((priors, {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}))
         return found(recordings, report, jobs, priors)
 
-    monkeypatch.setattr(cli, "diagnose_recordings", kept)
+    monkeypatch.setattr(diagnosing, "diagnose", kept)
     options = ["--no-simulate", "--jobs", "1", "--priors", tmp_path / "known.toml"]
     assert run(monkeypatch, "diagnose", folder / "set", "--out", tmp_path / "o", *options) == 0
     ((priors, threads),) = given
     assert priors.exact_inertias
     assert priors.given["stribeck"].probability == 0.2
     assert threads == {1}  # several would wait for each other
-    assert "Verdict: nothing_missing" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "Verdict: nothing_missing" in printed.out
+    assert re.search(r"^ +\d+ s  looking for effects$", printed.err, re.M)  # progress, where there is no terminal
     content = json.loads((tmp_path / "o" / "diagnosis.json").read_text())
     assert content["effects"] == content["unexplained"] == []
     assert "Nothing is missing" in (tmp_path / "o" / "report.html").read_text()
@@ -164,7 +170,7 @@ def test_an_interrupt_is_one_word_and_leaves_no_file(folder, monkeypatch, tmp_pa
     def interrupted(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "load_recordings", interrupted)
+    monkeypatch.setattr(common, "load_recordings", interrupted)
     assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o") == 130
     assert capsys.readouterr().err == "Interrupted.\n"
     assert not (tmp_path / "o").exists()
@@ -172,7 +178,7 @@ def test_an_interrupt_is_one_word_and_leaves_no_file(folder, monkeypatch, tmp_pa
 
 def test_a_place_that_cannot_be_written_is_told_before_the_work(folder, monkeypatch, tmp_path, capsys):
     """Not a question of rights: tests may run as root, whom the kernel lets write everywhere but into its own files."""
-    monkeypatch.setattr(cli, "load_recordings", lambda _: pytest.fail("it began to work"))
+    monkeypatch.setattr(common, "load_recordings", lambda _: pytest.fail("it began to work"))
     for arguments in (["calibrate", folder / "set", "--out"], ["diagnose", folder / "set", "--out"]):
         assert run(monkeypatch, *arguments, "/proc/results") == 2
         assert "/proc/results: cannot be written" in capsys.readouterr().err
@@ -200,6 +206,38 @@ def test_what_was_left_out_and_what_cannot_be_right_is_told(folder, monkeypatch,
 def test_help_keeps_its_units(monkeypatch, capsys):
     assert run(monkeypatch, "evaluate", "--help") == 0
     assert "[s]" in capsys.readouterr().out
+
+
+def test_help_imports_nothing_heavy():
+    """What takes seconds before a word is said; in a process of its own, since this one has all of it."""
+    code = (
+        "import sys\nfrom rrr_oc import cli\nsys.argv = ['rrr-oc', '--help']\ntry:\n    cli.main()\nexcept SystemExit:\n    pass\n"
+        "print(sorted({'numpy', 'scipy', 'casadi', 'pinocchio', 'mujoco', 'pandas', 'joblib', 'matplotlib'} & set(sys.modules)))"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "diagnose" in shown
+    assert shown.splitlines()[-1] == "[]"
+
+
+def test_the_version_is_said(monkeypatch, capsys):
+    assert run(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out == f"rrr-oc {__version__}\n"
+
+
+def test_it_runs_as_a_module():
+    shown = subprocess.run([sys.executable, "-m", "rrr_oc", "--version"], capture_output=True, text=True, check=True).stdout
+    assert shown == f"rrr-oc {__version__}\n"
+
+
+def test_json_is_alone_on_stdout_and_quiet_says_nothing(folder, monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "o" / "model.json").read_text())
+    assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o", "--quiet") == 0
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == ("", "")
+    assert run(monkeypatch, "effects", "--json") == 0
+    entries = {e["effect"]: e for e in json.loads(capsys.readouterr().out)}
+    assert entries["stribeck"]["acts_on"] == "drive"
 
 
 def test_unknown_options_and_commands_end_with_status_2(monkeypatch, capsys):
