@@ -166,6 +166,20 @@ def export(
 
 
 @app.command()
+def init(
+    urdf: Annotated[str, typer.Argument(help="path of the robot's URDF, or a bundled model")],
+    out: Annotated[Path, typer.Option(help="folder to make")],
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Begin with a robot: write its recordings.json, the columns of a CSV file, a task, and what to do next."""
+    from rrr_oc.commands import init
+    from rrr_oc.commands.common import Output
+
+    init.run(urdf, out, Output(quiet, as_json))
+
+
+@app.command()
 def effects(as_json: AsJson = False) -> None:
     """List the effects of the catalogue: their laws, parameters and units, and where they act."""
     from rrr_oc.commands import effects

@@ -20,6 +20,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.storage import read_utf8
 
 T = TypeVar("T")
+FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
 NonNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
@@ -36,10 +37,13 @@ def read_json(path: str | Path, schema: type[T]) -> T:
     return validated(path, parsed(path, read_utf8(path).decode()), schema)
 
 
-def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schema: type[T]) -> tuple[str, T]:
+def read_preset(
+    what: str, source: str | Path, presets: Mapping[str, str], schema: type[T], spellings: Mapping[str, str] | None = None
+) -> tuple[str, T]:
     """Read a bundled file, by the name of a preset, or a file of the user's; returns its name in messages, too.
 
-    `what` says what the file describes, as in "task"; `presets` names the file in `rrr_oc/data` of each preset.
+    `what` says what the file describes, as in "task"; `presets` names the file in `rrr_oc/data` of each preset; `spellings` has other
+    names that keys may have.
     """
     if str(source) in presets:
         where = f"{what} {str(source)!r}"
@@ -48,7 +52,7 @@ def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schem
         where, text = str(source), read_utf8(source).decode()
     else:
         raise UserError(f"no {what} at {str(source)!r}; give the path of a JSON file or a preset: {', '.join(presets)}")
-    return where, validated(where, parsed(where, text), schema)
+    return where, validated(where, respelled(where, without_free_text(parsed(where, text)), spellings or {}), schema)
 
 
 def parsed(where: str | Path, text: str) -> Any:
@@ -71,6 +75,25 @@ def parsed(where: str | Path, text: str) -> Any:
     if infinite is not None:
         raise UserError(f"{_place(where, infinite[0])}: found {reprlib.repr(infinite[1])}; a finite number is required")
     return data
+
+
+def without_free_text(data: Any) -> Any:
+    """The same without text for people and without nulls, which stand for keys left out."""
+    if isinstance(data, dict):
+        return {key: without_free_text(value) for key, value in data.items() if value is not None and key not in FREE}
+    return [without_free_text(item) for item in data] if isinstance(data, list) else data
+
+
+def respelled(where: str | Path, data: Any, spellings: Mapping[str, str]) -> Any:
+    """The same with other spellings of keys, as of another kind of file, replaced; raises `UserError` where a key stands in both."""
+    if isinstance(data, list):
+        return [respelled(where, item, spellings) for item in data]
+    if not isinstance(data, dict):
+        return data
+    for other, name in spellings.items():
+        if other in data and name in data:
+            raise UserError(f"{where}: keys {name!r} and {other!r} stand in one object and mean the same; one is allowed")
+    return {spellings.get(key, key): respelled(where, value, spellings) for key, value in data.items()}
 
 
 def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> T:

@@ -19,6 +19,9 @@ PRESETS = ("paper", "prototype")
 PHASES = ("go", "return")
 
 
+SPELLINGS = {"payload": "payload_kg", "position": "position_m"}  # as in recording sets
+
+
 class Tool(Schema, frozen=True):
     """The payload's point in a link's frame."""
 
@@ -149,7 +152,7 @@ def load_task(source: str | Path) -> Task:
         UserError: The file is missing or malformed; bounds are crossed; a position is out of reach; an end lies outside
             the joint ranges.
     """
-    where, given = read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile)
+    where, given = read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile, SPELLINGS)
     beside = Path(source).parent / given.robot
     own = str(source) not in PRESETS and beside.is_file()
     robot = load_robot(beside if own else given.robot, gravity=given.gravity)
