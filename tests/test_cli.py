@@ -89,7 +89,7 @@ def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, 
     assert priors.given["stribeck"].probability == 0.2
     assert threads == {1}  # several would wait for each other
     printed = capsys.readouterr()
-    assert "Verdict: nothing_missing" in printed.out
+    assert "Verdict: nothing is missing." in printed.out
     assert re.search(r"^ +\d+ s  looking for effects$", printed.err, re.M)  # progress, where there is no terminal
     content = json.loads((tmp_path / "o" / "diagnosis.json").read_text())
     assert content["effects"] == content["unexplained"] == []
