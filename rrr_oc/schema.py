@@ -7,9 +7,10 @@ ValueError("key: what is wrong with it").
 
 import importlib.resources
 import json
+import re
 import reprlib
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -23,12 +24,18 @@ T = TypeVar("T")
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
 NonNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
+# Mass at the tool, which files may call by either name, as they do not agree on whether a key ends with its unit
+Payload = Annotated[float, Meta(ge=0, extra={"spellings": ("payload", "payload_kg")})]
 Interval = tuple[float, float]
 Vector = tuple[float, float, float]
 
 
 class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An object of a JSON file; a key without a default is required, any other key is refused."""
+    """An object of a JSON file; a key without a default is required, any other key is refused.
+
+    The reference of each file (`report/file_reference.py`) takes what a key means, and its unit in brackets, from "Attributes" in the
+    structure's docstring.
+    """
 
 
 def read_json(path: str | Path, schema: type[T]) -> T:
@@ -52,7 +59,10 @@ def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schem
 
 
 def parsed(where: str | Path, text: str) -> Any:
-    """Plain data from JSON. Raises `UserError` for broken JSON, a key that stands twice and a number that is not finite."""
+    """Plain data from JSON with comments, which go from // to the end of the line.
+
+    Raises `UserError` for broken JSON, a key that stands twice and a number that is not finite.
+    """
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
@@ -62,7 +72,7 @@ def parsed(where: str | Path, text: str) -> Any:
         return dict(pairs)
 
     try:
-        data = json.loads(text, object_pairs_hook=once)
+        data = json.loads(without_comments(text), object_pairs_hook=once)
         infinite = next(_not_finite("", data), None)
     except json.JSONDecodeError as error:
         raise UserError(f"{where}, line {error.lineno}, column {error.colno}: not valid JSON: {error.msg}") from None
@@ -75,11 +85,45 @@ def parsed(where: str | Path, text: str) -> Any:
 
 def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> T:
     """Plain data, from `path` in the file `where`, as `schema` describes it; raises `UserError` that names what is allowed."""
+    data = _one_spelling(where, path, data, schema)
     try:
         return msgspec.convert(data, schema)
     except msgspec.ValidationError:
         path, said = _fault(path, data, schema)
         raise UserError(f"{_place(where, path)}: {said}") from None
+
+
+def without_comments(text: str) -> str:
+    """The same text with blanks in place of its comments, so that lines and columns stay; // in quotation marks begins none."""
+    return re.sub(r'"(?:\\.|[^"\\\n])*"|//[^\n]*', lambda m: m[0] if m[0][0] == '"' else " " * len(m[0]), text)
+
+
+def one_spelling(found: Iterable[str], spellings: Sequence[str], where: str) -> str | None:
+    """The one of several spellings of a key that was found, None where none was; raises `UserError` for more than one."""
+    given = [name for name in found if name in spellings]
+    if len(given) > 1:
+        raise UserError(f"{where}: found {' and '.join(map(repr, given))}, which mean the same; give one of them")
+    return given[0] if given else None
+
+
+def spellings(schema: Any) -> tuple[str, ...]:
+    """The names by which files may call a key of this type; none where there is only its own."""
+    metas = get_args(schema)[1:] if get_origin(schema) is Annotated else ()
+    return next((meta.extra["spellings"] for meta in metas if meta.extra), ())
+
+
+def _one_spelling(where: str | Path, path: str, data: Any, schema: Any) -> Any:
+    """The same data with every key that has several spellings under the name of its field."""
+    schema, _ = _simplified(data, schema)
+    if _is_structure(schema) and isinstance(data, dict):
+        for field in msgspec.structs.fields(schema):
+            given = one_spelling(data, spellings(field.type), _place(where, path))
+            if given is not None and given != field.encode_name:
+                data = {field.encode_name if key == given else key: value for key, value in data.items()}
+    inside = [(step, _one_spelling(where, path + step, value, inner)) for step, value, inner in _parts(data, schema)]
+    if isinstance(data, dict):
+        return data | {step[1:]: value for step, value in inside}
+    return [value for _, value in inside] if inside else data
 
 
 def check_names(found: Iterable[str], allowed: Iterable[str], where: str | Path, what: str = "key") -> None:
