@@ -114,6 +114,57 @@ def evaluate(
     evaluate.run(model, dataset, options, Output(quiet, as_json))
 
 
+PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
+
+
+@app.command()
+def design(
+    task: Annotated[str | None, typer.Argument(help="a task file, or a bundled task: paper (default) or prototype")] = None,
+    preset: Annotated[str, typer.Option(help="the same as TASK")] = "paper",
+    configurations: Annotated[
+        str | None, typer.Option(help="comma-separated, of SA, PEA, BPEA, PEA+BPEA; default: all")
+    ] = None,
+    starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 40,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    hops: Annotated[int, typer.Option(min=0, help="rounds of basin hopping over the durations of the best optimum")] = 2,
+    out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/pea_bpea"),
+    cost: Annotated[str, typer.Option(help="load (Eq. 13), motor (motor torque squared, Eq. 7) or energy (Eq. 11)")] = "load",
+    actuators: Annotated[
+        str | None, typer.Option(help=f"drives, for the costs motor and energy and for --model: {PROTOTYPES}")
+    ] = None,
+    catalogue: Annotated[str | None, typer.Option(help=f"springs to buy, for the starred designs: {PROTOTYPES}")] = None,
+    catalogue_search: Annotated[str, typer.Option(help="for BPEA*: exhaustive or screened")] = "exhaustive",
+    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
+    model: Annotated[
+        Path | None, typer.Option(help="model.json of calibrate or diagnose: every optimum is tracked in it too")
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="processes; -1 for all cores")] = -1,
+) -> None:
+    """Find the springs and the motion that need the least torque, for each configuration; with report, certificates and figures."""
+    from rrr_oc.codesign.proposals import SearchOptions
+    from rrr_oc.commands.design import Request, run
+    from rrr_oc.optimal_control.refinement import Refinement
+
+    search = SearchOptions(starts=starts, seed=seed, jobs=jobs, hops=hops, refinement=Refinement(tolerance))
+    hardware = configurations, actuators, catalogue, catalogue_search
+    run(Request(task or preset, out, cost, *hardware, model, search))
+
+
+@app.command()
+def export(
+    model: Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")],
+    out: Annotated[Path, typer.Option(help="folder for arm.xml and arm.urdf")],
+    payload: Annotated[float, typer.Option(min=0.0, help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a model for other programs: MJCF that plain MuJoCo runs, and the URDF with identified inertias."""
+    from rrr_oc.commands import export
+    from rrr_oc.commands.common import Output
+
+    export.run(model, out, payload, Output(quiet, as_json))
+
+
 @app.command()
 def effects(as_json: AsJson = False) -> None:
     """List the effects of the catalogue: their laws, parameters and units, and where they act."""

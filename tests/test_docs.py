@@ -91,6 +91,8 @@ def unknown_options(command: str) -> list[str]:
         return unknown + [option for option in options if option not in known]
     scripts = [word for word in words if re.fullmatch(r"(studies|validation)/[\w/]+\.py", word)]
     known = (ROOT / scripts[0]).read_text() if scripts else ""
+    if calls := re.search(r'app\(\["(\w+)",', known):  # a study that is a command
+        return unknown_options(f"rrr-oc {calls.group(1)} {' '.join(o for o in options if o != '--help')}")
     return [option for option in options if scripts and option != "--help" and not declared(option, known)]
 
 

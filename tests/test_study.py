@@ -18,6 +18,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.codesign.springs import arrangements, spring_bounds
 from rrr_oc.codesign.task import load_task
+from rrr_oc.commands import design
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
@@ -224,7 +225,7 @@ def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, a
 
 def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypatch, capsys, tmp_path):
     (tmp_path / "results").write_text("mine")
-    monkeypatch.setattr(study, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(design, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"
@@ -290,7 +291,7 @@ LATE = {
 
 @pytest.mark.parametrize(("arguments", "message"), LATE.values(), ids=LATE.keys())
 def test_what_can_be_checked_is_checked_before_the_first_solve(monkeypatch, capsys, tmp_path, arguments, message):
-    monkeypatch.setattr(study, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(design, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
     assert (
         run(study, monkeypatch, *OWN, "--preset", own_task(tmp_path), *arguments(tmp_path), "--out", str(tmp_path / "x")) == 2
     )
@@ -318,7 +319,7 @@ def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_
     command = [*OWN, "--configurations", "PEA", "--preset", own_task(tmp_path), "--catalogue", shop(tmp_path, j2=[5.0, 8.0])]
     command += ["--model", own_model(tmp_path), "--out", str(tmp_path / "results")]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, step, failing(error))
+        patch.setattr(design, step, failing(error))
         assert run(study, patch, *command) == status
     first = json.loads((tmp_path / "results" / "summary.json").read_text())["configurations"]
     assert list(first) == ["PEA"]
@@ -343,7 +344,7 @@ def idle_run(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str, **f
 
 def test_a_spring_that_is_never_taut_is_said_and_its_motion_offered_to_the_stiff_arm(monkeypatch, tmp_path):
     """A spring that pulls below -100° and an arm that stays above -20°; the stiff arm's own search is made worse by 3 %."""
-    describe = study._describe
+    describe = design._describe
 
     def worse(out, name, result, began):
         found = describe(out, name, result, began)
@@ -351,7 +352,7 @@ def test_a_spring_that_is_never_taut_is_said_and_its_motion_offered_to_the_stiff
             found | {"cost": 1.03 * found["cost"], "E1": 1.03 * found["E1"]} if name == "SA" and len(result.starts) else found
         )
 
-    monkeypatch.setattr(study, "_describe", worse)
+    monkeypatch.setattr(design, "_describe", worse)
     found = idle_run(tmp_path, monkeypatch, active="below")
     assert found["PEA"]["idle"] == {"parallel_spring[j2]": "never taut"}
     assert found["SA"]["cost"] == pytest.approx(found["PEA"]["cost"], rel=1e-3)  # without the offer, 3 % more

@@ -194,17 +194,8 @@ def twin(
         UserError: A joint has both an elastic gear and one with play; a C compiler is required and missing; MuJoCo refuses the robot.
     """
     theta, widths = _checked(model, theta, widths)
-    offset = np.array(ca.evalf(generated_c.shift(model, theta))).reshape(-1)
-    body = _body(model, theta)
-    robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
-    tool = replace(model.tool, position=body.position)
-    spec = build_spec(robot, tool, controller(model) if control is None else control, settings)
-    elastic = any(effect.moves_link for effect in model.effects)
-    generated = _add_effects(spec, model, theta, settings.effects == "native" and not (elastic or offset.any()))
-    _add_gears(spec, model, theta, robot.inertial, settings.timestep)
-    for joint, zero in zip(robot.joints, offset, strict=True):
-        spec.joint(joint).ref = -zero
-    library = None
+    spec, body, generated = assembled(model, theta, controller(model) if control is None else control, settings)
+    robot, library = replace(model.robot, inertial=body.inertial), None
     if any(generated):
         library = generated_c.compile_effects(model, generated)
         data = generated_c.values(theta, widths, body.payload, model.robot.inertial)
@@ -216,6 +207,22 @@ def twin(
     engine = Twin(model, theta, widths, mj, library, generated, body.payload)
     engine.set_payload(0.0)
     return engine
+
+
+def assembled(
+    model: Model, theta: np.ndarray, control: Controller, settings: Settings
+) -> tuple[mujoco.MjSpec, Body, tuple[bool, ...]]:
+    """A model before it is compiled: robot, effects in MuJoCo's own forms and gears; its body; which effects remain for code."""
+    offset = np.array(ca.evalf(generated_c.shift(model, theta))).reshape(-1)
+    body = _body(model, theta)
+    robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
+    spec = build_spec(robot, replace(model.tool, position=body.position), control, settings)
+    elastic = any(effect.moves_link for effect in model.effects)
+    generated = _add_effects(spec, model, theta, settings.effects == "native" and not (elastic or offset.any()))
+    _add_gears(spec, model, theta, robot.inertial, settings.timestep)
+    for joint, zero in zip(robot.joints, offset, strict=True):
+        spec.joint(joint).ref = -zero
+    return spec, body, generated
 
 
 def _body(model: Model, theta: np.ndarray) -> Body:

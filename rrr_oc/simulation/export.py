@@ -1,0 +1,127 @@
+"""Models as files for other programs: MJCF that plain MuJoCo runs, and the URDF with the inertial parameters in use."""
+
+# pyright: reportAttributeAccessIssue=false
+# (mujoco's wheel has no stubs)
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from rrr_oc.errors import UserError
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.robot import Robot
+from rrr_oc.simulation.engine_model import Settings, assembled, controller
+from rrr_oc.simulation.generated_c import PAYLOAD
+
+THICKNESS = 0.08  # radius of a link that is drawn, as a share of the arm's mean link; doubled, a thicker arm
+COLOUR = (0.55, 0.6, 0.68, 1.0)  # of what is drawn: grey
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A file's text, and what of the model is not in it, one sentence each."""
+
+    text: str
+    left_out: tuple[str, ...]
+
+
+def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0) -> Exported:
+    """A model as MJCF, which needs nothing of this package: effects in MuJoCo's own forms, joint limits, one motor a joint.
+
+    Links are drawn as capsules without mass that touch nothing. Dry friction, viscous friction and armature are the joints' own
+    attributes, springs are fixed tendons that are slack on one side, and a gear with elasticity is a second hinge. What has no such
+    form is left out and named in `left_out`, and in a comment at the file's head.
+
+    Args:
+        theta: Parameters of the effects, as in `Model.theta`.
+        payload: Listed mass at the tool [kg].
+
+    Raises:
+        UserError: MuJoCo refuses the robot.
+    """
+    theta, robot = np.asarray(theta, float), model.robot
+    spec, body, generated = assembled(model, theta, controller(model), Settings(effects="native", integrator="implicitfast"))
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for joint, low, high, effort in zip(robot.joints, robot.lower, robot.upper, robot.effort, strict=True):
+        motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        if np.isfinite(effort):
+            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, [-effort, effort]
+        if np.isfinite(low) and np.isfinite(high):
+            spec.joint(joint).limited, spec.joint(joint).range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
+    spec.body(PAYLOAD).mass = payload + body.payload
+    spec.option.disableflags = 0
+    _draw(spec, robot, model.tool.position)
+    left_out = [
+        f"{model.label(effect)}: {'changes what is recorded, not the motion' if effect.side == 'sensor' else 'MuJoCo has no form of it'}"
+        for effect, code in zip(model.effects, generated, strict=True)
+        if code or effect.side == "sensor"
+    ]
+    try:
+        spec.compile()
+    except ValueError as error:
+        if "inertia" not in str(error):
+            raise UserError(f"MuJoCo refuses robot {robot.name!r}: {str(error).strip()}") from None
+        spec.compiler.balanceinertia = True
+        spec.compile()
+        left_out.append(
+            "moments of inertia that no body can have, of parameters that recordings do not determine: made possible"
+        )
+    text = spec.to_xml()
+    if left_out:
+        text = "<!-- Not in this file:\n" + "".join(f"  {one.replace('--', '-')}\n" for one in left_out) + "-->\n" + text
+    return Exported(text, tuple(left_out))
+
+
+def _draw(spec: mujoco.MjSpec, robot: Robot, tool: np.ndarray) -> None:
+    """A capsule from each joint to the next, and to the tool."""
+    ends = [*robot.placements[1:, :3, 3], tool]
+    lengths = np.linalg.norm(ends, axis=1)
+    radius = THICKNESS * float(np.mean(lengths[lengths > 0])) if np.any(lengths > 0) else THICKNESS
+    for link, end, length in zip(robot.links, ends, lengths, strict=True):
+        looks = {"rgba": COLOUR, "contype": 0, "conaffinity": 0, "mass": 0.0}
+        if length > radius:
+            spec.body(link).add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, *end], size=[radius, 0.0, 0.0], **looks
+            )
+        else:
+            spec.body(link).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], **looks)
+
+
+def urdf(text: str, robot: Robot) -> str:
+    """The URDF with a robot's inertial parameters: each moved link has those of all links fixed to it, which have none of their own.
+
+    Joints that the robot does not have were locked at zero, and become fixed.
+
+    Args:
+        text: URDF that the robot was read from.
+    """
+    tree = ElementTree.fromstring(text)
+    for joint in tree.findall("joint"):
+        if joint.get("name") not in robot.joints:
+            joint.set("type", "fixed")
+    for link in tree.findall("link"):
+        name = link.get("name") or ""
+        moved, _ = robot.frames.get(name, (-1, None))
+        for old in link.findall("inertial") if moved >= 0 else []:
+            link.remove(old)
+        if name in robot.links:
+            link.insert(0, _inertial(robot.inertial[:, robot.links.index(name)]))
+    ElementTree.indent(tree)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(tree, encoding="unicode") + "\n"
+
+
+def _inertial(parameters: np.ndarray) -> ElementTree.Element:
+    """The element of a link's ten numbers (`Robot.inertial`)."""
+    mass, com, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4] / parameters[0], parameters[4:]
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    inertia = about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com))
+    element = ElementTree.Element("inertial")
+    ElementTree.SubElement(element, "origin", xyz=" ".join(f"{x:.12g}" for x in com), rpy="0 0 0")
+    ElementTree.SubElement(element, "mass", value=f"{mass:.12g}")
+    pairs = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), inertia[np.triu_indices(3)], strict=True)
+    ElementTree.SubElement(element, "inertia", {name: f"{x:.12g}" for name, x in pairs})
+    return element
