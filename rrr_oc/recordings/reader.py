@@ -109,7 +109,7 @@ def _used_columns(table: Table, joints: Sequence[str], recorded: Sequence[str]) 
 def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.ndarray:
     """Indices of the rows without a NaN; raises `UserError` where what is left is no motion."""
     if values.shape[1] == 0:
-        raise UserError(f"{table.path}: a header and no rows; at least {LEAST_ROWS} rows are required")
+        raise UserError(f"{table.path}: no recordings yet: a header and no rows; at least {LEAST_ROWS} rows are required")
     infinite = np.argwhere(np.isinf(values).T)
     if len(infinite):
         row, column = map(int, infinite[0])
