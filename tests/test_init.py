@@ -99,6 +99,23 @@ def test_an_arm_without_masses_gets_a_set_that_identifies_them_and_no_task(tmp_p
     assert "There is no task.json" in (tmp_path / "set" / "README.md").read_text()
 
 
+def test_limits_that_the_urdf_lacks_are_said_by_every_reader(tmp_path, capsys):
+    made = write_example(an_arm(tmp_path, '<limit velocity="2" effort="50"/>'), tmp_path / "set")
+    (note,) = made.notes
+    assert note.startswith("the URDF gives no range of joint 0, joint 1, joint 2:")
+    text = (tmp_path / "set" / "task.json").read_text()
+    (tmp_path / "set" / "task.json").write_text(text.replace('"joint 0": 0.0', '"joint 0": 20.0'))
+    task = load_task(tmp_path / "set" / "task.json")  # an angle of a joint without a range is allowed
+    assert (task.locked[0], task.robot.notes) == (pytest.approx(np.radians(20)), made.notes)
+    t = np.arange(200) / 50
+    names = (tmp_path / "set" / "recording1.csv").read_text().splitlines()[0].split(",")
+    write_csv(
+        tmp_path / "set" / "recording1.csv",
+        {n: np.cos(t) if n.startswith("dq") else t if n == "t" else np.sin(t) for n in names},
+    )
+    assert note in load_recordings(tmp_path / "set").notes
+
+
 def test_the_command_says_what_comes_next(tmp_path, capsys, monkeypatch):
     def run(*words: object) -> int:
         monkeypatch.setattr("sys.argv", ["rrr-oc", *map(str, words)])

@@ -37,12 +37,14 @@ class Example:
         joints: The arm's joints.
         moving: Joints that move in the task; none where there is no task.
         no_task: Why there is no task, "" where there is one.
+        notes: What a user should know of the URDF.
     """
 
     folder: Path
     joints: tuple[str, ...]
     moving: tuple[str, ...]
     no_task: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def write_example(source: str | Path, folder: str | Path) -> Example:
@@ -68,7 +70,7 @@ def write_example(source: str | Path, folder: str | Path) -> Example:
             except UserError as error:
                 why = str(error).replace(str(temporary), str(folder))
         write_text(temporary / "README.md", _readme(folder, robot, why))
-    return Example(folder, robot.joints, moving, why)
+    return Example(folder, robot.joints, moving, why, robot.notes)
 
 
 def _header(name: str, robot: Robot, exact: bool) -> str:

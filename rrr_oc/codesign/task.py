@@ -254,7 +254,8 @@ def _locked(where: str, robot: Robot, given: TaskFile) -> tuple[float, ...]:
     for joint, degrees in given.locked_deg.items():
         j = robot.index(joint)
         angles[j] = np.radians(degrees)
-        if not robot.lower[j] <= angles[j] <= robot.upper[j]:
+        known = robot.lower[j] < robot.upper[j]  # else the robot's notes say that there is no range
+        if known and not robot.lower[j] <= angles[j] <= robot.upper[j]:
             low, high = np.degrees([robot.lower[j], robot.upper[j]])
             raise UserError(f"{where}: locked_deg.{joint}: found {degrees:g}; its range is {low:.2f}° … {high:.2f}°")
     return tuple(angles.tolist())

@@ -11,6 +11,8 @@ def run(robot: str, out: Path, output: Output) -> None:
     made = write_example(robot, out)
     files = "recordings.json, the header of a CSV file, " + "task.json " * bool(made.moving) + "and README.md"
     output.show(f"{out} holds {files}, with comments, for {', '.join(made.joints)}.")
+    for note in made.notes:
+        output.warn(f"Note: {note}.")
     if made.no_task:
         output.warn(f"Note: there is no task.json: {made.no_task}.")
     output.show((out / "README.md").read_text(encoding="utf-8").partition("```\n")[2].partition("```")[0].rstrip())
