@@ -7,9 +7,10 @@ ValueError("key: what is wrong with it").
 
 import importlib.resources
 import json
+import re
 import reprlib
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -20,16 +21,21 @@ from rrr_oc.errors import UserError
 from rrr_oc.storage import read_utf8
 
 T = TypeVar("T")
-FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
 NonNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
+# Mass at the tool, which files may call by either name, as they do not agree on whether a key ends with its unit
+Payload = Annotated[float, Meta(ge=0, extra={"spellings": ("payload", "payload_kg")})]
 Interval = tuple[float, float]
 Vector = tuple[float, float, float]
 
 
 class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An object of a JSON file; a key without a default is required, any other key is refused."""
+    """An object of a JSON file; a key without a default is required, any other key is refused.
+
+    The reference of each file (`report/file_reference.py`) takes what a key means, and its unit in brackets, from "Attributes" in the
+    structure's docstring.
+    """
 
 
 def read_json(path: str | Path, schema: type[T]) -> T:
@@ -37,13 +43,10 @@ def read_json(path: str | Path, schema: type[T]) -> T:
     return validated(path, parsed(path, read_utf8(path).decode()), schema)
 
 
-def read_preset(
-    what: str, source: str | Path, presets: Mapping[str, str], schema: type[T], spellings: Mapping[str, str] | None = None
-) -> tuple[str, T]:
+def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schema: type[T]) -> tuple[str, T]:
     """Read a bundled file, by the name of a preset, or a file of the user's; returns its name in messages, too.
 
-    `what` says what the file describes, as in "task"; `presets` names the file in `rrr_oc/data` of each preset; `spellings` has other
-    names that keys may have.
+    `what` says what the file describes, as in "task"; `presets` names the file in `rrr_oc/data` of each preset.
     """
     if str(source) in presets:
         where = f"{what} {str(source)!r}"
@@ -52,11 +55,14 @@ def read_preset(
         where, text = str(source), read_utf8(source).decode()
     else:
         raise UserError(f"no {what} at {str(source)!r}; give the path of a JSON file or a preset: {', '.join(presets)}")
-    return where, validated(where, respelled(where, without_free_text(parsed(where, text)), spellings or {}), schema)
+    return where, validated(where, parsed(where, text), schema)
 
 
 def parsed(where: str | Path, text: str) -> Any:
-    """Plain data from JSON. Raises `UserError` for broken JSON, a key that stands twice and a number that is not finite."""
+    """Plain data from JSON with comments, which go from // to the end of the line.
+
+    Raises `UserError` for broken JSON, a key that stands twice and a number that is not finite.
+    """
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
@@ -66,7 +72,7 @@ def parsed(where: str | Path, text: str) -> Any:
         return dict(pairs)
 
     try:
-        data = json.loads(text, object_pairs_hook=once)
+        data = json.loads(without_comments(text), object_pairs_hook=once)
         infinite = next(_not_finite("", data), None)
     except json.JSONDecodeError as error:
         raise UserError(f"{where}, line {error.lineno}, column {error.colno}: not valid JSON: {error.msg}") from None
@@ -77,32 +83,47 @@ def parsed(where: str | Path, text: str) -> Any:
     return data
 
 
-def without_free_text(data: Any) -> Any:
-    """The same without text for people and without nulls, which stand for keys left out."""
-    if isinstance(data, dict):
-        return {key: without_free_text(value) for key, value in data.items() if value is not None and key not in FREE}
-    return [without_free_text(item) for item in data] if isinstance(data, list) else data
-
-
-def respelled(where: str | Path, data: Any, spellings: Mapping[str, str]) -> Any:
-    """The same with other spellings of keys, as of another kind of file, replaced; raises `UserError` where a key stands in both."""
-    if isinstance(data, list):
-        return [respelled(where, item, spellings) for item in data]
-    if not isinstance(data, dict):
-        return data
-    for other, name in spellings.items():
-        if other in data and name in data:
-            raise UserError(f"{where}: keys {name!r} and {other!r} stand in one object and mean the same; one is allowed")
-    return {spellings.get(key, key): respelled(where, value, spellings) for key, value in data.items()}
-
-
 def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> T:
     """Plain data, from `path` in the file `where`, as `schema` describes it; raises `UserError` that names what is allowed."""
+    data = _one_spelling(where, path, data, schema)
     try:
         return msgspec.convert(data, schema)
     except msgspec.ValidationError:
         path, said = _fault(path, data, schema)
         raise UserError(f"{_place(where, path)}: {said}") from None
+
+
+def without_comments(text: str) -> str:
+    """The same text with blanks in place of its comments, so that lines and columns stay; // in quotation marks begins none."""
+    return re.sub(r'"(?:\\.|[^"\\\n])*"|//[^\n]*', lambda m: m[0] if m[0][0] == '"' else " " * len(m[0]), text)
+
+
+def one_spelling(found: Iterable[str], spellings: Sequence[str], where: str) -> str | None:
+    """The one of several spellings of a key that was found, None where none was; raises `UserError` for more than one."""
+    given = [name for name in found if name in spellings]
+    if len(given) > 1:
+        raise UserError(f"{where}: found {' and '.join(map(repr, given))}, which mean the same; give one of them")
+    return given[0] if given else None
+
+
+def spellings(schema: Any) -> tuple[str, ...]:
+    """The names by which files may call a key of this type; none where there is only its own."""
+    metas = get_args(schema)[1:] if get_origin(schema) is Annotated else ()
+    return next((meta.extra["spellings"] for meta in metas if meta.extra), ())
+
+
+def _one_spelling(where: str | Path, path: str, data: Any, schema: Any) -> Any:
+    """The same data with every key that has several spellings under the name of its field."""
+    schema, _ = _simplified(data, schema)
+    if _is_structure(schema) and isinstance(data, dict):
+        for field in msgspec.structs.fields(schema):
+            given = one_spelling(data, spellings(field.type), _place(where, path))
+            if given is not None and given != field.encode_name:
+                data = {field.encode_name if key == given else key: value for key, value in data.items()}
+    inside = [(step, _one_spelling(where, path + step, value, inner)) for step, value, inner in _parts(data, schema)]
+    if isinstance(data, dict):
+        return data | {step[1:]: value for step, value in inside}
+    return [value for _, value in inside] if inside else data
 
 
 def check_names(found: Iterable[str], allowed: Iterable[str], where: str | Path, what: str = "key") -> None:

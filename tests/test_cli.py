@@ -13,7 +13,6 @@ from recorded import Plant, as_set, real, record
 from threadpoolctl import threadpool_info
 
 from rrr_oc import __version__, cli
-from rrr_oc.codesign.task import load_task
 from rrr_oc.commands import common
 from rrr_oc.commands import diagnose as diagnosing
 from rrr_oc.recordings.writer import save_recordings
@@ -91,7 +90,7 @@ def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, 
     assert priors.given["stribeck"].probability == 0.2
     assert threads == {1}  # several would wait for each other
     printed = capsys.readouterr()
-    assert "Verdict: nothing_missing" in printed.out
+    assert "Verdict: nothing is missing." in printed.out
     assert re.search(r"^ +\d+ s  looking for effects$", printed.err, re.M)  # progress, where there is no terminal
     content = json.loads((tmp_path / "o" / "diagnosis.json").read_text())
     assert content["effects"] == content["unexplained"] == []
@@ -203,21 +202,6 @@ def test_what_was_left_out_and_what_cannot_be_right_is_told(folder, monkeypatch,
     assert "0.csv: column vel_joint1 mean nothing here" in printed.err
     assert "the torque of joint2 is explained no better than by a constant" in printed.err
     assert "out [/x]" in printed.out
-
-
-def test_init_begins_what_the_readers_read(folder, monkeypatch, tmp_path, capsys):
-    """A task that can be solved, a set that lacks nothing but rows; what is there stays."""
-    assert run(monkeypatch, "init", "rrr_prototype", "--out", tmp_path / "a") == 0
-    assert load_task(tmp_path / "a" / "task.json").joints == ("joint2", "joint3")
-    assert run(monkeypatch, "calibrate", tmp_path / "a" / "recordings", "--out", tmp_path / "o") == 2
-    assert "first.csv: " in capsys.readouterr().err
-    rows = (folder / "set" / "0.csv").read_text().replace("dq_", "x_").splitlines()
-    (tmp_path / "a" / "recordings" / "first.csv").write_text("\n".join(rows))
-    assert run(monkeypatch, "calibrate", tmp_path / "a" / "recordings", "--out", tmp_path / "o") == 0
-    before = files(tmp_path / "a")
-    assert run(monkeypatch, "init", "rrr_prototype", "--out", tmp_path / "a") == 2
-    assert "is there already" in capsys.readouterr().err
-    assert files(tmp_path / "a") == before
 
 
 def test_export_writes_both_files(folder, monkeypatch, tmp_path, capsys):

@@ -795,7 +795,10 @@ def test_friction_may_be_another_in_some_recordings(planar, truth):
     values = {g: f.term.values for f in found.findings for g in f.term.groups}
     assert values == {f"{i}.csv": pytest.approx(v, abs=0.02) for i, v in truth.items()}
     said = sentence(to_json(found) | {"bootstrap": {}})
-    assert f"lacks a torque on j2 that depends on dq_j2 and sign(dq_j2) in {len(truth)} of the recordings." in said
+    assert (
+        f"lacks a torque on j2 that depends on the speed of j2 and the direction of j2 in {len(truth)} of the recordings."
+        in said
+    )
 
 
 def test_payloads_may_be_others_in_each_recording(planar):

@@ -1,9 +1,28 @@
-"""What the report says about how sure a claim is, on made-up contents of diagnosis.json."""
+"""What reports and console say about findings and how sure they are, on made-up contents of diagnosis.json."""
+
+import re
 
 import pytest
 
-from rrr_oc.effects import CATALOGUE
-from rrr_oc.report.diagnosis_words import gain, not_claimed, on_prior, percent, placed, rivals
+from rrr_oc.effects import CATALOGUE, Effect
+from rrr_oc.effects.words import Number, joint_words, read
+from rrr_oc.report.diagnosis_report import page
+from rrr_oc.report.diagnosis_words import (
+    gain,
+    not_claimed,
+    on_prior,
+    percent,
+    placed,
+    plain,
+    rivals,
+    rows,
+    sentence,
+    told_apart,
+    touches,
+    unexplained,
+    variable,
+)
+from rrr_oc.robot.parameters import Parameter
 
 
 def entry(effect: str, joint="a", probability: float = 0.5, **more) -> dict:
@@ -52,3 +71,199 @@ def test_numbers_and_names():
     one = entry("stribeck", "a", rivals=[{"effect": "quadratic_drag", "joint": "a"}, {"effect": "torque_ripple", "joint": "b"}])
     assert rivals(one) == ["quadratic drag", "torque ripple of b"]
     assert placed(entry("payload_mass", None)) == "payload mass"
+
+
+def number(value, unit: str, half: float | None = None) -> dict:
+    interval = None if half is None else [value - half, value + half]
+    return {"value": value, "std": None if half is None else half / 1.96, "unit": unit, "interval": interval}
+
+
+def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
+    return entry(
+        effect,
+        joint,
+        0.97,
+        recordings=recordings,
+        equation="law",
+        parameters=parameters,
+        share_of_error=0.123456789,
+        held_out_gain_nats=12.3456789,
+        nrmse={"held_out_before": 0.123456789, "held_out_after": 0.0123456789},
+        probability_of_itself=0.6,
+        rivals=[],
+    )
+
+
+@pytest.mark.parametrize(
+    ("effect", "joint", "parameters", "said"),
+    [
+        ("payload_mass", None, {"mass": number(1.001234567890123, "kg", 0.02)},
+         "The model has 1.00 kg (95 %: 0.98 to 1.02 kg) less at the tool than the arm."),
+        ("payload_mass", None, {"mass": number(-0.5, "kg", 0.1)},
+         "The model has 0.5 kg (95 %: 0.4 to 0.6 kg) more at the tool than the arm."),
+        ("load_dependent_friction", "elbow_joint", {"mu": number(0.1195, "1", 0.011)},
+         "Dry friction of elbow grows with its load: 0.12 Nm per Nm (95 %: 0.11 to 0.13 Nm per Nm)."),
+        ("gravity_tilt", None, {"about_x": number(0.01745329, "rad", 0.0035), "about_y": number(0.0, "rad", 0.0035)},
+         "The arm's base is not level: turned by 1.0° (95 %: 0.8 to 1.2°) about x and 0.0° (95 %: -0.2 to 0.2°) about y of the base "
+         "frame."),
+        ("coupled_friction", ["a", "b"],
+         {"coulomb": number(1.0, "Nm"), "viscous": number(0.25, "Nm s/rad"), "form": {"value": "other", "std": None, "unit": ""}},
+         "Friction of a follows the speed of b: dry friction of 1.00 Nm and viscous friction of 0.250 Nm s/rad."),
+        ("rubber_nobody_knows", "wrist_2_joint", {"very_stiff": number(1 / 3, "Nm/rad", 0.0123)},
+         "The arm has rubber nobody knows of wrist 2, which the model lacks: very stiff 0.33 Nm/rad (95 %: 0.32 to 0.35 Nm/rad)."),
+    ],
+)  # fmt: skip
+def test_a_finding_is_a_sentence_with_number_unit_and_interval(effect, joint, parameters, said):
+    assert plain(found_effect(effect, joint, **parameters)) == said
+
+
+def test_a_finding_names_the_recordings_that_have_it_and_the_frame_of_a_vector():
+    vector = {"value": [0.1, -0.2, 1 / 3], "std": [0.01, 0.02, None], "unit": "kg m"}
+    matrix = {"value": [[0.5, 0, 0], [0, 0.25, 0], [0, 0, 2 / 3]], "std": [[0.1] * 3] * 3, "unit": "kg m²"}
+    mass = {"value": -0.7, "std": 0.1, "unit": "kg"}
+    said = plain(
+        found_effect("link_inertial", "wrist_2_joint", ["1.csv", "2.csv"], mass=mass, first_moment=vector, inertia=matrix)
+    )
+    assert "The link that wrist 2 moves has 0.7 kg (95 %: 0.5 to 0.9 kg) less mass than the URDF says" in said
+    assert "(0.10 ± 0.02, -0.20 ± 0.04, 0.333) kg m" in said
+    assert "(0.5 ± 0.2, 0.2 ± 0.2, 0.7 ± 0.2) kg m²" in said
+    assert said.endswith("in the frame of wrist 2. So it is in 1.csv and 2.csv only.")
+
+
+@pytest.mark.parametrize("name", [name for name, kind in CATALOGUE.items() if kind.role == "law"])
+def test_every_effect_has_a_sentence_of_its_own_with_all_that_was_found(name):
+    kind = CATALOGUE[name]
+    joints = {"arm": None, "pair": ["left_joint", "right_joint"]}.get(kind.placement, "left_joint")
+    parameters = {p.name: number(0.3333333333333333, p.unit, 0.0123456789) for p in kind.parameters}
+    if kind.composed:
+        values = {"mass": 0.3, "first_moment": [0.1] * 3, "inertia": [[0.1] * 3] * 3}
+        parameters = {key: {"value": v, "std": None, "unit": "kg"} for key, v in values.items()}
+    parameters |= {key: {"value": allowed[0], "std": None, "unit": ""} for key, allowed in kind.options.items()}
+    said = plain(found_effect(name, joints, **parameters))
+    assert kind.plain, "no words of its own"
+    assert not re.search(r"[_{}]|\d{6}", said)
+    assert said.endswith(".")
+    assert joints is None or "left" in said
+    least = len(kind.parameters) if not kind.composed else 3
+    assert len(re.findall(r"\(95 %|kg", said)) >= least
+
+
+def test_an_effect_of_another_package_is_said_by_its_name_joints_and_parameters():
+    class Rubber(Effect):
+        name = "rubber_band"
+        parameters = (Parameter("rest_angle", "rad"),)
+
+    said = Rubber.sentence(("a", "b"), {"rest_angle": Number(0.5, "rad", (0.4, 0.6))})
+    assert said == "The arm has rubber band of a and b, which the model lacks: rest angle 0.5 rad (95 %: 0.4 to 0.6 rad)."
+    Rubber.plain = "{own} is tied to {other} at {rest_angle:abs deg}."
+    assert Rubber.sentence(("a", "b"), {"rest_angle": Number(-0.5, "rad")}) == "a is tied to b at 28.6°."
+
+
+@pytest.mark.parametrize(
+    ("number", "shown"),
+    [
+        (Number(12345.678, "N", (12000.0, 12700.0)), "12300 N (95 %: 12000 to 12700 N)"),
+        (Number(1.0012345678901234, "kg"), "1.00 kg"),
+        (Number(1e-9, "m"), "1e-09 m"),
+        (Number(0.0, "m"), "0.00 m"),
+        (Number(2.5, "1", (2.5, 2.5)), "2.50"),
+        (Number(-0.001, "m", (-0.2, 0.2)), "0.0 m (95 %: -0.2 to 0.2 m)"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_interval_supports(number, shown):
+    assert str(number) == shown
+
+
+def test_an_interval_that_is_not_determined_is_left_out():
+    assert str(read({"value": 1.0, "std": None, "unit": "Nm", "interval": None})) == "1.00 Nm"
+    assert str(read({"value": 1.0, "std": None, "unit": "Nm", "interval": [None, None]})) == "1.00 Nm"
+
+
+def test_names_are_words():
+    assert [joint_words(name) for name in ("wrist_2_joint", "joint2", "joint", "_joint")] == [
+        "wrist 2",
+        "joint2",
+        "joint",
+        "joint",
+    ]
+    found = [variable(name) for name in ("q_wrist_2_joint", "ddq_j2", "sign(dq_elbow_joint)", "load_torque")]
+    assert found == ["the position of wrist 2", "the acceleration of j2", "the direction of elbow", "the load torque"]
+    text = unexplained(
+        {
+            "joint": "elbow_joint",
+            "depends_on": ["q_wrist_2_joint", "sign(dq_elbow_joint)"],
+            "recordings": "all",
+            "description": "a torque on elbow_joint that depends on …; the model carries it as a sum of 3 cosines, valid in the ranges given",
+        }
+    )
+    assert text == (
+        "A torque on elbow depends on the position of wrist 2 and the direction of elbow, and no effect of the catalogue explains it; "
+        "the model carries it as a sum of 3 cosines, valid in the ranges given."
+    )
+
+
+RIVAL = found_effect("payload_mass", None, mass=number(1.0, "kg", 0.02)) | {
+    "rivals": [{"effect": "link_inertial", "joint": "wrist_2_joint"}, {"effect": "link_inertial", "joint": "wrist_3_joint"}]
+}
+
+
+def test_rivals_have_their_own_joints_also_in_what_to_record_next():
+    assert rivals(RIVAL) == ["link inertial of wrist 2", "link inertial of wrist 3"]
+    said = told_apart({"effects": [RIVAL]}, ["payload_mass", "link_inertial"])
+    assert said == "payload mass, link inertial of wrist 2, link inertial of wrist 3"
+    assert told_apart({"effects": []}, ["payload_mass", "link_inertial"]) == "payload mass, link inertial"
+
+
+def bootstrap(**pairs) -> dict:
+    one = lambda value: {"value": value, "interval": None}  # noqa: E731
+    return {j: {"before": one(a), "after": one(b), "ratio": one(b / a)} for j, (a, b) in pairs.items()}
+
+
+def test_the_error_held_out_is_that_of_all_joints_that_the_effect_touches():
+    joints = ["a", "b", "c", "d"]
+    assert touches(entry("link_inertial", "c"), joints) == ["a", "b", "c"]  # those that carry the link
+    assert touches(entry("stribeck", "c"), joints) == ["c"]
+    assert touches(entry("payload_mass", None), joints) == joints
+    errors = bootstrap(a=(0.4, 0.2), b=(0.3, 0.25), c=(0.6, 0.06), d=(0.5, 0.5))
+    found = {"verdict": "missing_physics", "unexplained": [], "bootstrap": errors}
+    friction = sentence(found | {"effects": [found_effect("stribeck", "b")]})
+    assert friction.endswith("the error of b's torque goes from 30.0% to 25.0% of its spread.")
+    link = sentence(found | {"effects": [found_effect("link_inertial", "c")]})
+    assert (
+        "a's torque goes from 40.0% to 20.0%, b's torque goes from 30.0% to 25.0% and c's torque goes from 60.0% to 6.0%"
+        in link
+    )
+    whole = sentence(found | {"effects": [found_effect("payload_mass", None)]})
+    assert "goes from 45.0% to 25.2% of its spread, as the mean of the 4 joints that this touches" in whole
+    assert "from 60.0% to 50.0%." in whole
+
+
+def test_the_table_has_words_and_few_digits():
+    header, body = rows({"effects": [RIVAL]})
+    assert len(header) == len(body[0])
+    assert body == [
+        ["payload mass", "all", "97.0%", "12.3%", "1.2%", "+12", "link inertial of wrist 2, link inertial of wrist 3"]
+    ]
+
+
+def test_the_page_has_no_raw_names_and_no_sixteen_digits(tmp_path):
+    (tmp_path / "f.png").write_bytes(b"png")
+    where = [{"variable": "q_wrist_2_joint", "range": [0.1, 0.2], "unit": "rad", "share_of_error": 0.7, "share_of_time": 0.2}]
+    found = {
+        "verdict": "missing_physics",
+        "held_out": "recordings",
+        "effects": [RIVAL],
+        "unexplained": [],
+        "bootstrap": bootstrap(wrist_2_joint=(0.4, 0.2)),
+        "mismatch": [
+            {"joint": "wrist_2_joint", "significant": True, "p_value": 1e-6, "nrmse": {"calibration": 0.1, "held_out": 0.2},
+             "where": where, "recordings": ["1.csv"]}
+        ],
+        "suggested_recordings": [{"separates": ["payload_mass", "link_inertial"], "why": "so", "trajectory": "suggested 1.csv"}],
+        "versions": {"numpy": "2"},
+    }  # fmt: skip
+    figures = dict.fromkeys(("before_after", "prediction", "residual_wrist"), tmp_path / "f.png")
+    text = re.sub(r"<style>.*?</style>|<img[^>]*>", "", page(found, "An arm.", figures), flags=re.S)
+    assert "The model has 1.00 kg (95 %: 0.98 to 1.02 kg) less at the tool than the arm." in text
+    assert "payload mass, link inertial of wrist 2, link inertial of wrist 3" in text
+    assert not re.search(r"\w_\w|\d\.\d{7}", text)

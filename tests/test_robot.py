@@ -2,6 +2,7 @@
 # (pinocchio has no stubs)
 """What is read from a URDF, and what is turned away at the door and with which words."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -115,8 +116,51 @@ def test_a_point_on_a_fixed_link_moves_with_the_joint_before_it(load):
 def test_masses_are_not_needed_where_they_are_not_used(load):
     text = robot(link("base", 0), link("l1", 0), joint("j1", "base", "l1"))
     assert load(text, inertial=False).n == 1
-    with pytest.raises(UserError, match="link 'l1', moved by joint 'j1', has mass 0 kg"):
+    with pytest.raises(UserError, match="link 'l1', moved by joint 'j1', has no <inertial>"):
         load(text)
+
+
+@pytest.mark.parametrize(
+    ("inside", "said"),
+    [
+        (
+            "<inertial><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>",
+            "has an <inertial> without the mass",
+        ),
+        ("<inertial><mass/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>", "without the mass"),
+        (
+            "<inertial><mass value='2 kg'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>",
+            "'2 kg', which is no",
+        ),
+        ("", "has no <inertial>"),
+    ],
+)
+def test_a_mass_that_is_missing_is_not_said_to_be_0_kg(load, inside, said):
+    links = (link("base", 0), f"<link name='l1'>{inside}</link>")
+    text = robot(*links, joint("j1", "base", "l1"))
+    with pytest.raises(UserError, match=f"link 'l1', moved by joint 'j1', .*{said}") as error:
+        load(text)
+    assert "0 kg" not in str(error.value)
+    assert load(text, inertial=False).n == 1
+    hand = robot(*links, link("hand"), joint("j1", "base", "l1"), joint("grip", "l1", "hand", "fixed"))
+    if inside:  # what the hand weighs does not make up for it
+        with pytest.raises(UserError, match="link 'l1'"):
+            load(hand)
+    else:
+        assert load(hand).inertial[0, 0] > 0
+
+
+def test_limits_that_are_missing_are_said_of_joints_that_do_not_move_too(load):
+    full = arm(3)
+    assert load(full).notes == ()
+    limits = re.findall("<limit[^>]*>", full)
+    assert len(limits) == 3
+    head, _, tail = full.rpartition(limits[2])
+    text = head + '<limit effort="5" velocity="0"/>' + tail
+    notes = load(text, joints=["j1", "j2"]).notes
+    assert [note.partition(":")[0] for note in notes] == ["the URDF gives no range of j3", "the URDF gives no speed of j3"]
+    endless = text.replace('type="revolute"', 'type="continuous"').replace("type='revolute'", "type='continuous'")
+    assert load(endless).notes == ()
 
 
 def test_names_and_points_that_are_not_there(load):

@@ -24,7 +24,15 @@ T = TypeVar("T")
 
 
 class RobotEntry(msgspec.Struct):
-    """The robot: the text of its URDF, and by link the ten inertial parameters in use."""
+    """The robot.
+
+    Attributes:
+        name: Its name.
+        source: Where the URDF was read from.
+        urdf: The text of the URDF.
+        inertial: By link the ten inertial parameters in use.
+        inertial_order: The order of these, with units.
+    """
 
     name: Text
     source: Text
@@ -34,21 +42,39 @@ class RobotEntry(msgspec.Struct):
 
 
 class ToolEntry(msgspec.Struct):
-    """Where a payload is held: a point [m] in a joint's frame."""
+    """Where a payload is held.
+
+    Attributes:
+        joint: The joint that moves the link.
+        position: The point in the joint's frame [m].
+    """
 
     joint: Text
     position: Vector
 
 
 class WidthEntry(msgspec.Struct):
-    """A smoothing width in its unit."""
+    """A smoothing width.
+
+    Attributes:
+        value: The width, in `unit`.
+        unit: Its unit.
+    """
 
     value: NonNegative
     unit: str
 
 
 class ParameterEntry(msgspec.Struct):
-    """An estimate, in its unit."""
+    """An estimate.
+
+    Attributes:
+        value: The estimate, in `unit`.
+        unit: Its unit; "1" for none.
+        std: Standard error; null where the recordings do not determine it.
+        interval: 95 % interval; null as well.
+        at_bound: Whether the estimate lies at a bound of the parameter.
+    """
 
     value: float
     unit: str
@@ -58,7 +84,17 @@ class ParameterEntry(msgspec.Struct):
 
 
 class TermEntry(msgspec.Struct):
-    """An effect with its options and estimates."""
+    """An effect with its options and estimates.
+
+    Attributes:
+        effect: Its name.
+        joints: The joints it acts on; none for the arm as a whole.
+        options: Its form.
+        width: Width over which it is smoothed; null where it is smooth.
+        recordings: The recordings that have it.
+        groups: The set-ups that have it; none if all do.
+        parameters: Estimates by parameter.
+    """
 
     effect: str
     joints: list[str]
@@ -70,7 +106,23 @@ class TermEntry(msgspec.Struct):
 
 
 class ModelFile(msgspec.Struct):
-    """The content of `model.json`; what is given by joint has the unit of the model's field of that name."""
+    """The content of `model.json`.
+
+    Attributes:
+        format: What the file is.
+        versions: Of the programs that made it.
+        robot: The arm.
+        joints: Its joints, base first.
+        gravity: Acceleration of gravity in the base frame [m/s²].
+        tool: Where a payload is held.
+        torque: What was recorded.
+        torque_constant: Motor torque by current, by joint; null where it is not known [Nm/A].
+        inertial: Whether inertial parameters are the URDF's or estimated.
+        effects: The effects of the model.
+        noise: Standard deviation of what is left of the torque, by joint [Nm].
+        nrmse: Error of the predicted torque over the recorded one's standard deviation, by joint [1].
+        report: How the calibration went.
+    """
 
     format: Literal["rrr_oc-model/1"]
     versions: dict[str, str]

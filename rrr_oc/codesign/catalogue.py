@@ -41,13 +41,21 @@ Sizes = Annotated[list[Positive], Meta(min_length=1)]
 
 def load_catalogue(source: str | Path = "prototype") -> Catalogue:
     """The bundled catalogue of the prototype, or a JSON file of the same form; raises `UserError`."""
-    forms = {label: kind.design for label, kind in design_forms().items() if kind.design is not None and kind.design.shop}
-    keys: list[Any] = [("format", Literal["rrr_oc-catalogue/1"]), ("name", Text | None, None)]  # pyright: ignore[reportOperatorIssue]
-    keys += [(form.shop, dict[str, Sizes], field(default_factory=dict)) for form in forms.values()]
-    schema: Any = msgspec.defstruct("CatalogueFile", keys, bases=(Schema,))
-    where, given = read_preset("catalogue", source, {"prototype": "catalogue.json"}, schema)
-    lists = {label: _lists(f"{where}: {form.shop}", form, getattr(given, form.shop)) for label, form in forms.items()}
+    where, given = read_preset("catalogue", source, {"prototype": "catalogue.json"}, catalogue_schema())
+    lists = {label: _lists(f"{where}: {form.shop}", form, getattr(given, form.shop)) for label, form in _sold().items()}
     return Catalogue(given.name or str(source), lists)
+
+
+def catalogue_schema() -> Any:
+    """The structure of a catalogue's file: a list of sizes for each kind of spring that can be bought."""
+    keys: list[Any] = [("format", Literal["rrr_oc-catalogue/1"]), ("name", Text | None, None)]  # pyright: ignore[reportOperatorIssue]
+    keys += [(form.shop, dict[str, Sizes], field(default_factory=dict)) for form in _sold().values()]
+    return msgspec.defstruct("CatalogueFile", keys, bases=(Schema,))
+
+
+def _sold() -> dict[str, DesignForm]:
+    """Forms of the springs that can be bought, by label."""
+    return {label: kind.design for label, kind in design_forms().items() if kind.design is not None and kind.design.shop}
 
 
 def _lists(where: str, form: DesignForm, given: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:

@@ -13,24 +13,42 @@ from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, upwards
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
-from rrr_oc.schema import Interval, NonNegative, Positive, Schema, Text, Vector, check_interval, check_names, read_preset
+from rrr_oc.schema import (
+    Interval,
+    NonNegative,
+    Payload,
+    Positive,
+    Schema,
+    Text,
+    Vector,
+    check_interval,
+    check_names,
+    read_preset,
+)
 
 PRESETS = ("paper", "prototype")
 PHASES = ("go", "return")
 
 
-SPELLINGS = {"payload": "payload_kg", "position": "position_m"}  # as in recording sets
-
-
 class Tool(Schema, frozen=True):
-    """The payload's point in a link's frame."""
+    """Where the payload is held.
+
+    Attributes:
+        link: Name of the link that carries it.
+        position_m: The point in the link's frame.
+    """
 
     link: Text
     position_m: Vector
 
 
 class End(Schema, frozen=True):
-    """Where a phase starts or ends: angles of the moving joints or a position of the tool."""
+    """Where a phase starts or ends: either of both keys.
+
+    Attributes:
+        angles_deg: Angles of the moving joints, in their order.
+        position_m: Position of the tool in the base frame.
+    """
 
     angles_deg: tuple[float, ...] | None = None
     position_m: Vector | None = None
@@ -41,7 +59,14 @@ class End(Schema, frozen=True):
 
 
 class Limits(Schema, frozen=True):
-    """Limits of a joint; those left out are the URDF's range and speed, and no limit of acceleration and torque."""
+    """Limits of a joint; those left out are the URDF's range and speed, and no limit of acceleration and torque.
+
+    Attributes:
+        range_deg: Least and greatest angle.
+        speed_deg_per_s: Greatest speed.
+        acceleration_deg_per_s2: Greatest acceleration.
+        torque_Nm: Greatest load torque.
+    """
 
     range_deg: Interval | None = None
     speed_deg_per_s: Positive | None = None
@@ -53,14 +78,32 @@ class Limits(Schema, frozen=True):
 
 
 class TaskFile(Schema, frozen=True):
-    """The content of a task's file."""
+    """The content of a task's file.
+
+    Attributes:
+        format: What the file is.
+        robot: A bundled model or the path of a URDF, relative to this file.
+        moving: The joints that move, base first; the others are locked.
+        start: Where the arm takes the payload.
+        release: Where it lets it go; it comes back without it.
+        payload_kg: Mass that it carries from start to release.
+        duration_s: Least and greatest duration of each way, above 0.
+        limits: Limits by moving joint.
+        name: Name in reports; by default the file's.
+        gravity: Acceleration of gravity in the base frame [m/s²].
+        tool: Where the payload is held; by default the last link's tool frame.
+        path_margin: If given, the joints' ranges become the way between both ends, widened on each side by this share of it [1].
+        floor_m: Height that the tool stays above; by default none.
+        springs: Springs that a design may use, each with bounds of its quantities.
+        locked_deg: Angles of joints that do not move; 0 for those left out.
+    """
 
     format: Literal["rrr_oc-task/1"]
     robot: Text
     moving: Annotated[tuple[Text, ...], Meta(min_length=1)]
     start: End
     release: End
-    payload_kg: NonNegative
+    payload_kg: Payload
     duration_s: Interval
     limits: dict[str, Limits]
     name: Text | None = None
@@ -152,7 +195,7 @@ def load_task(source: str | Path) -> Task:
         UserError: The file is missing or malformed; bounds are crossed; a position is out of reach; an end lies outside
             the joint ranges.
     """
-    where, given = read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile, SPELLINGS)
+    where, given = read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile)
     beside = Path(source).parent / given.robot
     own = str(source) not in PRESETS and beside.is_file()
     robot = load_robot(beside if own else given.robot, gravity=given.gravity)
@@ -211,7 +254,8 @@ def _locked(where: str, robot: Robot, given: TaskFile) -> tuple[float, ...]:
     for joint, degrees in given.locked_deg.items():
         j = robot.index(joint)
         angles[j] = np.radians(degrees)
-        if not robot.lower[j] <= angles[j] <= robot.upper[j]:
+        known = robot.lower[j] < robot.upper[j]  # else the robot's notes say that there is no range
+        if known and not robot.lower[j] <= angles[j] <= robot.upper[j]:
             low, high = np.degrees([robot.lower[j], robot.upper[j]])
             raise UserError(f"{where}: locked_deg.{joint}: found {degrees:g}; its range is {low:.2f}° … {high:.2f}°")
     return tuple(angles.tolist())

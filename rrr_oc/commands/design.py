@@ -84,6 +84,8 @@ class Request:
 def run(asked_for: Request) -> None:
     """Co-design for each configuration; writes tables, figures, summary.json and one npz a configuration."""
     began, task = time.perf_counter(), load_task(asked_for.task)
+    for note in task.robot.notes:
+        console.print(f"Note: {note}.", highlight=False, soft_wrap=True)
     study, designs = _study(asked_for, task)
     _check(study, designs)
     found: dict[str, Any] = {}

@@ -9,9 +9,10 @@ from rrr_oc.commands.common import Output, check_apart, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.effects.priors import load_priors
+from rrr_oc.effects.words import joint_words
 from rrr_oc.parallel import check_jobs, one_thread
 from rrr_oc.report.diagnosis_report import write_diagnosis
-from rrr_oc.report.diagnosis_words import gain, not_claimed, on_prior, percent, rivals
+from rrr_oc.report.diagnosis_words import not_claimed, on_prior, plain, rows, unexplained, verdict
 from rrr_oc.storage import check_folder
 
 
@@ -40,35 +41,17 @@ def run(dataset: Path, out: Path, options: dict[str, Any], output: Output) -> No
 
 
 def _show(found: dict[str, Any], output: Output) -> None:
-    output.show(f"Verdict: {found['verdict']}")
-    table = Table(
-        "effect", "joint", "recordings", "parameters", "probability", "share of error", "gain held out [nats]", "as good"
-    )
-    for effect in found["effects"]:
-        values = ", ".join(f"{k} = {_value(v['value'])} {v['unit']}".strip() for k, v in effect["parameters"].items())
-        joint, files = effect["joint"], effect["recordings"]
-        table.add_row(
-            effect["effect"],
-            "" if joint is None else joint if isinstance(joint, str) else ", ".join(joint),
-            files if isinstance(files, str) else ", ".join(files),
-            values,
-            percent(effect["probability"]),
-            f"{effect['share_of_error']:.2f}",
-            gain(effect["held_out_gain_nats"]),
-            ", ".join(rivals(effect)),
-        )
-    if found["effects"]:
+    output.show(f"Verdict: {verdict(found)}.", *map(plain, found["effects"]), *map(unexplained, found["unexplained"]))
+    header, body = rows(found)
+    table = Table(*header)
+    for row in body:
+        table.add_row(*row)
+    if body:
         output.show(table)
-    for other in found["unexplained"]:
-        output.show(f"Unexplained: {other['description']}.")
     output.show(*on_prior(found), *not_claimed(found))
     errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
     for joint, b in found["bootstrap"].items():
         interval = b["ratio"]["interval"]
         ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
-        errors.add_row(joint, shown(b["before"]["value"]), shown(b["after"]["value"]), ratio)
+        errors.add_row(joint_words(joint), shown(b["before"]["value"]), shown(b["after"]["value"]), ratio)
     output.show(errors)
-
-
-def _value(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -11,6 +11,7 @@ import numpy as np
 
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.effects.listing import Listing
+from rrr_oc.effects.words import default_sentence, listed
 from rrr_oc.robot.parameters import Parameter
 
 SIDES = {
@@ -219,6 +220,8 @@ class Effect:
         options: Dataclass fields beside the parameters that users choose and reports show, with the values allowed; of a field that
             is a tuple, the values of each element.
         composed: Where parameters are the components of vectors or matrices: shown name to parameters' names, nested.
+        plain: What was found, in a sentence for people: a format with "joints", the parameters' names (`words.Number`) and options;
+            "" for one that is made of the name, the joints and the parameters.
         prior: What is believed of it before any recording is seen.
         listing: How it stands in the header of a recording set; None where recordings cannot list it.
         design: Its form in a co-design; None where it is no part of one.
@@ -243,6 +246,7 @@ class Effect:
     alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
     options: ClassVar[Mapping[str, tuple[Any, ...]]] = {}
     composed: ClassVar[Mapping[str, Any]] = {}
+    plain: ClassVar[str] = ""
     prior: ClassVar[Prior] = Prior()
     listing: ClassVar[Listing | None] = None
     design: ClassVar[DesignForm | None] = None
@@ -448,6 +452,15 @@ class Effect:
     def words(self, theta: Mapping[str, float]) -> str:
         """What a black-box term has found, in words."""
         raise NotImplementedError
+
+    @classmethod
+    def sentence(cls, joints: Sequence[str], values: Mapping[str, Any]) -> str:
+        """What was found, for people, on joints of these names; `values` holds `words.Number` and options by name."""
+        if not cls.plain:
+            return default_sentence(cls.name, joints, values)
+        return cls.plain.format(
+            joints=listed(joints), own=joints[0] if joints else "", other=joints[-1] if joints else "", **values
+        )
 
     # trials: the ways in which recordings might hold the effect
 

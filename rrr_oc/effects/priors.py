@@ -22,14 +22,24 @@ Size = Annotated[float, Meta(gt=0, le=1e300, description="a finite number above 
 
 
 class Context(Schema, frozen=True):
-    """What is known of the arm as a whole."""
+    """What is known of the arm as a whole.
+
+    Attributes:
+        springs: Whether the arm carries springs; by default it does where a recording lists one.
+        inertias: Whether the links' inertial parameters are known exactly.
+    """
 
     springs: bool | None = None
     inertias: Literal["exact", "nominal"] = "nominal"
 
 
 class Given(Schema, frozen=True):
-    """What is known of one effect; sizes by the names and in the units of its declared prior."""
+    """What is known of one effect.
+
+    Attributes:
+        probability: That it is present at one place (a joint, a pair of joints, a listed spring, the arm); by default as declared.
+        typical: Typical sizes, by the names and in the units of the declared prior; by default as declared.
+    """
 
     probability: Probability | None = None
     typical: dict[str, Size] = key(default_factory=dict)

@@ -6,27 +6,34 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, field
 
 from rrr_oc.effects import Effect
-from rrr_oc.schema import NonNegative, Schema, Text, Vector, check_names, parsed, respelled, validated, without_free_text
+from rrr_oc.schema import Payload, Schema, Text, Vector, check_names, parsed, validated
 from rrr_oc.storage import read_utf8
 
 HEADER = "recordings.json"
 FORMAT = "rrr_oc-recordings/1"
+FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
 
 Spring = tuple[Effect, dict[str, float]]
 
 
-SPELLINGS = {"payload_kg": "payload", "position_m": "position"}  # as in tasks
-
-
 class Tool(Schema, frozen=True):
-    """Where a payload is held: a point [m] in a link's frame."""
+    """Where a payload is held.
+
+    Attributes:
+        link: Name of the link that carries it.
+        position: The point in the link's frame [m].
+    """
 
     link: Text
     position: Vector
 
 
 class Actuator(Schema, frozen=True):
-    """A joint's drive: motor torque at the joint's output by current [Nm/A]."""
+    """A joint's drive.
+
+    Attributes:
+        torque_constant: Motor torque at the joint's output by current, not 0; required where `torque` is "current" [Nm/A].
+    """
 
     torque_constant: float | None = None
 
@@ -36,11 +43,18 @@ class Actuator(Schema, frozen=True):
 
 
 class Entry(Schema, frozen=True):
-    """One recording as it is listed; `payload` in kg."""
+    """One recording as it is listed.
+
+    Attributes:
+        file: The CSV file, within the set's own folder.
+        group: Name of a set-up; recordings of one group share what is estimated per set-up; by default the file's name.
+        payload: Mass at the tool; a CSV column of that name takes its place [kg].
+        springs: Springs that are mounted, by kind.
+    """
 
     file: Text
     group: Text | None = None
-    payload: NonNegative = 0.0
+    payload: Payload = 0.0
     springs: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -49,7 +63,19 @@ class Entry(Schema, frozen=True):
 
 
 class Header(Schema, frozen=True):
-    """The content of `recordings.json`."""
+    """The content of `recordings.json`.
+
+    Attributes:
+        format: What the file is.
+        robot: A bundled model or the path of a URDF, relative to this file.
+        joints: The recorded joints, in the order of the chain; all others stay at zero.
+        recordings: The recordings.
+        torque: What the effort columns hold: motor or load torque [Nm], or current [A] with a `torque_constant` in `actuators`.
+        inertial: Whether the URDF's masses and inertias are used ("nominal") or estimated ("identify").
+        gravity: Acceleration of gravity in the base frame [m/s²].
+        tool: Where a payload is held; by default the last link's tool frame.
+        actuators: Drives by joint.
+    """
 
     format: Literal["rrr_oc-recordings/1"]
     robot: Text
@@ -82,7 +108,13 @@ class Header(Schema, frozen=True):
 
 def read_header(path: Path) -> Header:
     """Read and check `recordings.json`; raises `UserError` that names the key, what was found and what is allowed."""
-    data = respelled(path, without_free_text(parsed(path, read_utf8(path).decode())), SPELLINGS)
-    header = validated(path, data, Header)
+    header = validated(path, _without_free_text(parsed(path, read_utf8(path).decode())), Header)
     check_names(header.actuators, header.joints, f"{path}: actuators", "joint")
     return header
+
+
+def _without_free_text(data: Any) -> Any:
+    """The same without text for people and without nulls, which stand for keys left out."""
+    if isinstance(data, dict):
+        return {key: _without_free_text(value) for key, value in data.items() if value is not None and key not in FREE}
+    return [_without_free_text(item) for item in data] if isinstance(data, list) else data

@@ -16,6 +16,7 @@ from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, read_header
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
+from rrr_oc.schema import Payload, one_spelling, spellings
 
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
@@ -55,7 +56,7 @@ def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolP
 
 
 def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
-    table = read_table(path)
+    table = _one_payload(read_table(path))
     recorded = tuple(f"{'current' if header.torque == 'current' else 'tau'}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
     values = table.columns(used)
@@ -77,6 +78,12 @@ def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: He
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
     return result
+
+
+def _one_payload(table: Table) -> Table:
+    """The table with its column of payloads, if it has one, under the name "payload"."""
+    given = one_spelling(table.names, spellings(Payload), f"{table.path}, line {table.header_line}")
+    return replace(table, names=tuple("payload" if name == given else name for name in table.names))
 
 
 def _used_columns(table: Table, joints: Sequence[str], recorded: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -102,7 +109,7 @@ def _used_columns(table: Table, joints: Sequence[str], recorded: Sequence[str]) 
 def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.ndarray:
     """Indices of the rows without a NaN; raises `UserError` where what is left is no motion."""
     if values.shape[1] == 0:
-        raise UserError(f"{table.path}: a header and no rows; at least {LEAST_ROWS} rows are required")
+        raise UserError(f"{table.path}: no recordings yet: a header and no rows; at least {LEAST_ROWS} rows are required")
     infinite = np.argwhere(np.isinf(values).T)
     if len(infinite):
         row, column = map(int, infinite[0])

@@ -90,7 +90,7 @@ class RecordingSet:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a user should know of how the set was read, a sentence each."""
-        notes: list[str] = []
+        notes = list(self.robot.notes)
         incomplete = [r for r in self.recordings if r.dropped + r.short]
         if incomplete:
             nan, short = sum(r.dropped for r in incomplete), sum(r.short for r in incomplete)

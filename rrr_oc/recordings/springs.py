@@ -27,14 +27,19 @@ PositiveLength = Annotated[float, Meta(ge=SMALLEST_LENGTH, le=LARGEST_LENGTH, de
 
 def read_springs(path: Path, header: Header) -> list[tuple[Spring, ...]]:
     """The springs of each recording as effects with their parameters. Raises `UserError` that names the key in the file."""
-    kinds, result = listed_springs(), []
-    schema = msgspec.defstruct("Springs", [(key, _entries(kind) | None, None) for key, kind in kinds.items()], bases=(Schema,))
+    kinds, schema, result = listed_springs(), springs_schema(), []
     for i, recording in enumerate(header.recordings):
         place = f"recordings[{i}].springs"
         given = validated(path, recording.springs, schema, place)
         of_kinds = (_of_kind(f"{path}: {place}.{k}", kind, getattr(given, k), header.joints) for k, kind in kinds.items())
         result.append(tuple(itertools.chain.from_iterable(of_kinds)))
     return result
+
+
+def springs_schema() -> Any:
+    """The structure of the springs of a recording, from the listings of the effects."""
+    keys: list[Any] = [(key, _entries(kind) | None, None) for key, kind in listed_springs().items()]
+    return msgspec.defstruct("Springs", keys, bases=(Schema,))
 
 
 def _entries(kind: type[Effect]) -> Any:

@@ -9,6 +9,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.effects.words import joint_words
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.figures import plt
@@ -50,7 +51,7 @@ def draw_errors(found: Mapping[str, Any]) -> Any:
         axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < WIDE * low else (1,)))
         axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
         axis.xaxis.set_minor_formatter(NullFormatter())
-        axis.set_yticks(rows, joints)
+        axis.set_yticks(rows, [joint_words(joint) for joint in joints])
         axis.set_ylim(-0.6, len(joints) - 0.4)
         axis.grid(alpha=0.3, axis="x")
         axis.set_title(title, fontsize=10, loc="left")
@@ -80,7 +81,7 @@ def draw_prediction(diagnosis: Diagnosis) -> Any:
         if diagnosis.way == "blocks":
             part = np.array_split(r.t - r.t[0], len(fold.before) * len(diagnosis.folds))[fold.held[k]]
             axis.axvspan(part[0], part[-1], color="0.93")
-        axis.set_ylabel(f"{joints[j]} [Nm]")
+        axis.set_ylabel(f"{joint_words(joints[j])} [Nm]")
         axis.grid(alpha=0.3)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="outside upper right")
     axes[0, 0].set_title(r.file, fontsize=10, loc="left")
@@ -102,7 +103,7 @@ def draw_residuals(diagnosis: Diagnosis, j: int) -> Any:
         row[1].set(xlabel="load torque [Nm]", ylabel="speed [rad/s]")
         row[2].scatter(points["time"], points["residual"], s=3, color="0.35", rasterized=True)
         row[2].set(xlabel="time since start [s]", ylabel="residual [Nm]", ylim=(-2 * limit, 2 * limit))
-        row[0].set_title(f"{joint}, {name}", loc="left", fontsize=10)
+        row[0].set_title(f"{joint_words(joint)}, {name}", loc="left", fontsize=10)
         figure.colorbar(shown, ax=row[1], label="residual [Nm]")
     return figure
 

@@ -14,9 +14,10 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.held_out import intervals
 from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.effects.words import joint_words
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.report import diagnosis_words as say
 from rrr_oc.report.diagnosis_figures import SIGNAL_NAMES, draw_errors, draw_prediction, draw_residuals
-from rrr_oc.report.diagnosis_words import gain, not_claimed, on_prior, percent, placed, rivals, sentence, some_recordings
 from rrr_oc.report.figures import save_figure
 from rrr_oc.storage import write_json, write_text
 
@@ -77,7 +78,8 @@ def page(found: Mapping[str, Any], subject: str, figures: Mapping[str, Path]) ->
     environment = Environment(loader=PackageLoader("rrr_oc.report"), autoescape=True, undefined=StrictUndefined)
     environment.filters["base64"] = lambda path: base64.b64encode(path.read_bytes()).decode()
     undecided = [
-        f"{placed(e)} ({percent(e['probability_of_itself'])}) or {', '.join(rivals(e))}: one of them, {percent(e['probability'])}"
+        f"{say.placed(e)} ({say.percent(e['probability_of_itself'])}) or {', '.join(say.rivals(e))}: one of them, "
+        + say.percent(e["probability"])
         for e in found["effects"]
         if e["rivals"]
     ]
@@ -86,17 +88,20 @@ def page(found: Mapping[str, Any], subject: str, figures: Mapping[str, Path]) ->
         found={"alone": [], "simulated": None, **found},
         subject=subject,
         figures=figures,
-        verdict=sentence(found),
-        errors=[[joint, *(_with_interval(b[key]) for key in ("before", "after", "ratio"))] for joint, b in errors],
+        verdict=say.sentence(found),
+        errors=[[joint_words(joint), *(_with_interval(b[key]) for key in ("before", "after", "ratio"))] for joint, b in errors],
         signals=list(SIGNAL_NAMES.values()),
         simulated=_simulated_rows(found.get("simulated")),
-        effects=[_effect_row(e) for e in found["effects"]],
-        unexplained=[_unexplained_row(u) for u in found["unexplained"]],
+        findings=[(say.plain(e), e["equation"], f"{e['share_of_error']:.0%}") for e in found["effects"]],
+        effects=say.rows(found),
+        unexplained=[
+            (say.unexplained(u), say.percent(u["probability"]), f"{u['share_of_error']:.0%}") for u in found["unexplained"]
+        ],
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
-        on_prior=on_prior(found),
-        not_claimed=not_claimed(found),
+        on_prior=say.on_prior(found),
+        not_claimed=say.not_claimed(found),
         undecided=undecided,
-        suggestions=[[", ".join(s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]],
+        suggestions=[[say.told_apart(found, s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]],
         versions=", ".join(f"{name} {version}" for name, version in found["versions"].items()),
     )
 
@@ -111,13 +116,7 @@ def _simulated_rows(simulated: Mapping[str, Any] | None) -> list[list[str]]:
     def cell(joint: str, signal: str) -> str:
         return " → ".join(_shown(errors.get(joint, {}).get(signal)) for errors in (before, after))
 
-    return [[joint, *(cell(joint, signal) for signal in SIGNALS)] for joint in joints]
-
-
-def _unexplained_row(u: Mapping[str, Any]) -> list[str]:
-    recordings = ", ".join(some_recordings(u)) or "all"
-    share, chance = f"{u['share_of_error']:.3f}", percent(u["probability"])
-    return [u["joint"], recordings, ", ".join(u["depends_on"]), chance, share, u["description"]]
+    return [[joint_words(joint), *(cell(joint, signal) for signal in SIGNALS)] for joint in joints]
 
 
 def _with_interval(entry: Mapping[str, Any]) -> str:
@@ -127,39 +126,14 @@ def _with_interval(entry: Mapping[str, Any]) -> str:
     return f"{value:.4f} [{interval[0]:.4f}, {interval[1]:.4f}]"
 
 
-def _effect_row(e: dict[str, Any]) -> list[str]:
-    values = "; ".join(
-        f"{k} = {_value(v)} {v['unit'] if v['unit'] != '1' else ''}".rstrip() for k, v in e["parameters"].items()
-    )
-    joint = e["joint"] or "arm"
-    return [
-        e["effect"],
-        joint if isinstance(joint, str) else ", ".join(joint),
-        ", ".join(some_recordings(e)) or "all",
-        e["equation"],
-        values,
-        percent(e["probability"]),
-        f"{e['share_of_error']:.3f}",
-        gain(e["held_out_gain_nats"]),
-        ", ".join(rivals(e)) or "nothing",
-    ]
-
-
-def _value(entry: dict[str, Any]) -> str:
-    value, std = entry["value"], entry["std"]
-    if isinstance(value, float):
-        return f"{value:.4g}" + (f" ± {std:.2g}" if isinstance(std, float) else "")
-    return str(np.round(value, 5).tolist()) if isinstance(value, list) and not isinstance(value[0], str) else str(value)
-
-
 def _mismatch_row(m: dict[str, Any]) -> list[str]:
     where = "; ".join(
-        f"{w['variable']} in {w['range'][0]:.3g} … {w['range'][1]:.3g} {w['unit']}: {w['share_of_error']:.0%} of the error in "
+        f"{say.variable(w['variable'])} in {w['range'][0]:.3g} … {w['range'][1]:.3g} {w['unit']}: {w['share_of_error']:.0%} of the error in "
         f"{w['share_of_time']:.0%} of the time"
         for w in m["where"]
     )
     return [
-        m["joint"], "yes" if m["significant"] else "no", _chance(m["p_value"]),
+        joint_words(m["joint"]), "yes" if m["significant"] else "no", _chance(m["p_value"]),
         _shown(m["nrmse"]["calibration"]), _shown(m["nrmse"]["held_out"]), where, ", ".join(m["recordings"]),
     ]  # fmt: skip
 

@@ -1,16 +1,28 @@
-"""The verdict of a diagnosis in words, and how sure it is."""
+"""A diagnosis in words: the verdict, a sentence for each finding, and how sure it is.
 
+Everything is made from the content of `diagnosis.json`. The words for an effect are in its own file (`Effect.plain`).
+"""
+
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rrr_oc.diagnosis.findings import LESS_PROBABLE
 from rrr_oc.diagnosis.knobs import CLAIM
 from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects.words import default_sentence, joint_words, listed, read, words
 
 SURE = 0.999  # probability above which no closer number is shown; nearer to 1, digits that no recordings support
 # Above both times the error within the fit and this NRMSE, held-out recordings count as badly
-POOR_RATIO, POOR_NRMSE = 3.0, 0.2
 # predicted and the verdict says so; doubled, a model that fits too few recordings passes as complete
+POOR_RATIO, POOR_NRMSE = 3.0, 0.2
+EACH = 3  # joints whose errors the verdict tells one by one; of more it tells the range
+VERDICTS = {
+    "missing_physics": "the calibrated model lacks physics",
+    "nothing_missing": "nothing is missing",
+    "cannot_tell": "something is missing, and these recordings do not decide what",
+}
+QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 
 def sentence(found: Mapping[str, Any]) -> str:
@@ -20,38 +32,129 @@ def sentence(found: Mapping[str, Any]) -> str:
         few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
         return "Nothing is missing: the calibrated model explains these recordings to their noise." + few * bool(poor)
     if not (found["effects"] or found["unexplained"]):
-        names = " and ".join(m["joint"] for m in found["mismatch"] if m["significant"])
+        names = listed([joint_words(m["joint"]) for m in found["mismatch"] if m["significant"]])
         return (
             f"Something is missing on {names}, where the error is far beyond the noise, and these recordings do not decide what: "
             "nothing that would explain it holds on recordings left out of the search."
         )
-    names = _lacking(found)
-    lacking = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-    ratios = {j: b["ratio"]["value"] for j, b in found["bootstrap"].items() if b["ratio"]["value"] is not None}
-    gain = ""
-    if ratios:
-        joint = min(ratios, key=lambda j: ratios[j])
-        before, after = (found["bootstrap"][joint][k]["value"] for k in ("before", "after"))
-        left_out = "recordings" if found.get("held_out") != "blocks" else "blocks of the recording"
-        gain = f" On {left_out} left out of the fit the error of {joint}'s torque goes from {before:.1%} to {after:.1%} of its spread."
+    lacking, gain = listed(_lacking(found)), _gain_held_out(found)
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
-    rest = [f"{x:.0f} times the noise on {joint}" for joint, x in found.get("left_over", {}).items()]
+    rest = [f"{x:.0f} times the noise on {joint_words(joint)}" for joint, x in found.get("left_over", {}).items()]
     left = f" What is left is still {' and '.join(rest)}: more is missing, or of another shape." if rest else ""
     return f"The calibrated model lacks {lacking}.{gain}{left}"
+
+
+def _gain_held_out(found: Mapping[str, Any]) -> str:
+    """Held-out errors before and after, over all joints that what was found touches; nothing where they are not known."""
+    errors = {
+        joint: (b["before"]["value"], b["after"]["value"])
+        for joint, b in found["bootstrap"].items()
+        if b["ratio"]["value"] is not None
+    }
+    touched = {joint for e in (*found["effects"], *found["unexplained"]) for joint in touches(e, list(found["bootstrap"]))}
+    told = {joint: pair for joint, pair in errors.items() if joint in touched}
+    if not told:
+        return ""
+    left_out = "recordings" if found.get("held_out") != "blocks" else "blocks of the recording"
+    if len(told) > EACH:
+        before, after = ([pair[k] for pair in told.values()] for k in (0, 1))
+        means = (f"{sum(x) / len(x):.1%}" for x in (before, after))
+        worst = f"{max(before):.1%} to {max(after):.1%}"
+        return (
+            f" On {left_out} left out of the fit the error of the torque goes from {' to '.join(means)} of its spread, as the mean "
+            f"of the {len(told)} joints that this touches, and at the worst of them from {worst}."
+        )
+    each = [f"{joint_words(joint)}'s torque goes from {a:.1%} to {b:.1%}" for joint, (a, b) in told.items()]
+    return f" On {left_out} left out of the fit the error of {listed(each)} of its spread."
+
+
+def touches(e: Mapping[str, Any], joints: Sequence[str]) -> list[str]:
+    """The joints whose torque an effect changes: its own; of a link's body also those that carry it; of the arm all."""
+    own, kind = _joints(e), CATALOGUE.get(e.get("effect", ""))
+    known = [joint for joint in own if joint in joints]
+    if not known:
+        return list(joints)
+    if kind is not None and kind.side == "body":
+        return list(joints[: max(map(joints.index, known)) + 1])
+    return known
+
+
+def plain(e: Mapping[str, Any]) -> str:
+    """What was found, in a sentence with number, unit and interval; the recordings that have it, where some have not."""
+    kind, joints = CATALOGUE.get(e["effect"]), [joint_words(joint) for joint in _joints(e)]
+    values = {name: read(entry) for name, entry in e["parameters"].items()}
+    said = default_sentence(e["effect"], joints, values) if kind is None else kind.sentence(joints, values)
+    files = some_recordings(e)
+    only = f" So it is in {listed(files)} only." if files else ""
+    return said[:1].upper() + said[1:] + only
+
+
+def unexplained(u: Mapping[str, Any]) -> str:
+    """What no effect explains, in a sentence."""
+    carried = u["description"].partition("the model carries it as ")[2]
+    some = f" in {listed(some_recordings(u))}" * bool(some_recordings(u))
+    head = f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and no effect of the catalogue explains it"
+    return f"{head}{f'; the model carries it as {carried}' * bool(carried)}."
+
+
+def verdict(found: Mapping[str, Any]) -> str:
+    """The verdict's key in words."""
+    return VERDICTS.get(found["verdict"], words(found["verdict"]))
+
+
+def variable(name: str) -> str:
+    """A variable of the file in words: "position of wrist 2" for "q_wrist_2_joint"."""
+    sign = re.fullmatch(r"sign\(dq_(.+)\)", name)
+    if sign:
+        return f"the direction of {joint_words(sign[1])}"
+    quantity = re.fullmatch(r"(ddq|dq|q)_(.+)", name)
+    return f"the {QUANTITIES[quantity[1]]} of {joint_words(quantity[2])}" if quantity else f"the {words(name)}"
+
+
+def depends(u: Mapping[str, Any]) -> str:
+    """What an unexplained torque depends on."""
+    return listed([variable(name) for name in u["depends_on"]])
+
+
+def told_apart(found: Mapping[str, Any], names: Sequence[str]) -> str:
+    """The effects that a suggested recording tells apart, each with its joints: an effect that was found and its rivals."""
+    for e in found["effects"]:
+        if names and e["effect"] == names[0] and {r["effect"] for r in e["rivals"]} == set(names[1:]):
+            return ", ".join(dict.fromkeys([placed(e), *map(placed, e["rivals"])]))
+    return ", ".join(map(words, names))
+
+
+def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """The findings as a table: its header, and a row for each effect."""
+    header = ["what is missing", "recordings", "probability", "error held out without it", "with it", "gain [nats]", "as good"]
+    body = []
+    for e in found["effects"]:
+        without, having = (e["nrmse"][key] for key in ("held_out_before", "held_out_after"))
+        body.append(
+            [
+                placed(e),
+                ", ".join(some_recordings(e)) or "all",
+                percent(e["probability"]),
+                *("–" if x is None else f"{x:.1%}" for x in (without, having)),
+                gain(e["held_out_gain_nats"]),
+                ", ".join(rivals(e)) or "nothing",
+            ]
+        )
+    return header, body
 
 
 def _unforeseen(found: Mapping[str, Any]) -> str:
     """The joints whose held-out error is far above the error within the fit, with both."""
     inside, outside = (found["nrmse"][key]["before"] for key in ("calibration", "held_out"))
     poor = [j for j in inside if inside[j] and outside[j] and outside[j] > max(POOR_RATIO * inside[j], POOR_NRMSE)]
-    return ", ".join(f"{j}: NRMSE {outside[j]:.2g} against {inside[j]:.2g}" for j in poor)
+    return ", ".join(f"{joint_words(j)}: NRMSE {outside[j]:.2g} against {inside[j]:.2g}" for j in poor)
 
 
 def _lacking(found: Mapping[str, Any]) -> list[str]:
     """What was found and where, in a few words; effects that only some recordings have are named once for all of them."""
     named = [(placed(e), e) for e in found["effects"]]
-    named += [(f"a torque on {u['joint']} that depends on {' and '.join(u['depends_on'])}", u) for u in found["unexplained"]]
+    named += [(f"a torque on {joint_words(u['joint'])} that depends on {depends(u)}", u) for u in found["unexplained"]]
     files: dict[tuple[str, bool], set[str]] = {}
     for name, entry in named:
         files.setdefault((name, bool(some_recordings(entry))), set()).update(some_recordings(entry))
@@ -61,7 +164,9 @@ def _lacking(found: Mapping[str, Any]) -> list[str]:
 def on_prior(found: Mapping[str, Any]) -> list[str]:
     """A sentence for each claim that would not be made, had it been `LESS_PROBABLE` times less probable before the recordings."""
     named = [(placed(e), e["probability"]) for e in found["effects"]]
-    named += [(f"a torque on {u['joint']} that no effect explains", u["probability"]) for u in found["unexplained"]]
+    named += [
+        (f"a torque on {joint_words(u['joint'])} that no effect explains", u["probability"]) for u in found["unexplained"]
+    ]
     return [
         f"The claim of {name} ({percent(p)}) rests on the prior: had it been {LESS_PROBABLE:g} times less probable before these "
         f"recordings, it would be below {CLAIM:.0%} now, and not claimed."
@@ -106,16 +211,21 @@ def gain(nats: float | None) -> str:
 
 def rivals(e: Mapping[str, Any]) -> list[str]:
     """What may be there in an effect's place, with its joint where that is another."""
-    return [r["effect"].replace("_", " ") if r["joint"] == e["joint"] else placed(r) for r in e["rivals"]]
+    named = [words(r["effect"]) if r["joint"] == e["joint"] else placed(r) for r in e["rivals"]]
+    return list(dict.fromkeys(named))
 
 
 def placed(e: Mapping[str, Any]) -> str:
     """An effect and where it is."""
-    joint, kind = e["joint"], CATALOGUE.get(e["effect"])
-    where = "" if joint is None else joint if isinstance(joint, str) else " and ".join(joint)
+    kind, where = CATALOGUE.get(e["effect"]), listed([joint_words(joint) for joint in _joints(e)])
     if kind is not None and kind.role == "black_box":
         return f"a torque on {where} that no effect explains"
-    return e["effect"].replace("_", " ") + f" of {where}" * bool(where)
+    return words(e["effect"]) + f" of {where}" * bool(where)
+
+
+def _joints(e: Mapping[str, Any]) -> list[str]:
+    joint = e["joint"]
+    return [] if joint is None else [joint] if isinstance(joint, str) else list(joint)
 
 
 def some_recordings(entry: Mapping[str, Any]) -> list[str]:

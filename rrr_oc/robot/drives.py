@@ -18,7 +18,18 @@ LOAD_WIDTH = 0.05  # [Nm] within which |tau_l| is rounded; doubled, friction at 
 
 
 class Drive(Schema, frozen=True):
-    """A joint's drive in an actuator file, with the coefficients of `Actuators` in their order."""
+    """A joint's drive in an actuator file, with the coefficients of `Actuators` in their order.
+
+    Attributes:
+        torque_constant_Nm_per_A: Motor torque at the joint's output by current.
+        c_0_A: Dry friction.
+        viscous_A_s_per_rad: Viscous friction, nu of Eq. 9.
+        c_v2_A_s2_per_rad2: Friction with the square of speed.
+        c_1_A_per_Nm: Current by load torque.
+        c_12_A_per_Nm: Friction by load torque.
+        inertia_A_s2_per_rad: Inertia of rotor and gear, J_m of Eq. 7.
+        resistance_Ohm: Of the windings; electrical energy needs it.
+    """
 
     torque_constant_Nm_per_A: float
     c_0_A: float

@@ -56,6 +56,7 @@ class Robot:
             to it, else the link's own frame.
         frames: For each link of the URDF, the joint that moves it (-1: the base) and its pose in that joint's frame.
         gravity: Acceleration of gravity in the base frame [m/s²], shape (3,).
+        notes: What a user should know of the URDF, a sentence each: limits that it does not give, of any of its joints.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Robot:
     tool: ToolPoint
     frames: Mapping[str, tuple[int, np.ndarray]]
     gravity: np.ndarray
+    notes: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -116,11 +118,14 @@ def load_robot(
             `joints` names one that is not there or is out of order.
     """
     name = str(source) if str(source) in BUNDLED else Path(source).stem
-    model = _lock_all_but(name, _parse(name, urdf_text(source), joints), joints)
+    root = _root(name, urdf_text(source))
+    notes, masses = _missing_limits(root), _masses(root)
+    model = _lock_all_but(name, _parse(name, root, joints), joints)
     if model.nq == 0:
         raise UserError(f"robot {name!r} has no revolute joint; at least one is needed")
     parameters = np.array([model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]).T  # (10, n)
     if inertial:
+        _check_masses(name, model, masses)
         _check_inertial(name, model, parameters)
     frames = {f.name: (f.parentJoint - 1, f.placement.homogeneous) for f in model.frames if f.type == pin.FrameType.BODY}
     last = model.njoints - 2
@@ -138,6 +143,7 @@ def load_robot(
         tool=ToolPoint(last, frames[_tool_link(frames, last)][1][:3, 3]),
         frames=frames,
         gravity=np.asarray(gravity, float),
+        notes=notes,
     )
 
 
@@ -158,13 +164,54 @@ def urdf_text(source: str | Path) -> str:
             raise UserError(f"{path}: not a text file, so no URDF ({error.reason})") from None
 
 
-def _parse(name: str, text: str, joints: Sequence[str] | None) -> pin.Model:
+def _root(name: str, text: str) -> ElementTree.Element:
     try:
         root = ElementTree.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))  # a text has no encoding any more
     except ElementTree.ParseError as error:
         raise UserError(f"robot {name!r}: not well-formed XML: {error}") from None
     if root.tag != "robot":
         raise UserError(f"robot {name!r}: the outer element is <{root.tag}>; a URDF has <robot>")
+    return root
+
+
+def _missing_limits(root: ElementTree.Element) -> tuple[str, ...]:
+    """A sentence on the joints whose <limit> has no range, and on those whose limit of speed is 0; without <limit> is an error."""
+    limits = [(j.get("name"), j.find("limit")) for j in root.iter("joint") if j.get("type") == "revolute"]
+    given = [(name, limit) for name, limit in limits if limit is not None]
+    ranges = [str(name) for name, limit in given if _number(limit, "lower", "0") == _number(limit, "upper", "0")]
+    speeds = [str(name) for name, limit in given if _number(limit, "velocity", "") == 0]
+    notes = []
+    if ranges:
+        notes.append(f"the URDF gives no range of {', '.join(ranges)}: 'lower' and 'upper' of <limit> are missing or the same")
+    if speeds:
+        notes.append(f"the URDF gives no speed of {', '.join(speeds)}: 'velocity' of <limit> is 0")
+    return tuple(notes)
+
+
+def _number(element: ElementTree.Element | None, key: str, default: str) -> float | None:
+    """A number of an element; None where it is none."""
+    try:
+        return None if element is None else float(element.get(key, default))
+    except ValueError:
+        return None
+
+
+def _masses(root: ElementTree.Element) -> dict[str, str]:
+    """What is wrong with the mass of each link whose mass is missing or no number."""
+    wrong = {}
+    for link in root.iter("link"):
+        inertial = link.find("inertial")
+        mass = None if inertial is None else inertial.find("mass")
+        if inertial is None:
+            wrong[link.get("name", "")] = "has no <inertial>"
+        elif mass is None or mass.get("value") is None:
+            wrong[link.get("name", "")] = "has an <inertial> without the mass, <mass value='…'/>"
+        elif _number(mass, "value", "") is None:
+            wrong[link.get("name", "")] = f"has the mass {mass.get('value')!r}, which is no number"
+    return wrong
+
+
+def _parse(name: str, root: ElementTree.Element, joints: Sequence[str] | None) -> pin.Model:
     for joint in root.iter("joint"):
         kind = joint.get("type")
         if kind is None:
@@ -248,6 +295,20 @@ def _lock_all_but(name: str, model: pin.Model, joints: Sequence[str] | None) -> 
     if joints is not None and tuple(model.names)[1:] != tuple(joints):
         raise UserError(f"robot {name!r}: joints {', '.join(joints)} are not in the order of the chain: {', '.join(present)}")
     return model
+
+
+def _check_masses(name: str, model: pin.Model, wrong: Mapping[str, str]) -> None:
+    """Raise `UserError` for a moving link whose mass is missing: one without <inertial> may be fixed to others that have one."""
+    for frame in model.frames:
+        said = wrong.get(frame.name) if frame.type == pin.FrameType.BODY and frame.parentJoint > 0 else None
+        none = said is not None and "no <inertial>" in said
+        if said is None or (none and model.inertias[frame.parentJoint].mass > 0):
+            continue
+        moved = f", moved by joint {model.names[frame.parentJoint]!r},"
+        raise UserError(
+            f"robot {name!r}: link {frame.name!r}{moved} {said}; a moving link needs a mass [kg], or a recording set says "
+            '"inertial": "identify"'
+        )
 
 
 def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None:

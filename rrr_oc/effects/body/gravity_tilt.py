@@ -13,6 +13,7 @@ class GravityTilt(Effect):
 
     name = "gravity_tilt"
     equation = "gravity in the base frame = (R_y(about_y) R_x(about_x))^T g"
+    plain = "The arm's base is not level: turned by {about_x:deg} about x and {about_y:deg} about y of the base frame."
     parameters = tuple(Parameter(name, "rad", 0.0, -math.pi / 2, math.pi / 2) for name in ("about_x", "about_y"))
     amplitudes = ("about_x", "about_y")
     side = "body"

@@ -13,6 +13,10 @@ class LinkInertial(Effect):
 
     name = "link_inertial"
     equation = "inertial parameters of the link = URDF's + these"
+    plain = (
+        "The link that {joints} moves has {mass:abs} {mass:more|less} mass than the URDF says; its first moment differs "
+        "by {first_moment} and its moments of inertia xx, yy and zz by {inertia:diag}, in the frame of {joints}."
+    )
     parameters = (
         Parameter("mass", "kg"),
         *(Parameter(f"first_moment_{k}", "kg m") for k in "xyz"),

@@ -11,6 +11,10 @@ class PayloadCom(Effect):
 
     name = "payload_com"
     equation = "centre of the payload = tool point + (x, y, z)"
+    plain = (
+        "The payload's centre is off the tool point by {x:mm}, {y:mm} and {z:mm} along x, y and z of the frame of the "
+        "link that carries it."
+    )
     parameters = (Parameter("x", "m", 0.0), Parameter("y", "m", 0.0), Parameter("z", "m", 0.0))
     amplitudes = ("x", "y", "z")
     side = "body"

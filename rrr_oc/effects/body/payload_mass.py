@@ -14,6 +14,7 @@ class PayloadMass(Effect):
 
     name = "payload_mass"
     equation = "mass at the tool = listed + mass"
+    plain = "The model has {mass:abs} {mass:less|more} at the tool than the arm."
     parameters = (Parameter("mass", "kg", 0.0),)
     amplitudes = ("mass",)
     side = "body"

@@ -94,6 +94,10 @@ class BiarticularSpring(Effect):
 
     name = "biarticular_spring"
     equation = "tau_a = kappa max(-q_a - rho q_b - phi, 0), tau_b = rho tau_a"
+    plain = (
+        "A spring that no recording lists acts across {joints}: {kappa} at {own}, with a lever of {rho} times that at "
+        "{other}; its phase is {phi:deg}."
+    )
     parameters = (Parameter("kappa", "Nm/rad", 10.0, lower=0.0), Parameter("rho", "1", 1.0, lower=0.0), Parameter("phi", "rad"))
     amplitudes = ("kappa",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)

@@ -12,6 +12,7 @@ class CableHarness(Effect):
 
     name = "cable_harness"
     equation = "tau = -stiffness (q - rest)"
+    plain = "Something elastic, such as a cable or a hose, pulls {joints} back towards {rest:deg}: {stiffness}."
     parameters = (Parameter("stiffness", "Nm/rad", 0.0, lower=0.0), Parameter("rest", "rad", 0.0))
     amplitudes = ("stiffness", "rest")
     scope = "set_up"

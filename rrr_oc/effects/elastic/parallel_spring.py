@@ -26,6 +26,7 @@ class ParallelSpring(Effect):
 
     name = "parallel_spring"
     equation = "tau = stiffness (equilibrium - q) on the active side of the equilibrium, else 0"
+    plain = "A spring that no recording lists acts across {joints}: {stiffness}, {active} its equilibrium of {equilibrium:deg}."
     parameters = (Parameter("stiffness", "Nm/rad", 5.0, lower=0.0), Parameter("equilibrium", "rad"))
     amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)

@@ -10,6 +10,7 @@ class SpringHysteresis(Effect):
 
     name = "spring_hysteresis"
     equation = "tau = -loss |tau_spring| sgn(stretch rate)"
+    plain = "The listed spring of {joints} loses {loss:%} of its torque to friction."
     parameters = (Parameter("loss", "1", 0.0, lower=0.0),)
     amplitudes = ("loss",)
     width = SIGN_WIDTH

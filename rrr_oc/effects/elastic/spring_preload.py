@@ -9,6 +9,7 @@ class SpringPreload(Effect):
 
     name = "spring_preload"
     equation = "true equilibrium = listed + offset"
+    plain = "The equilibrium of the listed spring of {joints} is {offset:abs deg} {offset:above|below} the listed one."
     parameters = (Parameter("offset", "rad", 0.0),)
     amplitudes = ("offset",)
     inputs = ("springs",)

@@ -11,6 +11,7 @@ class SpringStiffness(Effect):
 
     name = "spring_stiffness"
     equation = "true stiffness = scale x listed"
+    plain = "The listed spring of {joints} has {scale} times its listed stiffness."
     parameters = (Parameter("scale", "1", 1.0, lower=0.0),)
     amplitudes = ("scale",)
     inputs = ("springs",)

@@ -10,6 +10,10 @@ class CoulombAsymmetry(Effect):
 
     name = "coulomb_asymmetry"
     equation = "tau = -(asymmetry/2) sgn(dq)^2"
+    plain = (
+        "Dry friction of {joints} differs between directions: {asymmetry:abs} {asymmetry:more|less} in the positive "
+        "direction than in the negative."
+    )
     parameters = (Parameter("asymmetry", "Nm", 0.0),)
     amplitudes = ("asymmetry",)
     width = SIGN_WIDTH

@@ -20,6 +20,7 @@ class CoupledFriction(Effect):
 
     name = "coupled_friction"
     equation = "tau_a = -(coulomb sgn(r) + viscous r), r = dq_a + dq_b, dq_a - dq_b or dq_b"
+    plain = "Friction of {own} {with_what}: dry friction of {coulomb} and viscous friction of {viscous}."
     parameters = (Parameter("coulomb", "Nm", 0.0, lower=0.0), Parameter("viscous", "Nm s/rad", 0.0, lower=0.0))
     amplitudes = ("coulomb", "viscous")
     width = SIGN_WIDTH
@@ -33,6 +34,13 @@ class CoupledFriction(Effect):
     )
 
     form: Literal["sum", "difference", "other"] = "sum"
+
+    @classmethod
+    def sentence(cls, joints, values):
+        other = joints[-1]
+        moved = f"and {other} follows the {values.get('form')} of their speeds"
+        with_what = f"follows the speed of {other}" if values.get("form") == "other" else moved
+        return super().sentence(joints, {**values, "with_what": with_what})
 
     def torque(self, signals, theta, width):
         a, b = self.joints

@@ -18,6 +18,7 @@ class DryFriction(Effect):
 
     name = "dry_friction"
     equation = "tau = -level sgn(dq)"
+    plain = "{joints} has dry friction of {level}."
     parameters = (Parameter("level", "Nm", 0.0, lower=0.0),)
     width = SIGN_WIDTH
     side = "drive"

@@ -10,6 +10,10 @@ class FrictionDrift(Effect):
 
     name = "friction_drift"
     equation = "friction = (1 + ratio exp(-t/time_constant)) steady friction"
+    plain = (
+        "Friction of {joints} is {ratio:abs %} {ratio:higher|lower} at the start than later, and settles within a time "
+        "constant of {time_constant}."
+    )
     parameters = (Parameter("ratio", "1", 0.0, lower=-1.0), Parameter("time_constant", "s", 10.0, lower=0.1))
     amplitudes = ("ratio",)
     side = "drive"

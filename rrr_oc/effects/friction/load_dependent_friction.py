@@ -13,6 +13,7 @@ class LoadDependentFriction(Effect):
 
     name = "load_dependent_friction"
     equation = "tau = -mu |tau_l| sgn(dq)"
+    plain = "Dry friction of {joints} {mu:grows|falls} with its load: {mu:abs per load}."
     parameters = (Parameter("mu", "1", 0.0, lower=-1.0),)
     amplitudes = ("mu",)
     width = SIGN_WIDTH

@@ -13,6 +13,9 @@ class PositionDependentFriction(Effect):
 
     name = "position_dependent_friction"
     equation = "tau = -amplitude cos(order q - phase) sgn(dq)"
+    plain = (
+        "Dry friction of {joints} changes with its angle: by {amplitude} either way, {order:rev}, with a phase of {phase:deg}."
+    )
     parameters = (Parameter("amplitude", "Nm"), Parameter("order", "1", 1.0, lower=0.0), Parameter("phase", "rad"))
     amplitudes = ("amplitude",)
     width = SIGN_WIDTH

@@ -15,6 +15,7 @@ class PreslidingHysteresis(Effect):
 
     name = "presliding_hysteresis"
     equation = "tau = -level z, dz/dt = |dq| (sgn(dq) - z) stiffness / level"
+    plain = "Dry friction of {joints} builds up after each reversal: {level}, with a stiffness of {stiffness} before it slips."
     parameters = (Parameter("stiffness", "Nm/rad", 100.0, lower=1e-3), Parameter("level", "Nm", 0.0, lower=0.0))
     amplitudes = ("level",)
     states = (Parameter("z", "1", 0.0),)

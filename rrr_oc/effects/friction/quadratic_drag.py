@@ -13,6 +13,7 @@ class QuadraticDrag(Effect):
 
     name = "quadratic_drag"
     equation = "tau = -coefficient dq |dq|"
+    plain = "Friction of {joints} {coefficient:grows|falls} with the square of its speed: {coefficient:abs}."
     parameters = (Parameter("coefficient", "Nm s²/rad²", 0.0),)
     amplitudes = ("coefficient",)
     side = "drive"

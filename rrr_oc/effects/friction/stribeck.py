@@ -10,6 +10,9 @@ class Stribeck(Effect):
 
     name = "stribeck"
     equation = "tau = -excess exp(-(dq/velocity)^2) sgn(dq)"
+    plain = (
+        "Dry friction of {joints} is higher when it moves slowly: {excess} more near standstill, falling off over {velocity}."
+    )
     parameters = (Parameter("excess", "Nm", 0.0, lower=0.0), Parameter("velocity", "rad/s", 0.1, lower=1e-3))
     amplitudes = ("excess",)
     width = SIGN_WIDTH

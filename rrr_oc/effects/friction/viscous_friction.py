@@ -9,6 +9,7 @@ class ViscousFriction(Effect):
 
     name = "viscous_friction"
     equation = "tau = -coefficient dq"
+    plain = "{joints} has viscous friction of {coefficient}."
     parameters = (Parameter("coefficient", "Nm s/rad", 0.0, lower=0.0),)
     side = "drive"
     provides = "friction"

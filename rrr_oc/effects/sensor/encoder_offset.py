@@ -9,6 +9,7 @@ class EncoderOffset(Effect):
 
     name = "encoder_offset"
     equation = "recorded position = true + offset"
+    plain = "The encoder of {joints} reads {offset:abs deg} too {offset:much|little}."
     parameters = (Parameter("offset", "rad", 0.0),)
     amplitudes = ("offset",)
     side = "motion"

@@ -9,6 +9,7 @@ class TimeDelay(Effect):
 
     name = "time_delay"
     equation = "recorded torque(t) = true torque(t - delay)"
+    plain = "The recorded torque lags the recorded motion by {delay:ms}."
     parameters = (Parameter("delay", "s", 0.0, lower=0.0),)
     amplitudes = ("delay",)
     side = "sensor"

@@ -9,6 +9,7 @@ class TorqueOffset(Effect):
 
     name = "torque_offset"
     equation = "recorded torque = true + offset"
+    plain = "The recorded torque of {joints} is off by a constant {offset}."
     parameters = (Parameter("offset", "Nm", 0.0),)
     amplitudes = ("offset",)
     side = "sensor"

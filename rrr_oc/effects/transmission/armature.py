@@ -12,6 +12,7 @@ class Armature(Effect):
 
     name = "armature"
     equation = "tau = -inertia ddq"
+    plain = "The rotor of {joints} adds an inertia of {inertia}."
     parameters = (Parameter("inertia", "kg m²", 0.0, lower=0.0),)
     side = "drive"
     role = "plain"

@@ -27,6 +27,7 @@ class Backlash(Effect):
 
     name = "backlash"
     equation = "tau_l = 0 while |q_link - theta| < gap/2, else q_link = theta - (gap/2) sgn(tau_l)"
+    plain = "The gear of {joints} has a play of {gap:mrad} in all; within it the link is damped by {damping}."
     parameters = (Parameter("gap", "rad", 0.0, lower=0.0), Parameter("damping", "Nm s/rad", 0.0, lower=0.0, factor=3.0))
     amplitudes = ("gap",)
     side = "motion"

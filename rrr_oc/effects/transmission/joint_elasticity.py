@@ -32,6 +32,7 @@ class JointElasticity(Effect):
 
     name = "joint_elasticity"
     equation = "tau_l = stiffness (theta - q_link + damping_time (dtheta - dq_link))"
+    plain = "The gear of {joints} twists under load: it has a stiffness of {stiffness}, damped over {damping_time:ms}."
     parameters = (
         Parameter("stiffness", "Nm/rad", 1e6, lower=1e-3, factor=3.0),
         Parameter("damping_time", "s", TIME, lower=0.0, upper=0.05),

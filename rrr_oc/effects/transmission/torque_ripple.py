@@ -15,6 +15,9 @@ class TorqueRipple(Effect):
 
     name = "torque_ripple"
     equation = "tau = amplitude sin(order q + phase)"
+    plain = (
+        "The torque of {joints} ripples with its angle: by {amplitude} either way, {order:rev}, with a phase of {phase:deg}."
+    )
     parameters = (Parameter("amplitude", "Nm"), Parameter("order", "1", 1.0, lower=0.0), Parameter("phase", "rad"))
     amplitudes = ("amplitude",)
     side = "drive"

@@ -1,0 +1,137 @@
+"""`rrr-oc init`: what it writes is read by the real readers, for arms with and without limits, masses and level axes."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rrr_oc.cli import main
+from rrr_oc.codesign.example_set import write_example
+from rrr_oc.codesign.springs import spring_bounds
+from rrr_oc.codesign.task import TaskFile, load_task
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.header import Entry, Header, read_header
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.robot.rigid_body import rigid_body
+from rrr_oc.schema import parsed
+from rrr_oc.storage import write_csv
+
+CHAIN7 = Path(__file__).parent / "data" / "chain7.urdf"
+LIMIT = '<limit lower="{0}" upper="{1}" velocity="{2}" effort="50"/>'
+
+
+def an_arm(folder: Path, limit: str, kind: str = "revolute", mass: str = '<mass value="2"/>') -> Path:
+    """Two links of 0.4 m that turn about horizontal axes on a column that turns."""
+    link = (
+        f'<inertial><origin xyz="0.2 0 0"/>{mass}<inertia ixx="0.01" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    links = "".join(f'<link name="l{i}">{link if i else ""}</link>' for i in range(4))
+    places = (("0 0 0.3", "0 0 1"), ("0 0.1234 0.1", "0 -1 0"), ("0.4 0 0", "0 -1 0"))
+    joints = "".join(
+        f'<joint name="joint {i}" type="{kind}"><parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="{at}"/>'
+        f'<axis xyz="{axis}"/>{limit}</joint>'
+        for i, (at, axis) in enumerate(places)
+    )
+    path = folder / "my arm.urdf"
+    path.write_text(f'<robot name="arm">{links}{joints}</robot>')
+    return path
+
+
+ARMS = {
+    "bundled": lambda folder: "rrr",
+    "seven skewed axes": lambda folder: CHAIN7,
+    "with an offset that few digits do not tell": lambda folder: an_arm(folder, LIMIT.format(-2.0, 2.5, 2.0)),
+    "endless": lambda folder: an_arm(folder, "", "continuous"),
+}
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_the_task_can_be_done_and_the_set_only_lacks_recordings(tmp_path, arm):
+    made = write_example(ARMS[arm](tmp_path), tmp_path / "set")
+    assert (made.no_task, len(made.moving)) == ("", 2)
+    task = load_task(tmp_path / "set" / "task.json")
+    body = rigid_body(task.robot)
+    for q in (task.start, task.release):
+        assert np.all((task.lower <= q) & (q <= task.upper))
+        assert np.all(np.isfinite(np.array(body.tool_position(task.full(q), task.tool.position))))
+    assert len(spring_bounds(task, "PEA")) == 2
+    with pytest.raises(UserError, match=r"recording1\.csv: no recordings yet: a header and no rows"):
+        load_recordings(tmp_path / "set")
+    rows = 200
+    names = (tmp_path / "set" / "recording1.csv").read_text().splitlines()[0].split(",")
+    t = np.arange(rows) / 50
+    motion = {"q": np.sin(t), "dq": np.cos(t), "tau": np.sin(3 * t)}
+    write_csv(tmp_path / "set" / "recording1.csv", {n: t if n == "t" else motion[n.split("_")[0]] for n in names})
+    assert load_recordings(tmp_path / "set").joints == made.joints
+
+
+def uncommented(path: Path) -> str:
+    """A file with its hints, lines and parts behind //, made part of it."""
+    lines = []
+    for line in path.read_text().splitlines():
+        hint = re.match(r'( *)// (, )?"(\w+)": (.*)$', line) or re.match(r"( *)// (, )(\{.*)$", line)
+        lines.append(line.replace("// ", "", 1) if hint else line)
+    return "\n".join(lines)
+
+
+def test_hints_name_every_optional_key_and_are_valid_once_uncommented(tmp_path):
+    write_example("rrr", tmp_path / "set")
+    for file, structures in (("recordings.json", (Header, Entry)), ("task.json", (TaskFile,))):
+        text = (tmp_path / "set" / file).read_text()
+        keys = {key for structure in structures for key in structure.__struct_fields__}
+        assert not [key for key in keys if f'"{key}"' not in text and f'"{key}_kg"' not in text]
+        (tmp_path / "set" / file).write_text(uncommented(tmp_path / "set" / file))
+    for key in ("tool", "actuators"):
+        assert key in parsed("f", (tmp_path / "set" / "recordings.json").read_text())
+    first, second = read_header(tmp_path / "set" / "recordings.json").recordings
+    assert (first.payload, first.group, list(first.springs), second.file) == (2.0, "first day", ["pea"], "recording2.csv")
+    assert load_task(tmp_path / "set" / "task.json").floor == 0.0
+
+
+def test_an_arm_without_masses_gets_a_set_that_identifies_them_and_no_task(tmp_path, capsys):
+    arm = an_arm(tmp_path, LIMIT.format(-2.0, 2.5, 2.0), mass='<mass value="0"/>')
+    made = write_example(arm, tmp_path / "set")
+    assert "mass 0 kg" in made.no_task
+    assert read_header(tmp_path / "set" / "recordings.json").inertial == "identify"
+    assert not (tmp_path / "set" / "task.json").exists()
+    assert "There is no task.json" in (tmp_path / "set" / "README.md").read_text()
+
+
+def test_limits_that_the_urdf_lacks_are_said_by_every_reader(tmp_path, capsys):
+    made = write_example(an_arm(tmp_path, '<limit velocity="2" effort="50"/>'), tmp_path / "set")
+    (note,) = made.notes
+    assert note.startswith("the URDF gives no range of joint 0, joint 1, joint 2:")
+    text = (tmp_path / "set" / "task.json").read_text()
+    (tmp_path / "set" / "task.json").write_text(text.replace('"joint 0": 0.0', '"joint 0": 20.0'))
+    task = load_task(tmp_path / "set" / "task.json")  # an angle of a joint without a range is allowed
+    assert (task.locked[0], task.robot.notes) == (pytest.approx(np.radians(20)), made.notes)
+    t = np.arange(200) / 50
+    names = (tmp_path / "set" / "recording1.csv").read_text().splitlines()[0].split(",")
+    write_csv(
+        tmp_path / "set" / "recording1.csv",
+        {n: np.cos(t) if n.startswith("dq") else t if n == "t" else np.sin(t) for n in names},
+    )
+    assert note in load_recordings(tmp_path / "set").notes
+
+
+def test_the_command_says_what_comes_next(tmp_path, capsys, monkeypatch):
+    def run(*words: object) -> int:
+        monkeypatch.setattr("sys.argv", ["rrr-oc", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return int(ended.value.code or 0)
+
+    assert run("init", "rrr", "--out", tmp_path / "set") == 0
+    said = capsys.readouterr().out
+    commands = re.findall(r"^rrr-oc (\w+)", said, re.M)
+    assert commands == ["calibrate", "diagnose", "design"]
+    readme = (tmp_path / "set" / "README.md").read_text()
+    assert all(line in readme for line in said.splitlines() if line.startswith("rrr-oc"))
+    assert run("init", "rrr", "--out", tmp_path / "set") == 2
+    assert "exists already" in capsys.readouterr().err
+    assert run("init", tmp_path / "nowhere.urdf", "--out", tmp_path / "b") == 2
+    assert "no robot at" in capsys.readouterr().err
+    assert run("init", "rrr", "--out", tmp_path / "c", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["moving"] == ["joint2", "joint3"]
