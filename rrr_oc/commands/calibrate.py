@@ -1,0 +1,84 @@
+"""`rrr-oc calibrate`: a calibrated model of recordings."""
+
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import save_model
+from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
+from rrr_oc.commands.shared import Dataset, console, errors, loaded
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.storage import check_folder
+
+app = typer.Typer(add_completion=False)
+
+
+class Way(StrEnum):
+    """How parameters are found."""
+
+    inverse = "inverse"
+    response = "response"
+    evolution = "evolution"
+
+
+WAYS: dict[Way, Callable[[RecordingSet], CalibratedModel]] = {
+    Way.inverse: calibrate_inverse,
+    Way.response: calibrate_response,
+    Way.evolution: calibrate_evolution,
+}
+WORTHLESS = 1.0  # NRMSE above which a constant would explain the torque as well: a warning
+
+
+@app.command()
+def calibrate(
+    dataset: Dataset,
+    out: Annotated[Path, typer.Option(help="folder for model.json")],
+    way: Annotated[
+        Way,
+        typer.Option(
+            help="inverse: least squares on inverse dynamics; response: from there by Gauss-Newton on the simulated response; "
+            "evolution: CMA-ES on MuJoCo rollouts, as the paper (slow)"
+        ),
+    ] = Way.inverse,
+) -> None:
+    """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
+    check_folder(out)
+    recordings = loaded(dataset)
+    model = WAYS[way](recordings)
+    save_model(model, out / "model.json")
+    _show_model(model)
+    console.print(f"{out / 'model.json'} holds the model.", highlight=False, soft_wrap=True)
+
+
+def _show_model(model: CalibratedModel) -> None:
+    table = Table("effect", "joint", "parameter", "value", "95 % interval", "unit", "")
+    for term in model.terms:
+        for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):
+            interval = "not determined" if e.interval is None else f"{e.interval[0]:.4g} … {e.interval[1]:.4g}"
+            interval = "–" if e.at_bound and e.interval is not None and e.interval[0] == e.interval[1] else interval
+            joints = ", ".join(model.joints[j] for j in term.effect.joints)
+            held = "at its bound" if e.at_bound else ""
+            table.add_row(term.effect.name, joints, parameter.name, f"{e.value:.4g}", interval, parameter.unit, held)
+    console.print(table)
+    joints = Table("joint", "NRMSE of the torque", "noise [Nm]")
+    for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
+        joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
+    console.print(joints)
+    for joint, nrmse in zip(model.joints, model.nrmse, strict=True):
+        if not nrmse <= WORTHLESS:
+            found = "never changes" if np.isnan(nrmse) else f"is explained no better than by a constant (NRMSE {nrmse:.3g})"
+            errors.print(
+                f"Warning: the torque of {joint} {found}. Check units, signs and the order of columns, and gravity, tool and payload.",
+                highlight=False,
+                soft_wrap=True,
+            )
+    base = model.report.get("base_parameters", [])
+    if base:
+        console.print(f"{len(base)} base inertial parameters were identified; model.json lists them with their intervals.")

@@ -1,0 +1,84 @@
+"""`rrr-oc diagnose`: which physics a calibrated model lacks."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from rrr_oc.commands.shared import Dataset, check_apart, console, loaded, shown
+from rrr_oc.diagnosis.held_out import in_closed_loop
+from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
+from rrr_oc.effects.priors import load_priors
+from rrr_oc.parallel import check_jobs, one_thread
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.diagnosis_words import gain, not_claimed, on_prior, percent, rivals
+from rrr_oc.storage import check_folder
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def diagnose(
+    dataset: Dataset,
+    out: Annotated[Path, typer.Option(help="folder for diagnosis.json, model.json, report.html and figures")],
+    jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
+    simulate: Annotated[bool, typer.Option(help="let the MuJoCo model track the recordings before and after, held out")] = True,
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file with what is known of the arm before: a table for each effect with its probability and typical sizes, "
+            "and \\[context] with springs and inertias; without it, each effect's own prior holds"
+        ),
+    ] = None,
+) -> None:
+    """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
+    check_jobs(jobs)
+    check_folder(out)
+    believed = None if priors is None else load_priors(priors)
+    recordings = loaded(dataset)
+    check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
+    with console.status("reading") as status, one_thread():
+        found = diagnose_recordings(recordings, lambda line: status.update(line), jobs, believed)
+        status.update("tracking the recordings in closed loop")
+        simulated = in_closed_loop(found, jobs) if simulate else None
+        status.update("writing the report")
+        content = write_diagnosis(found, out, simulated)
+    _show_diagnosis(content)
+    console.print(f"{out} holds diagnosis.json, model.json and report.html.", highlight=False, soft_wrap=True)
+
+
+def _show_diagnosis(found: dict[str, Any]) -> None:
+    console.print(f"Verdict: {found['verdict']}")
+    table = Table(
+        "effect", "joint", "recordings", "parameters", "probability", "share of error", "gain held out [nats]", "as good"
+    )
+    for effect in found["effects"]:
+        values = ", ".join(f"{k} = {_value(v['value'])} {v['unit']}".strip() for k, v in effect["parameters"].items())
+        joint, files = effect["joint"], effect["recordings"]
+        table.add_row(
+            effect["effect"],
+            "" if joint is None else joint if isinstance(joint, str) else ", ".join(joint),
+            files if isinstance(files, str) else ", ".join(files),
+            values,
+            percent(effect["probability"]),
+            f"{effect['share_of_error']:.2f}",
+            gain(effect["held_out_gain_nats"]),
+            ", ".join(rivals(effect)),
+        )
+    if found["effects"]:
+        console.print(table)
+    for other in found["unexplained"]:
+        console.print(f"Unexplained: {other['description']}.", soft_wrap=True)
+    for line in [*on_prior(found), *not_claimed(found)]:
+        console.print(line, highlight=False, soft_wrap=True)
+    errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
+    for joint, b in found["bootstrap"].items():
+        interval = b["ratio"]["interval"]
+        ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
+        errors.add_row(joint, shown(b["before"]["value"]), shown(b["after"]["value"]), ratio)
+    console.print(errors)
+
+
+def _value(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,36 @@
+"""What several commands need: their consoles, the data set they read, and what they refuse to overwrite."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.report.console import wide_console
+
+console, errors = wide_console(), wide_console(stderr=True)
+Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
+
+
+def loaded(dataset: Path) -> RecordingSet:
+    """A recording set; what a user should know of how it was read goes to stderr."""
+    recordings = load_recordings(dataset)
+    for note in recordings.notes:
+        errors.print(f"Note: {note}.", highlight=False, soft_wrap=True)
+    return recordings
+
+
+def check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
+    """Raise `UserError` where what is to be written would take the place of what was read."""
+    inputs = {path.resolve() for path in read}
+    for path in written:
+        if path.resolve() in inputs:
+            raise UserError(f"{path}: is read by this command and would be overwritten; another place is required")
+
+
+def shown(value: float | None) -> str:
+    """A number with four digits, or a dash where there is none."""
+    return "–" if value is None else f"{value:.4g}"
