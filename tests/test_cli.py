@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -11,11 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded import Plant, as_set, real, record
+from test_importers import write_prototype
 from threadpoolctl import threadpool_info
 
 from rrr_oc import __version__, cli
 from rrr_oc.commands import COMMANDS, load, shared
 from rrr_oc.commands import diagnose as diagnose_command
+from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import STATUSES
 from rrr_oc.recordings.writer import save_recordings
 
@@ -57,7 +60,7 @@ def test_calibrate_writes_a_model(folder):
 
 
 def test_evaluate_prints_json_alone(folder, monkeypatch, capsys):
-    assert run(monkeypatch, "evaluate", folder / "out" / "model.json", folder / "set") == 0
+    assert run(monkeypatch, "evaluate", folder / "out" / "model.json", folder / "set", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert set(result) == {"inverse", "simulated", "mean"}
     assert set(result["inverse"]["0.csv"]["joint2"]) == {"nrmse", "rmse"}
@@ -91,10 +94,55 @@ def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, 
     assert priors.exact_inertias
     assert priors.given["stribeck"].probability == 0.2
     assert threads == {1}  # several would wait for each other
-    assert "Verdict: nothing_missing" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "Verdict: nothing_missing" in printed.out
+    assert re.search(r"^ +\d+\.\d s  looking for effects$", printed.err, re.M), "progress where there is no terminal"
+    assert "tracking the recordings" not in printed.err
     content = json.loads((tmp_path / "o" / "diagnosis.json").read_text())
     assert content["effects"] == content["unexplained"] == []
     assert "Nothing is missing" in (tmp_path / "o" / "report.html").read_text()
+
+
+def commands_with_results(folder: Path, out: Path) -> dict[str, list]:
+    """Arguments of commands whose results are also to be had as JSON, with a key of these."""
+    return {
+        "format": ["calibrate", folder / "set", "--out", out / "c"],
+        "verdict": ["diagnose", folder / "set", "--out", out / "d", "--no-simulate", "--jobs", "1"],
+        "mean": ["evaluate", folder / "out" / "model.json", folder / "set"],
+        "effects": ["effects"],
+        "recordings": ["import", "prototype", write_prototype(out / "raw", [3, 7]), out / "i"],
+    }
+
+
+@pytest.mark.parametrize("key", ["format", "verdict", "mean", "effects", "recordings"])
+def test_results_are_to_be_had_as_json_alone_and_in_silence(key, folder, monkeypatch, tmp_path, capsys):
+    for options in (["--json"], ["--quiet"], ["--quiet", "--json"]):
+        out = tmp_path / "".join(options)
+        out.mkdir()
+        assert run(monkeypatch, *commands_with_results(folder, out)[key], *options) == 0
+        printed = capsys.readouterr()
+        if "--json" in options:
+            assert json.loads(printed.out)[key]
+        else:
+            assert printed.out == ""
+        assert "--quiet" not in options or printed.err == ""
+
+
+def test_a_quiet_command_still_says_its_error(monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "calibrate", tmp_path / "nowhere", "--out", tmp_path / "o", "--quiet", "--json") == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("Error: ")
+
+
+def test_the_catalogue_as_json_has_every_effect(monkeypatch, capsys):
+    assert run(monkeypatch, "effects", "--json") == 0
+    found = {e["effect"]: e for e in json.loads(capsys.readouterr().out)["effects"]}
+    assert set(found) == set(CATALOGUE)
+    for name, kind in CATALOGUE.items():
+        assert found[name]["law"] == kind.equation
+        if isinstance(kind.parameters, tuple):
+            assert found[name]["parameters"] == [{"name": p.name, "unit": p.unit} for p in kind.parameters]
 
 
 MISTAKES = {
@@ -219,7 +267,7 @@ def test_a_real_set_passes_through_calibrate_and_evaluate(monkeypatch, tmp_path,
     dataset = real("xl330_pendulum")
     assert run(monkeypatch, "calibrate", dataset, "--out", tmp_path) == 0
     capsys.readouterr()
-    assert run(monkeypatch, "evaluate", tmp_path / "model.json", dataset) == 0
+    assert run(monkeypatch, "evaluate", tmp_path / "model.json", dataset, "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert all(e["nrmse"] is not None and e["nrmse"] < 0.6 for e in result["mean"]["inverse"].values())
 

@@ -1,5 +1,6 @@
 """`rrr-oc calibrate`: a calibrated model of recordings."""
 
+import json
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -13,7 +14,8 @@ from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
-from rrr_oc.commands.shared import Dataset, console, errors, loaded
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Dataset, loaded
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import check_folder
 
@@ -47,17 +49,21 @@ def calibrate(
             "evolution: CMA-ES on MuJoCo rollouts, as the paper (slow)"
         ),
     ] = Way.inverse,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
+    output = Output(quiet, as_json)
     check_folder(out)
-    recordings = loaded(dataset)
+    recordings = loaded(dataset, output)
     model = WAYS[way](recordings)
     save_model(model, out / "model.json")
-    _show_model(model)
-    console.print(f"{out / 'model.json'} holds the model.", highlight=False, soft_wrap=True)
+    output.result(json.loads((out / "model.json").read_text(encoding="utf-8")))
+    _show_model(model, output)
+    output.show(f"{out / 'model.json'} holds the model.")
 
 
-def _show_model(model: CalibratedModel) -> None:
+def _show_model(model: CalibratedModel, output: Output) -> None:
     table = Table("effect", "joint", "parameter", "value", "95 % interval", "unit", "")
     for term in model.terms:
         for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):
@@ -66,19 +72,17 @@ def _show_model(model: CalibratedModel) -> None:
             joints = ", ".join(model.joints[j] for j in term.effect.joints)
             held = "at its bound" if e.at_bound else ""
             table.add_row(term.effect.name, joints, parameter.name, f"{e.value:.4g}", interval, parameter.unit, held)
-    console.print(table)
+    output.show(table)
     joints = Table("joint", "NRMSE of the torque", "noise [Nm]")
     for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
         joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
-    console.print(joints)
+    output.show(joints)
     for joint, nrmse in zip(model.joints, model.nrmse, strict=True):
         if not nrmse <= WORTHLESS:
             found = "never changes" if np.isnan(nrmse) else f"is explained no better than by a constant (NRMSE {nrmse:.3g})"
-            errors.print(
-                f"Warning: the torque of {joint} {found}. Check units, signs and the order of columns, and gravity, tool and payload.",
-                highlight=False,
-                soft_wrap=True,
+            output.note(
+                f"Warning: the torque of {joint} {found}. Check units, signs and the order of columns, and gravity, tool and payload."
             )
     base = model.report.get("base_parameters", [])
     if base:
-        console.print(f"{len(base)} base inertial parameters were identified; model.json lists them with their intervals.")
+        output.show(f"{len(base)} base inertial parameters were identified; model.json lists them with their intervals.")

@@ -6,7 +6,8 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from rrr_oc.commands.shared import Dataset, check_apart, console, loaded, shown
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Dataset, check_apart, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects.priors import load_priors
@@ -31,25 +32,30 @@ def diagnose(
             "and \\[context] with springs and inertias; without it, each effect's own prior holds"
         ),
     ] = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
+    output = Output(quiet, as_json)
     check_jobs(jobs)
     check_folder(out)
     believed = None if priors is None else load_priors(priors)
-    recordings = loaded(dataset)
+    recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
-    with console.status("reading") as status, one_thread():
-        found = diagnose_recordings(recordings, lambda line: status.update(line), jobs, believed)
-        status.update("tracking the recordings in closed loop")
+    with output.steps("reading") as step, one_thread():
+        found = diagnose_recordings(recordings, step, jobs, believed)
+        if simulate:
+            step("tracking the recordings in closed loop")
         simulated = in_closed_loop(found, jobs) if simulate else None
-        status.update("writing the report")
+        step("writing the report")
         content = write_diagnosis(found, out, simulated)
-    _show_diagnosis(content)
-    console.print(f"{out} holds diagnosis.json, model.json and report.html.", highlight=False, soft_wrap=True)
+    output.result(content)
+    _show_diagnosis(content, output)
+    output.show(f"{out} holds diagnosis.json, model.json and report.html.")
 
 
-def _show_diagnosis(found: dict[str, Any]) -> None:
-    console.print(f"Verdict: {found['verdict']}")
+def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
+    output.show(f"Verdict: {found['verdict']}")
     table = Table(
         "effect", "joint", "recordings", "parameters", "probability", "share of error", "gain held out [nats]", "as good"
     )
@@ -67,17 +73,17 @@ def _show_diagnosis(found: dict[str, Any]) -> None:
             ", ".join(rivals(effect)),
         )
     if found["effects"]:
-        console.print(table)
+        output.show(table)
     for other in found["unexplained"]:
-        console.print(f"Unexplained: {other['description']}.", soft_wrap=True)
+        output.show(f"Unexplained: {other['description']}.")
     for line in [*on_prior(found), *not_claimed(found)]:
-        console.print(line, highlight=False, soft_wrap=True)
+        output.show(line)
     errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
     for joint, b in found["bootstrap"].items():
         interval = b["ratio"]["interval"]
         ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
         errors.add_row(joint, shown(b["before"]["value"]), shown(b["after"]["value"]), ratio)
-    console.print(errors)
+    output.show(errors)
 
 
 def _value(value: Any) -> str:

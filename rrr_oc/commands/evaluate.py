@@ -1,6 +1,5 @@
 """`rrr-oc evaluate`: how well a model predicts recordings."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +8,8 @@ from rich.table import Table
 
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
-from rrr_oc.commands.shared import Dataset, check_apart, console, loaded, shown
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Dataset, check_apart, loaded, shown
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_file, check_folder, write_json
@@ -21,19 +21,22 @@ app = typer.Typer(add_completion=False)
 def evaluate(
     model: Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")],
     dataset: Dataset,
-    out: Annotated[Path | None, typer.Option(help="file for the JSON; without it, it goes to stdout")] = None,
+    out: Annotated[Path | None, typer.Option(help="file for the result as JSON")] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="also let the MuJoCo model track the recorded motion")] = False,
     predictions: Annotated[Path | None, typer.Option(help="folder for one CSV of predictions per recording")] = None,
     window: Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared \\[s]")] = WINDOW,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> None:
     """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
+    output = Output(quiet, as_json)
     if not 0 <= window < float("inf"):
         raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
     if out is not None:
         check_file(out)
     if predictions is not None:
         check_folder(predictions)
-    recordings = loaded(dataset)
+    recordings = loaded(dataset, output)
     calibrated = load_model(model)
     written = [] if out is None else [out]
     written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
@@ -43,17 +46,16 @@ def evaluate(
     result = summary(inverse, simulated)
     if predictions is not None:
         write_predictions(calibrated, recordings, predictions)
-    if out is None:
-        typer.echo(json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False))
-    else:
+    if out is not None:
         write_json(out, result)
-        _show_errors(result)
+    output.result(result)
+    output.show(_table(result))
 
 
-def _show_errors(result: dict[str, Any]) -> None:
+def _table(result: dict[str, Any]) -> Table:
     table = Table("way", "joint", "signal", "mean NRMSE", "mean RMSE")
     for way, joints in result["mean"].items():
         for joint, found in joints.items():
             for signal, errors in found.items() if way == "simulated" else [("recorded", found)]:
                 table.add_row(way, joint, signal, *(shown(errors[key]) for key in ("nrmse", "rmse")))
-    console.print(table)
+    return table

@@ -1,4 +1,4 @@
-"""What several commands need: their consoles, the data set they read, and what they refuse to overwrite."""
+"""What several commands need: the data set that they read, and what they refuse to overwrite."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,20 +6,19 @@ from typing import Annotated
 
 import typer
 
+from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.report.console import wide_console
 
-console, errors = wide_console(), wide_console(stderr=True)
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
 
 
-def loaded(dataset: Path) -> RecordingSet:
-    """A recording set; what a user should know of how it was read goes to stderr."""
+def loaded(dataset: Path, output: Output) -> RecordingSet:
+    """A recording set; what a user should know of how it was read is noted."""
     recordings = load_recordings(dataset)
     for note in recordings.notes:
-        errors.print(f"Note: {note}.", highlight=False, soft_wrap=True)
+        output.note(f"Note: {note}.")
     return recordings
 
 
