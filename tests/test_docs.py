@@ -76,7 +76,7 @@ def missing_links(page: Path, text: str) -> list[str]:
 def unknown_options(command: str) -> list[str]:
     """Targets of make, subcommands of `rrr-oc` and options that do not exist, of one command line."""
     words = [re.sub(r"[\[\]\"',;:]", "", word) for word in command.split()]
-    options = [word.split("=")[0] for word in words if word.startswith("--")]
+    options = [word.split("=")[0] for word in words if word.startswith("--") and word != "--help"]
     if words[:1] == ["make"]:
         targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M))
         return [w for w in words[1:2] if w not in targets]
@@ -93,7 +93,9 @@ def unknown_options(command: str) -> list[str]:
         return unknown + [option for option in options if option not in known]
     scripts = [word for word in words if re.fullmatch(r"(studies|validation)/[\w/]+\.py", word)]
     known = (ROOT / scripts[0]).read_text() if scripts else ""
-    return [option for option in options if scripts and option != "--help" and not declared(option, known)]
+    if "rrr_oc.commands.design" in known:  # the script takes the command's options
+        known += "".join(f'"{name}"' for parameter in load("design").params for name in parameter.opts)
+    return [option for option in options if scripts and not declared(option, known)]
 
 
 def declared(option: str, script: str) -> bool:

@@ -16,9 +16,12 @@ from rrr_oc.errors import STATUSES, ends_at_once
 
 # Names of the commands in the order of the help, each with its module and a sentence for the list of commands.
 COMMANDS = {
+    "design": ("design", "Springs and motion of a task, designed together."),
     "calibrate": ("calibrate", "Friction and armature of every joint, and inertial parameters where the set asks for them."),
     "diagnose": ("diagnose", "Where a calibrated model fails, which physics it lacks, and how well it predicts with it."),
     "evaluate": ("evaluate", "How well a model predicts recordings, from the measured motion or in simulation."),
+    "simulate": ("simulate", "A model in MuJoCo tracks recordings; what it does is written and compared."),
+    "excite": ("excite", "A motion to record, which determines friction and inertia of an arm within its limits."),
     "effects": ("effects", "The catalogue of effects: laws, parameters and units."),
     "import": ("importers", "Recordings in other layouts, made into a recording set."),
 }

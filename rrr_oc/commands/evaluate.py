@@ -1,16 +1,14 @@
 """`rrr-oc evaluate`: how well a model predicts recordings."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, check_apart, loaded, shown
-from rrr_oc.errors import UserError
+from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_file, check_folder, write_json
 
@@ -19,7 +17,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def evaluate(
-    model: Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")],
+    model: Model,
     dataset: Dataset,
     out: Annotated[Path | None, typer.Option(help="file for the result as JSON")] = None,
     simulate: Annotated[bool, typer.Option("--simulate", help="also let the MuJoCo model track the recorded motion")] = False,
@@ -30,8 +28,7 @@ def evaluate(
 ) -> None:
     """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
     output = Output(quiet, as_json)
-    if not 0 <= window < float("inf"):
-        raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
+    check_window(window)
     if out is not None:
         check_file(out)
     if predictions is not None:
@@ -49,13 +46,4 @@ def evaluate(
     if out is not None:
         write_json(out, result)
     output.result(result)
-    output.show(_table(result))
-
-
-def _table(result: dict[str, Any]) -> Table:
-    table = Table("way", "joint", "signal", "mean NRMSE", "mean RMSE")
-    for way, joints in result["mean"].items():
-        for joint, found in joints.items():
-            for signal, errors in found.items() if way == "simulated" else [("recorded", found)]:
-                table.add_row(way, joint, signal, *(shown(errors[key]) for key in ("nrmse", "rmse")))
-    return table
+    output.show(error_table(result))

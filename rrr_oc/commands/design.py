@@ -1,0 +1,70 @@
+"""`rrr-oc design`: springs and motion of a task, designed together."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markdown import Markdown
+
+from rrr_oc.codesign.design_problem import COSTS
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.purchasable import METHODS
+from rrr_oc.codesign.springs import CONFIGURATIONS
+from rrr_oc.codesign.study import Request, prepared
+from rrr_oc.codesign.task import PRESETS
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.paper.published import published_springs
+from rrr_oc.report.study_files import write_study
+
+PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def design(
+    task: Annotated[str, typer.Argument(help=f"a task file, or a bundled task: {', '.join(PRESETS)}")],
+    out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
+    configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
+        CONFIGURATIONS
+    ),
+    starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
+    hops: Annotated[int, typer.Option(min=0, help="rounds of basin hopping over the durations of the best optimum")] = 2,
+    cost: Annotated[str, typer.Option(help=f"of {', '.join(COSTS)}: torque squared (Eq. 13, Eq. 7) or Eq. 11")] = "load",
+    actuators: Annotated[
+        str | None, typer.Option(help=f"drives, for the costs motor and energy and for --model: {PROTOTYPES}")
+    ] = None,
+    catalogue: Annotated[str | None, typer.Option(help=f"springs to buy, for the starred designs: {PROTOTYPES}")] = None,
+    catalogue_search: Annotated[str, typer.Option(help="for BPEA*: " + " or ".join(METHODS))] = "exhaustive",
+    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
+    model: Annotated[
+        Path | None, typer.Option(help="model.json of calibrate or diagnose: every optimum is tracked in it too")
+    ] = None,
+    repaired: Annotated[
+        bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")
+    ] = False,
+    jobs: Annotated[int, typer.Option(help="processes; -1 for all cores")] = -1,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Springs in parallel with joints (PEA), across two of them (BPEA) or both, and the motion of least cost for each.
+
+    Writes tables, figures, summary.json and one npz a configuration.
+    """
+    began, output = time.perf_counter(), Output(quiet, as_json)
+    search = SearchOptions(starts=starts, seed=seed, jobs=jobs, hops=hops, refinement=Refinement(tolerance))
+    names = tuple(name.strip() for name in configurations.split(",") if name.strip())
+    request = Request(task, out, names, search, cost, actuators, catalogue, catalogue_search, model, repaired)
+    study = prepared(request, published_springs if request.bundled else None, output)
+    found: dict[str, Any] = {}
+    try:
+        for name, result in study.results():
+            found[name] = result
+    finally:  # whatever ends the study, the designs that are finished are reported
+        if found:
+            summary, text = write_study(study, found, time.perf_counter() - began)
+            output.result(summary)
+            output.show(Markdown(text.split("## Certificates")[0]))
+            output.show(f"Everything is in {out}: report.md, summary.json, figures, one npz a configuration.")
