@@ -14,11 +14,12 @@ This is `rrr-oc design`, with the task as an option `--preset`, the paper's unle
 
 import argparse
 
-from rrr_oc.commands.design import app
-from rrr_oc.errors import entry_point
+from rrr_oc.errors import ends_at_once, entry_point
 
 
 def main() -> None:
+    with ends_at_once():
+        from rrr_oc.commands.design import app
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--preset", default="paper")
     parser.add_argument("--out", default="results/pea_bpea")

@@ -90,7 +90,7 @@ def _rig(robot: Robot, less: dict[str, float | None], acceleration: float, floor
 def _unlimited(robot: Robot, rig: Rig) -> list[str]:
     """What nothing limits, a sentence each."""
     missing = {
-        "range, and is taken to turn by ±180°": ~(np.isfinite(robot.lower) & np.isfinite(robot.upper)),
+        "range; it is taken to turn by ±180°": ~(np.isfinite(robot.lower) & np.isfinite(robot.upper)),
         "speed; --speed gives one": ~np.isfinite(rig.limits.speed),
         "torque; --torque gives one": ~np.isfinite(rig.limits.torque),
     }
