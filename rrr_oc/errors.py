@@ -1,10 +1,21 @@
-"""The one error that a user can mend, and how it ends a command."""
+"""The one error that a user can mend, and how a command ends."""
 
+import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 INTERRUPTED = 130  # exit status after Ctrl-C
+# What the exit statuses of all commands mean.
+STATUSES = {
+    0: "done",
+    1: "a fault of this program, with its traceback",
+    2: "input that cannot be used, with a sentence that says why",
+    INTERRUPTED: "interrupted by Ctrl-C",
+}
 
 
 class UserError(Exception):
@@ -20,9 +31,33 @@ def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
         except UserError as error:
             sys.stderr.write(f"Error: {error}\n")
             raise SystemExit(2) from None
+        except KeyboardInterrupt:
+            sys.stderr.write("Interrupted.\n")
+            raise SystemExit(INTERRUPTED) from None
         except SystemExit as end:
             if end.code == INTERRUPTED:  # typer says nothing then
                 sys.stderr.write("Interrupted.\n")
             raise
 
     return run
+
+
+@contextmanager
+def ends_at_once() -> Iterator[None]:
+    """Ctrl-C ends this process with one line while modules are imported: compiled ones turn the exception into others, or lose it."""
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) != signal.default_int_handler
+    ):
+        yield
+        return
+
+    def end(*_: Any) -> None:
+        os.write(2, b"Interrupted.\n")
+        os._exit(INTERRUPTED)
+
+    signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

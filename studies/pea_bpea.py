@@ -8,15 +8,26 @@ load torques (Eq. 13) is minimised by direct collocation and IPOPT from starts t
 purchasable hardware is searched in a catalogue (the starred designs); the paper's own springs are given the best motion on the
 same model; every optimum comes with a certificate and is simulated again in MuJoCo. Results stand beside the paper's.
 
-It is `rrr-oc design paper`, with the same options.
+This is `rrr-oc design`, with the task as an option `--preset`, the paper's unless another is named. It takes the same options, which
+--help lists.
 """
 
-import sys
+import argparse
 
-from rrr_oc.cli import app
-from rrr_oc.errors import entry_point
+from rrr_oc.errors import ends_at_once, entry_point
 
-run = entry_point(lambda: app(["design", *sys.argv[1:]]))
+
+def main() -> None:
+    with ends_at_once():
+        from rrr_oc.commands.design import app
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--preset", default="paper")
+    parser.add_argument("--out", default="results/pea_bpea")
+    given, options = parser.parse_known_args()
+    app([given.preset, "--out", given.out, *options])
+
+
+run = entry_point(main)
 
 if __name__ == "__main__":
     run()

@@ -1,20 +1,26 @@
 """The command line: what it prints and writes, and that a mistake is one sentence, exit status 2 and no file."""
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from recorded import Plant, as_set, real, record
+from test_importers import write_prototype
 from threadpoolctl import threadpool_info
 
 from rrr_oc import __version__, cli
-from rrr_oc.commands import common
-from rrr_oc.commands import diagnose as diagnosing
+from rrr_oc.commands import COMMANDS, load, shared
+from rrr_oc.commands import diagnose as diagnose_command
+from rrr_oc.effects import CATALOGUE
+from rrr_oc.errors import STATUSES
 from rrr_oc.recordings.writer import save_recordings
 
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
@@ -76,13 +82,13 @@ def test_evaluate_writes_all_that_is_asked_for(folder, monkeypatch, tmp_path, ca
 
 def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, capsys):
     (tmp_path / "known.toml").write_text('[context]\ninertias = "exact"\n[stribeck]\nprobability = 0.2\n')
-    given, found = [], diagnosing.diagnose
+    given, found = [], diagnose_command.diagnose_recordings
 
     def kept(recordings, report, jobs, priors):
         given.append((priors, {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}))
         return found(recordings, report, jobs, priors)
 
-    monkeypatch.setattr(diagnosing, "diagnose", kept)
+    monkeypatch.setattr(diagnose_command, "diagnose_recordings", kept)
     options = ["--no-simulate", "--jobs", "1", "--priors", tmp_path / "known.toml"]
     assert run(monkeypatch, "diagnose", folder / "set", "--out", tmp_path / "o", *options) == 0
     ((priors, threads),) = given
@@ -91,10 +97,53 @@ def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, 
     assert threads == {1}  # several would wait for each other
     printed = capsys.readouterr()
     assert "Verdict: nothing is missing." in printed.out
-    assert re.search(r"^ +\d+ s  looking for effects$", printed.err, re.M)  # progress, where there is no terminal
+    assert re.search(r"^ +\d+\.\d s  looking for effects$", printed.err, re.M), "progress where there is no terminal"
+    assert "tracking the recordings" not in printed.err
     content = json.loads((tmp_path / "o" / "diagnosis.json").read_text())
     assert content["effects"] == content["unexplained"] == []
     assert "Nothing is missing" in (tmp_path / "o" / "report.html").read_text()
+
+
+def commands_with_results(folder: Path, out: Path) -> dict[str, list]:
+    """Arguments of commands whose results are also to be had as JSON, with a key of these."""
+    return {
+        "format": ["calibrate", folder / "set", "--out", out / "c"],
+        "verdict": ["diagnose", folder / "set", "--out", out / "d", "--no-simulate", "--jobs", "1"],
+        "mean": ["evaluate", folder / "out" / "model.json", folder / "set"],
+        "effects": ["effects"],
+        "recordings": ["import", "prototype", write_prototype(out / "raw", [3, 7]), out / "i"],
+    }
+
+
+@pytest.mark.parametrize("key", ["format", "verdict", "mean", "effects", "recordings"])
+def test_results_are_to_be_had_as_json_alone_and_in_silence(key, folder, monkeypatch, tmp_path, capsys):
+    for options in (["--json"], ["--quiet"], ["--quiet", "--json"]):
+        out = tmp_path / "".join(options)
+        out.mkdir()
+        assert run(monkeypatch, *commands_with_results(folder, out)[key], *options) == 0
+        printed = capsys.readouterr()
+        if "--json" in options:
+            assert json.loads(printed.out)[key]
+        else:
+            assert printed.out == ""
+        assert "--quiet" not in options or printed.err == ""
+
+
+def test_a_quiet_command_still_says_its_error(monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "calibrate", tmp_path / "nowhere", "--out", tmp_path / "o", "--quiet", "--json") == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("Error: ")
+
+
+def test_the_catalogue_as_json_has_every_effect(monkeypatch, capsys):
+    assert run(monkeypatch, "effects", "--json") == 0
+    found = {e["effect"]: e for e in json.loads(capsys.readouterr().out)["effects"]}
+    assert set(found) == set(CATALOGUE)
+    for name, kind in CATALOGUE.items():
+        assert found[name]["law"] == kind.equation
+        if isinstance(kind.parameters, tuple):
+            assert found[name]["parameters"] == [{"name": p.name, "unit": p.unit} for p in kind.parameters]
 
 
 MISTAKES = {
@@ -171,7 +220,7 @@ def test_an_interrupt_is_one_word_and_leaves_no_file(folder, monkeypatch, tmp_pa
     def interrupted(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(common, "load_recordings", interrupted)
+    monkeypatch.setattr(shared, "load_recordings", interrupted)
     assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o") == 130
     assert capsys.readouterr().err == "Interrupted.\n"
     assert not (tmp_path / "o").exists()
@@ -179,7 +228,7 @@ def test_an_interrupt_is_one_word_and_leaves_no_file(folder, monkeypatch, tmp_pa
 
 def test_a_place_that_cannot_be_written_is_told_before_the_work(folder, monkeypatch, tmp_path, capsys):
     """Not a question of rights: tests may run as root, whom the kernel lets write everywhere but into its own files."""
-    monkeypatch.setattr(common, "load_recordings", lambda _: pytest.fail("it began to work"))
+    monkeypatch.setattr(shared, "load_recordings", lambda _: pytest.fail("it began to work"))
     for arguments in (["calibrate", folder / "set", "--out"], ["diagnose", folder / "set", "--out"]):
         assert run(monkeypatch, *arguments, "/proc/results") == 2
         assert "/proc/results: cannot be written" in capsys.readouterr().err
@@ -229,27 +278,6 @@ def test_help_imports_nothing_heavy():
     assert shown.splitlines()[-1] == "[]"
 
 
-def test_the_version_is_said(monkeypatch, capsys):
-    assert run(monkeypatch, "--version") == 0
-    assert capsys.readouterr().out == f"rrr-oc {__version__}\n"
-
-
-def test_it_runs_as_a_module():
-    shown = subprocess.run([sys.executable, "-m", "rrr_oc", "--version"], capture_output=True, text=True, check=True).stdout
-    assert shown == f"rrr-oc {__version__}\n"
-
-
-def test_json_is_alone_on_stdout_and_quiet_says_nothing(folder, monkeypatch, tmp_path, capsys):
-    assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o", "--json") == 0
-    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "o" / "model.json").read_text())
-    assert run(monkeypatch, "calibrate", folder / "set", "--out", tmp_path / "o", "--quiet") == 0
-    printed = capsys.readouterr()
-    assert (printed.out, printed.err) == ("", "")
-    assert run(monkeypatch, "effects", "--json") == 0
-    entries = {e["effect"]: e for e in json.loads(capsys.readouterr().out)}
-    assert entries["stribeck"]["acts_on"] == "drive"
-
-
 def test_unknown_options_and_commands_end_with_status_2(monkeypatch, capsys):
     for arguments in (["calibrate"], ["fly"], ["calibrate", "x", "--out", "y", "--way", "magic"]):
         assert run(monkeypatch, *arguments) == 2
@@ -263,3 +291,58 @@ def test_a_real_set_passes_through_calibrate_and_evaluate(monkeypatch, tmp_path,
     assert run(monkeypatch, "evaluate", tmp_path / "model.json", dataset) == 0
     result = json.loads(capsys.readouterr().out)
     assert all(e["nrmse"] is not None and e["nrmse"] < 0.6 for e in result["mean"]["inverse"].values())
+
+
+HEAVY = {
+    "numpy",
+    "scipy",
+    "pandas",
+    "casadi",
+    "pinocchio",
+    "mujoco",
+    "joblib",
+    "matplotlib",
+    "msgspec",
+}  # packages that take long to import
+
+
+def test_help_imports_nothing_heavy_and_names_every_command():
+    """The modules that are imported are what decides how long the help takes, on any machine."""
+    code = "import sys; sys.argv = ['rrr-oc', '--help']; from rrr_oc.cli import main\ntry: main()\nfinally: print(*sys.modules)"
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    text, modules = printed.rstrip().rsplit("\n", 1)
+    loaded = {name.split(".")[0] for name in modules.split()}
+    assert "typer" in loaded
+    assert not loaded & HEAVY
+    assert not [name for name in modules.split() if name.startswith("rrr_oc.commands.")]
+    assert all(f" {name} " in text for name in COMMANDS)
+    assert all(str(status) in text for status in STATUSES)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_a_module_and_says_what_it_does(name):
+    command = load(name)
+    assert command.help
+    assert COMMANDS[name][1].endswith(".")
+    for part in getattr(command, "commands", {"": command}).values():
+        assert not [p.name for p in part.params if p.name != "help" and not p.help], "every option is explained"
+
+
+def test_the_module_is_the_command():
+    run = subprocess.run([sys.executable, "-m", "rrr_oc", "--version"], capture_output=True, text=True, check=True)
+    assert run.stdout == f"{__version__}\n"
+
+
+@pytest.mark.parametrize("after", [0.0, 0.15, 0.4, 0.8])
+def test_an_early_interrupt_is_one_line(after, tmp_path):
+    """Ctrl-C at any time from the command's first line on, mostly while modules are imported: whole seconds, on a busy machine."""
+    code = "import os; from rrr_oc.cli import main; os.write(1, b'.'); main()"
+    command = [sys.executable, "-c", code, "calibrate", str(real("xl330_pendulum")), "--out", str(tmp_path / "o")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        os.read(process.stdout.fileno(), 1)
+        time.sleep(0.02 + after)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert said.strip() == "Interrupted."
+    assert process.returncode == 130
+    assert not (tmp_path / "o").exists()

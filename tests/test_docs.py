@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from rrr_oc import cli
+from rrr_oc.commands import COMMANDS, app, load
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -76,24 +76,26 @@ def missing_links(page: Path, text: str) -> list[str]:
 def unknown_options(command: str) -> list[str]:
     """Targets of make, subcommands of `rrr-oc` and options that do not exist, of one command line."""
     words = [re.sub(r"[\[\]\"',;:]", "", word) for word in command.split()]
-    options = [word.split("=")[0] for word in words if word.startswith("--")]
+    options = [word.split("=")[0] for word in words if word.startswith("--") and word != "--help"]
     if words[:1] == ["make"]:
         targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M))
         return [w for w in words[1:2] if w not in targets]
     if words[:1] == ["rrr-oc"]:
-        found = typer.main.get_command(cli.app)
-        for word in words[1:]:
+        found = typer.main.get_command(app)
+        if words[1:] and words[1] in COMMANDS:
+            found = load(words[1])
+        for word in words[2:]:
             if word not in getattr(found, "commands", {}):
                 break
             found = found.commands[word]
         known = {name for parameter in found.params for name in (*parameter.opts, *parameter.secondary_opts)}
-        unknown = [] if not hasattr(found, "commands") or len(words) == 1 else [" ".join(words[:3])]
+        unknown = [] if not hasattr(found, "commands") or not words[1:] or words[1].startswith("-") else [" ".join(words[:3])]
         return unknown + [option for option in options if option not in known]
     scripts = [word for word in words if re.fullmatch(r"(studies|validation)/[\w/]+\.py", word)]
     known = (ROOT / scripts[0]).read_text() if scripts else ""
-    if calls := re.search(r'app\(\["(\w+)",', known):  # a study that is a command
-        return unknown_options(f"rrr-oc {calls.group(1)} {' '.join(o for o in options if o != '--help')}")
-    return [option for option in options if scripts and option != "--help" and not declared(option, known)]
+    if "rrr_oc.commands.design" in known:  # the script takes the command's options
+        known += "".join(f'"{name}"' for parameter in load("design").params for name in parameter.opts)
+    return [option for option in options if scripts and not declared(option, known)]
 
 
 def declared(option: str, script: str) -> bool:

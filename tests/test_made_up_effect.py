@@ -23,13 +23,13 @@ from rrr_oc.calibration.calibrated_model import nominal_term
 from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.response import Response
 from rrr_oc.calibration.samples import prepare
-from rrr_oc.cli import app
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.local_optima import transcribed
 from rrr_oc.codesign.proposals import SearchOptions, motion_guess
 from rrr_oc.codesign.springs import configurations, spring_bounds
 from rrr_oc.codesign.task import load_task
+from rrr_oc.commands import app
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.effects import CATALOGUE, register
 from rrr_oc.errors import UserError

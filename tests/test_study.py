@@ -14,11 +14,12 @@ import pytest
 from chains import arm, joint, link, robot
 from commands import run
 
+from rrr_oc import cli
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.calibration.model_file import save_model
+from rrr_oc.calibration.model_file import load_model, save_model
+from rrr_oc.codesign import study as steps
 from rrr_oc.codesign.springs import arrangements, spring_bounds
 from rrr_oc.codesign.task import load_task
-from rrr_oc.commands import design
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
@@ -213,7 +214,7 @@ BAD = {
 @pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD.keys())
 def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, arguments, message):
     folder = tmp_path / "results"
-    small = ["--configurations", "SA", "--starts", "2", "--catalogue", "none", "--jobs", "1", "--out", str(folder)]
+    small = ["--configurations", "SA", "--starts", "2", "--catalogue", "none", "--jobs", "1", "--quiet", "--out", str(folder)]
     assert run(study, monkeypatch, *small, *arguments(tmp_path)) == 2
     told = capsys.readouterr().err.strip()
     assert told.startswith("Error: ")
@@ -225,7 +226,7 @@ def test_bad_input_is_one_sentence_and_status_2(monkeypatch, capsys, tmp_path, a
 
 def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypatch, capsys, tmp_path):
     (tmp_path / "results").write_text("mine")
-    monkeypatch.setattr(design, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(steps, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"
@@ -291,7 +292,7 @@ LATE = {
 
 @pytest.mark.parametrize(("arguments", "message"), LATE.values(), ids=LATE.keys())
 def test_what_can_be_checked_is_checked_before_the_first_solve(monkeypatch, capsys, tmp_path, arguments, message):
-    monkeypatch.setattr(design, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(steps, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
     assert (
         run(study, monkeypatch, *OWN, "--preset", own_task(tmp_path), *arguments(tmp_path), "--out", str(tmp_path / "x")) == 2
     )
@@ -319,7 +320,7 @@ def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_
     command = [*OWN, "--configurations", "PEA", "--preset", own_task(tmp_path), "--catalogue", shop(tmp_path, j2=[5.0, 8.0])]
     command += ["--model", own_model(tmp_path), "--out", str(tmp_path / "results")]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, step, failing(error))
+        patch.setattr(steps, step, failing(error))
         assert run(study, patch, *command) == status
     first = json.loads((tmp_path / "results" / "summary.json").read_text())["configurations"]
     assert list(first) == ["PEA"]
@@ -344,7 +345,7 @@ def idle_run(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str, **f
 
 def test_a_spring_that_is_never_taut_is_said_and_its_motion_offered_to_the_stiff_arm(monkeypatch, tmp_path):
     """A spring that pulls below -100° and an arm that stays above -20°; the stiff arm's own search is made worse by 3 %."""
-    describe = design._describe
+    describe = steps._describe
 
     def worse(out, name, result, began):
         found = describe(out, name, result, began)
@@ -352,7 +353,7 @@ def test_a_spring_that_is_never_taut_is_said_and_its_motion_offered_to_the_stiff
             found | {"cost": 1.03 * found["cost"], "E1": 1.03 * found["E1"]} if name == "SA" and len(result.starts) else found
         )
 
-    monkeypatch.setattr(design, "_describe", worse)
+    monkeypatch.setattr(steps, "_describe", worse)
     found = idle_run(tmp_path, monkeypatch, active="below")
     assert found["PEA"]["idle"] == {"parallel_spring[j2]": "never taut"}
     assert found["SA"]["cost"] == pytest.approx(found["PEA"]["cost"], rel=1e-3)  # without the offer, 3 % more
@@ -410,3 +411,51 @@ def test_another_cost_is_headed_by_its_own_name_and_unit(monkeypatch, tmp_path):
     assert f"{json.loads(summary)['configurations']['SA']['cost']:.3f}" in text
     assert "of energy." in text  # the sensitivity
     assert "E1 = " not in text
+
+
+def heavy_model(folder: Path) -> str:
+    """A calibrated model of the own arm whose last link weighs half as much again."""
+    own_model(folder)
+    model = load_model(folder / "model.json")
+    heavy = replace(model.robot, inertial=model.robot.inertial * np.array([1.0, 1.0, 1.5])[: model.robot.n])
+    save_model(replace(model, robot=heavy), folder / "model.json")
+    return str(folder / "model.json")
+
+
+def rrr_oc(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    return int(stop.value.code or 0)
+
+
+def test_a_design_for_the_repaired_arm_is_cheaper_on_it(monkeypatch, capsys, tmp_path):
+    """Three commands from a model: the design as the URDF says and the one as the model says, each on both twins."""
+    task, model, found = own_task(tmp_path), heavy_model(tmp_path), {}
+    for name, repaired in (("nominal", []), ("repaired", ["--repaired"])):
+        command = ["design", task, *OWN, "--configurations", "PEA", "--model", model, *repaired]
+        assert rrr_oc(monkeypatch, *command, "--out", str(tmp_path / name), "--json") == 0
+        summary = json.loads(capsys.readouterr().out)
+        assert summary == json.loads((tmp_path / name / "summary.json").read_text())
+        found[name] = summary["configurations"]["PEA"]
+    # what was planned is what the twin does only if the design knew the twin's masses; 1 % for the coarse mesh
+    assert found["repaired"]["calibrated"]["engine"]["E1"] == pytest.approx(found["repaired"]["E1"], rel=0.01)
+    assert found["nominal"]["calibrated"]["engine"]["E1"] > 1.1 * found["nominal"]["E1"]
+    assert found["repaired"]["calibrated"]["engine"]["E1"] < 0.98 * found["nominal"]["calibrated"]["engine"]["E1"]
+
+
+def test_the_study_is_the_command(out, summary, monkeypatch, capsys):
+    """The results of the study are those that the command would take again."""
+    assert rrr_oc(monkeypatch, "design", "paper", *TINY, "--out", str(out), "--quiet") == 0
+    printed = capsys.readouterr()
+    assert printed.out == printed.err == ""
+    assert json.loads((out / "summary.json").read_text())["configurations"] == summary["configurations"]
+
+
+def test_a_repaired_arm_needs_a_model(monkeypatch, capsys, tmp_path):
+    assert rrr_oc(monkeypatch, "design", "paper", "--repaired", "--out", str(tmp_path / "x")) == 2
+    assert (
+        capsys.readouterr().err
+        == "Error: --repaired needs --model, the file of the model that the designs are to be made for\n"
+    )
+    assert not (tmp_path / "x").exists()

@@ -12,6 +12,7 @@ from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import BUNDLED
 from rrr_oc.simulation.engine_model import K_P, Controller
 from rrr_oc.simulation.replay import replay, tracking_controller
+from rrr_oc.simulation.rollout import Simulated
 from rrr_oc.storage import number, write_csv
 
 SIGNALS = ("q", "dq", "ddq", "tau_motor", "tau_load")
@@ -57,17 +58,30 @@ def evaluate_inverse(model: CalibratedModel, recordings: RecordingSet, window: f
 
 
 def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:
-    """Errors of `SIGNALS` while the MuJoCo model tracks the recorded motion, by file, joint and signal [SI].
+    """Errors of `SIGNALS` while the MuJoCo model tracks the recorded motion, by file, joint and signal [SI]."""
+    return errors_simulated(model, recordings, simulated(model, recordings), window)
+
+
+def simulated(model: CalibratedModel, recordings: RecordingSet) -> dict[str, Simulated]:
+    """What the MuJoCo model does while it tracks the recorded motion, by file."""
+    model = model.placed(recordings)
+    control = recorded_controller(model, recordings)
+    return {r.file: replay(model.physics(r), r, control) for r in recordings.recordings}
+
+
+def errors_simulated(
+    model: CalibratedModel, recordings: RecordingSet, found: Mapping[str, Simulated], window: float = WINDOW
+) -> Errors:
+    """Errors of `SIGNALS` of a simulation of the recordings, as `simulated` gives it, by file, joint and signal [SI].
 
     What recordings of motor torque say of the load torque is the recorded torque less what the model's drives take, and the
     other way round; both at the recorded motion. What the model's sensors add to a torque is taken off what was recorded.
     """
-    model = model.placed(recordings)
-    control, result = recorded_controller(model, recordings), {}
+    model, result = model.placed(recordings), {}
     for r in recordings.recordings:
-        simulated, measured = replay(model.physics(r), r, control), _measured(model, recordings, r)
-        found = {s: error(r.t, measured[s], getattr(simulated, s), r.segments, window) for s in SIGNALS}
-        parts = {s: _by_joint(model.joints, errors) for s, errors in found.items()}
+        measured = _measured(model, recordings, r)
+        errors = {s: error(r.t, measured[s], getattr(found[r.file], s), r.segments, window) for s in SIGNALS}
+        parts = {s: _by_joint(model.joints, of_signal) for s, of_signal in errors.items()}
         result[r.file] = {joint: {s: parts[s][joint] for s in SIGNALS} for joint in model.joints}
     return result
 
@@ -93,6 +107,13 @@ def write_predictions(model: CalibratedModel, recordings: RecordingSet, folder: 
     for file, columns in tables.items():
         names = ("t", *(f"tau_{joint}" for joint in model.joints))
         write_csv(Path(folder) / file, dict(zip(names, columns, strict=True)))
+
+
+def write_simulated(found: Mapping[str, Simulated], joints: Sequence[str], folder: str | Path) -> None:
+    """One CSV per recording, named as the recording: t and `SIGNALS` of every joint, at every sample; NaN where it diverged."""
+    for file, motion in found.items():
+        columns = {f"{s}_{joint}": row for s in SIGNALS for joint, row in zip(joints, getattr(motion, s), strict=True)}
+        write_csv(Path(folder) / file, {"t": motion.t, **columns})
 
 
 def _measured(model: CalibratedModel, recordings: RecordingSet, recording: Recording) -> dict[str, np.ndarray]:

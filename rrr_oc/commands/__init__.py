@@ -1,1 +1,73 @@
-"""What each command of `rrr-oc` does. Modules are imported when their command runs, so that `--help` needs none of them."""
+"""The commands of `rrr-oc`, one a module, each imported when it is used: help and mistakes in typing are answered at once.
+
+A module has a `typer.Typer` named `app`, made without completion, whose functions are the command or its subcommands. It appears
+in `rrr-oc` by its row in `COMMANDS`. `shared` has what several of them need.
+
+Imports everything else; a module here may import at its top what it needs."""
+
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from rrr_oc import __version__
+from rrr_oc.errors import STATUSES, ends_at_once
+
+# Names of the commands in the order of the help, each with its module and a sentence for the list of commands.
+COMMANDS = {
+    "init": ("init", "Commented example files for an arm, and the next commands."),
+    "design": ("design", "Springs and motion of a task, designed together."),
+    "calibrate": ("calibrate", "Friction and armature of every joint, and inertial parameters where the set asks for them."),
+    "diagnose": ("diagnose", "Where a calibrated model fails, which physics it lacks, and how well it predicts with it."),
+    "evaluate": ("evaluate", "How well a model predicts recordings, from the measured motion or in simulation."),
+    "simulate": ("simulate", "A model in MuJoCo tracks recordings; what it does is written and compared."),
+    "excite": ("excite", "A motion to record, which determines friction and inertia of an arm within its limits."),
+    "export": ("export", "A model for other programs: MJCF for plain MuJoCo, and URDF with identified inertias."),
+    "effects": ("effects", "The catalogue of effects: laws, parameters and units."),
+    "import": ("importers", "Recordings in other layouts, made into a recording set."),
+}
+
+
+class Commands(TyperGroup):
+    """Lists commands by their rows in `COMMANDS` and imports the one that is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A command's name and sentence, without its options."""
+        return TyperCommand(cmd_name, help=COMMANDS[cmd_name][1]) if cmd_name in COMMANDS else None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name, found, rest = super().resolve_command(ctx, args)
+        return name, found and load(found.name or ""), rest
+
+
+def load(name: str) -> Any:
+    """The command of a name in `COMMANDS`, with its options."""
+    with ends_at_once():
+        module = import_module(f"{__name__}.{COMMANDS[name][0]}")
+    return typer.main.get_command(module.app)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+app = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit status: " + "; ".join(f"{status}: {meaning}" for status, meaning in STATUSES.items()) + ".",
+)
+
+
+@app.callback()
+def rrr_oc(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Show the version and exit."),
+) -> None:
+    """System identification of robot arms on recordings of their motion and torques."""

@@ -1,34 +1,69 @@
-"""`rrr-oc calibrate`."""
+"""`rrr-oc calibrate`: a calibrated model of recordings."""
 
 import json
+from collections.abc import Callable
+from enum import StrEnum
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from rich.table import Table
 
-from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.calibrate import calibrate as calibrate_inverse
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
-from rrr_oc.commands.common import Output, loaded
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Dataset, loaded
+from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import check_folder
 
-WAYS = {"inverse": calibrate, "response": calibrate_response, "evolution": calibrate_evolution}
-WORTHLESS = 1.0  # NRMSE from which a torque counts as not explained
+app = typer.Typer(add_completion=False)
 
 
-def run(dataset: Path, out: Path, way: str, output: Output) -> None:
-    """Calibrate a model on a recording set in one of `WAYS`, write model.json, and show it."""
+class Way(StrEnum):
+    """How parameters are found."""
+
+    inverse = "inverse"
+    response = "response"
+    evolution = "evolution"
+
+
+WAYS: dict[Way, Callable[[RecordingSet], CalibratedModel]] = {
+    Way.inverse: calibrate_inverse,
+    Way.response: calibrate_response,
+    Way.evolution: calibrate_evolution,
+}
+WORTHLESS = 1.0  # NRMSE above which a constant would explain the torque as well: a warning
+
+
+@app.command()
+def calibrate(
+    dataset: Dataset,
+    out: Annotated[Path, typer.Option(help="folder for model.json")],
+    way: Annotated[
+        Way,
+        typer.Option(
+            help="inverse: least squares on inverse dynamics; response: from there by Gauss-Newton on the simulated response; "
+            "evolution: CMA-ES on MuJoCo rollouts, as the paper (slow)"
+        ),
+    ] = Way.inverse,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Find dry friction, viscous friction and armature of every joint; where the set says "identify", inertial parameters too."""
+    output = Output(quiet, as_json)
     check_folder(out)
     recordings = loaded(dataset, output)
     model = WAYS[way](recordings)
     save_model(model, out / "model.json")
-    _show(model, output)
-    output.show(f"{out / 'model.json'} holds the model.")
     output.result(json.loads((out / "model.json").read_text(encoding="utf-8")))
+    _show_model(model, output)
+    output.show(f"{out / 'model.json'} holds the model.")
 
 
-def _show(model: CalibratedModel, output: Output) -> None:
+def _show_model(model: CalibratedModel, output: Output) -> None:
     table = Table("effect", "joint", "parameter", "value", "95 % interval", "unit", "")
     for term in model.terms:
         for parameter, e in zip(term.effect.parameters, term.estimates, strict=True):
@@ -45,7 +80,7 @@ def _show(model: CalibratedModel, output: Output) -> None:
     for joint, nrmse in zip(model.joints, model.nrmse, strict=True):
         if not nrmse <= WORTHLESS:
             found = "never changes" if np.isnan(nrmse) else f"is explained no better than by a constant (NRMSE {nrmse:.3g})"
-            output.warn(
+            output.note(
                 f"Warning: the torque of {joint} {found}. Check units, signs and the order of columns, and gravity, tool and payload."
             )
     base = model.report.get("base_parameters", [])

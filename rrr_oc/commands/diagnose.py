@@ -1,13 +1,15 @@
-"""`rrr-oc diagnose`."""
+"""`rrr-oc diagnose`: which physics a calibrated model lacks."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 from rich.table import Table
 
-from rrr_oc.commands.common import Output, check_apart, loaded, shown
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Dataset, check_apart, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
-from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects.priors import load_priors
 from rrr_oc.effects.words import joint_words
 from rrr_oc.parallel import check_jobs, one_thread
@@ -15,40 +17,56 @@ from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import not_claimed, on_prior, plain, rows, unexplained, verdict
 from rrr_oc.storage import check_folder
 
+app = typer.Typer(add_completion=False)
 
-def run(dataset: Path, out: Path, options: dict[str, Any], output: Output) -> None:
-    """Diagnose a recording set, write the report and its files, and show what was found.
 
-    Args:
-        options: "jobs", "simulate" and "priors" as the command declares them.
-    """
-    jobs = options["jobs"]
+@app.command()
+def diagnose(
+    dataset: Dataset,
+    out: Annotated[Path, typer.Option(help="folder for diagnosis.json, model.json, report.html and figures")],
+    jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
+    simulate: Annotated[bool, typer.Option(help="let the MuJoCo model track the recordings before and after, held out")] = True,
+    priors: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file with what is known of the arm before: a table for each effect with its probability and typical sizes, "
+            "and \\[context] with springs and inertias; without it, each effect's own prior holds"
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
+    output = Output(quiet, as_json)
     check_jobs(jobs)
     check_folder(out)
-    believed = None if options["priors"] is None else load_priors(options["priors"])
+    believed = None if priors is None else load_priors(priors)
     recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
-    with one_thread():
-        found = diagnose(recordings, output.progress, jobs, believed)
-        if options["simulate"]:
-            output.progress("tracking the recordings in closed loop")
-        simulated = in_closed_loop(found, jobs) if options["simulate"] else None
-        output.progress("writing the report")
+    with output.steps("reading") as step, one_thread():
+        found = diagnose_recordings(recordings, step, jobs, believed)
+        if simulate:
+            step("tracking the recordings in closed loop")
+        simulated = in_closed_loop(found, jobs) if simulate else None
+        step("writing the report")
         content = write_diagnosis(found, out, simulated)
-    _show(content, output)
-    output.show(f"{out} holds diagnosis.json, model.json and report.html.")
     output.result(content)
+    _show_diagnosis(content, output)
+    output.show(f"{out} holds diagnosis.json, model.json and report.html.")
 
 
-def _show(found: dict[str, Any], output: Output) -> None:
-    output.show(f"Verdict: {verdict(found)}.", *map(plain, found["effects"]), *map(unexplained, found["unexplained"]))
+def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
+    output.show(f"Verdict: {verdict(found)}.")
+    for line in [*map(plain, found["effects"]), *map(unexplained, found["unexplained"])]:
+        output.show(line)
     header, body = rows(found)
     table = Table(*header)
     for row in body:
         table.add_row(*row)
     if body:
         output.show(table)
-    output.show(*on_prior(found), *not_claimed(found))
+    for line in [*on_prior(found), *not_claimed(found)]:
+        output.show(line)
     errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
     for joint, b in found["bootstrap"].items():
         interval = b["ratio"]["interval"]

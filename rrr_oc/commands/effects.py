@@ -1,28 +1,45 @@
-"""`rrr-oc effects`."""
+"""`rrr-oc effects`: the catalogue."""
 
+from typing import Any
+
+import typer
 from rich.table import Table
 
-from rrr_oc.commands.common import Output
+from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.effects import CATALOGUE
-from rrr_oc.effects.base import PLACEMENTS, SIDES
+from rrr_oc.effects.base import PLACEMENTS, SIDES, Effect
+from rrr_oc.robot.parameters import Parameter
+
+app = typer.Typer(add_completion=False)
 
 
-def run(output: Output) -> None:
-    """Show the catalogue."""
-    table, entries = Table("effect", "law", "parameters", "acts on", "where", show_lines=True), []
+@app.command()
+def effects(quiet: Quiet = False, as_json: Json = False) -> None:
+    """List the effects of the catalogue: their laws, parameters and units, and where they act."""
+    output = Output(quiet, as_json)
+    output.result({"effects": [_described(kind) for kind in CATALOGUE.values()], "acts_on": SIDES})
+    table = Table("effect", "law", "parameters", "acts on", "where", show_lines=True)
     for kind in CATALOGUE.values():
-        fixed = isinstance(kind.parameters, tuple)  # else their number depends on what the term was found to depend on
-        parameters = ", ".join(f"{p.name} [{p.unit}]" for p in kind.parameters) if fixed else "coefficients [Nm]"
+        known = _parameters(kind)
+        parameters = "coefficients [Nm]" if known is None else ", ".join(f"{p.name} [{p.unit}]" for p in known)
         table.add_row(kind.name, kind.equation, parameters, kind.side, PLACEMENTS[kind.placement])
-        units = {p.name: p.unit for p in kind.parameters} if fixed else {}
-        entries.append(
-            {
-                "effect": kind.name,
-                "law": kind.equation,
-                "parameters": units,
-                "acts_on": kind.side,
-                "where": PLACEMENTS[kind.placement],
-            }
-        )
-    output.show(table, *(f"{side}: {meaning}." for side, meaning in SIDES.items()))
-    output.result(entries)
+    output.show(table)
+    for side, meaning in SIDES.items():
+        output.show(f"{side}: {meaning}.")
+
+
+def _described(kind: type[Effect]) -> dict[str, Any]:
+    """An effect as data; the parameters are null where their number depends on what the term was found to depend on."""
+    known = _parameters(kind)
+    named = None if known is None else [{"name": p.name, "unit": p.unit} for p in known]
+    return {
+        "effect": kind.name,
+        "law": kind.equation,
+        "parameters": named,
+        "acts_on": kind.side,
+        "where": PLACEMENTS[kind.placement],
+    }
+
+
+def _parameters(kind: type[Effect]) -> tuple[Parameter, ...] | None:
+    return kind.parameters if isinstance(kind.parameters, tuple) else None

@@ -1,28 +1,34 @@
-"""`rrr-oc evaluate`."""
+"""`rrr-oc evaluate`: how well a model predicts recordings."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from rich.table import Table
+import typer
 
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse, evaluate_simulated, summary, write_predictions
-from rrr_oc.commands.common import Output, check_apart, loaded, print_json, shown
-from rrr_oc.errors import UserError
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Dataset, Model, check_apart, check_window, error_table, loaded
 from rrr_oc.numerics.savitzky_golay import WINDOW
 from rrr_oc.storage import check_file, check_folder, write_json
 
+app = typer.Typer(add_completion=False)
 
-def run(model: Path, dataset: Path, options: dict[str, Any], output: Output) -> None:
-    """Evaluate a model on a recording set.
 
-    Args:
-        options: "out", "simulate", "predictions" and "window" as the command declares them.
-    """
-    out, predictions = options["out"], options["predictions"]
-    window = WINDOW if options["window"] is None else options["window"]
-    if not 0 <= window < float("inf"):
-        raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
+@app.command()
+def evaluate(
+    model: Model,
+    dataset: Dataset,
+    out: Annotated[Path | None, typer.Option(help="file for the result as JSON; without it, it goes to stdout")] = None,
+    simulate: Annotated[bool, typer.Option("--simulate", help="also let the MuJoCo model track the recorded motion")] = False,
+    predictions: Annotated[Path | None, typer.Option(help="folder for one CSV of predictions per recording")] = None,
+    window: Annotated[float, typer.Option(help="of the Savitzky-Golay smoothing before signals are compared \\[s]")] = WINDOW,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """NRMSE of a calibrated model on recordings: torque from the measured motion and, if asked for, simulated signals."""
+    output = Output(quiet, as_json)
+    check_window(window)
     if out is not None:
         check_file(out)
     if predictions is not None:
@@ -33,22 +39,13 @@ def run(model: Path, dataset: Path, options: dict[str, Any], output: Output) -> 
     written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
     check_apart([model, *recordings.files], written)
     inverse = evaluate_inverse(calibrated, recordings, window)
-    simulated = evaluate_simulated(calibrated, recordings, window) if options["simulate"] else None
+    simulated = evaluate_simulated(calibrated, recordings, window) if simulate else None
     result = summary(inverse, simulated)
     if predictions is not None:
         write_predictions(calibrated, recordings, predictions)
-    if out is None:
-        print_json(result)
+    if out is None:  # a program reads it, whatever else is asked for
+        Output(as_json=as_json or not quiet).result(result)
         return
     write_json(out, result)
-    _show(result, output)
     output.result(result)
-
-
-def _show(result: dict[str, Any], output: Output) -> None:
-    table = Table("way", "joint", "signal", "mean NRMSE", "mean RMSE")
-    for way, joints in result["mean"].items():
-        for joint, found in joints.items():
-            for signal, errors in found.items() if way == "simulated" else [("recorded", found)]:
-                table.add_row(way, joint, signal, *(shown(errors[key]) for key in ("nrmse", "rmse")))
-    output.show(table)
+    output.show(error_table(result))

@@ -89,6 +89,17 @@ class Information:
         sign, value = np.linalg.slogdet(self.matrix(motion.q, motion.dq, motion.ddq))
         return float(value) if sign > 0 else -math.inf
 
+    def deviations(self, motion: Motion) -> dict[str, float]:
+        """Standard errors that least squares have for the parameters of interest after this motion, each in the parameter's unit.
+
+        The diagonal of (K S)⁻¹ for K samples whose noise is independent; where it is not, they are larger by the same factor.
+        Infinite where the motion leaves a parameter undetermined.
+        """
+        whole, scale = self.matrix(motion.q, motion.dq, motion.ddq) * motion.q.shape[1], self.scale[len(self.nuisance) :]
+        if np.linalg.matrix_rank(whole, hermitian=True) < len(scale):
+            return dict.fromkeys(self.interest, math.inf)
+        return dict(zip(self.interest, (np.sqrt(np.diag(np.linalg.inv(whole))) / scale).tolist(), strict=True))
+
     def condition(self, motion: Motion) -> float:
         """Condition number of S."""
         return float(np.linalg.cond(self.matrix(motion.q, motion.dq, motion.ddq)))

@@ -1,6 +1,6 @@
-"""Tables, figures and pages made from results. Only this folder and the command line print or plot.
+"""Tables, figures and pages made from results. Only this folder and `commands` print or plot.
 
-A design's, a comparison's and a diagnosis' report and figures each have a module; `tables` has what they share, `figures` how figures
-are saved, `console` where commands print.
+A design's, a comparison's and a diagnosis' report and figures each have a module; `tables` has what they share, `study_files` what a
+study writes, `figures` how figures are saved, `console` where commands print.
 
-Imports everything else."""
+Imports everything else but `commands`."""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from rrr_oc.codesign.study import does_nothing
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.model.metrics import decrease
 from rrr_oc.report.tables import SPRINGS, markdown, table_3, table_4
@@ -52,11 +53,6 @@ def report(summary: dict[str, Any]) -> str:
     parts += [_hardware(found, beside, summary["joints"])]
     parts += ["## Certificates\n", *[_certificate(name, c, quantity) for name, c in found.items()]]
     return "\n".join(parts)
-
-
-def does_nothing(c: dict[str, Any]) -> bool:
-    """Whether a design has springs and none of them does anything."""
-    return bool(c.get("idle")) and set(c["idle"]) == set(c["mounted"])
 
 
 def _idle(found: dict) -> list[str]:

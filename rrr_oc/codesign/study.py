@@ -1,0 +1,386 @@
+"""A study: one task designed with every configuration of springs, each design saved as soon as it is solved.
+
+For each configuration the cost is minimised over springs and motion by `multistart`; the best purchasable hardware is searched in a
+catalogue (the starred designs); published springs are given the best motion on the same model; every optimum is certified, simulated in
+MuJoCo and, where a calibrated model is given, tracked in that. What can be checked is checked before the first solve.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from rrr_oc import __version__
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.model_file import load_model
+from rrr_oc.codesign.catalogue import Catalogue, check_offers, load_catalogue
+from rrr_oc.codesign.certificate import certify
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
+from rrr_oc.codesign.optimum import (
+    SAVED,
+    SampledMotion,
+    check_simulation,
+    describe,
+    describe_simulation,
+    idle_springs,
+    mounted,
+    restart_arrays,
+    restored,
+    sample_motion,
+)
+from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.purchasable import METHODS, search_catalogue
+from rrr_oc.codesign.springs import CONFIGURATIONS, arrangements
+from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
+from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.parallel import check_jobs
+from rrr_oc.robot.drives import Actuators, load_actuators
+from rrr_oc.storage import check_folder, plain, write_json, write_npz
+
+CHEAPER = 1e-4  # [1] share by which a design with idle springs must be cheaper for the stiff arm to be solved from its motion
+Published = Callable[[str], Mapping[str, float]]  # hardware that was published for a configuration, empty where none was
+
+
+class Listener(Protocol):
+    """Who is told how a study goes on."""
+
+    def show(self, shown: str, /) -> None:
+        """A sentence."""
+        ...
+
+    def count(self, name: str, total: int | None = None) -> AbstractContextManager[Callable[[int, str], None]]:
+        """A function that takes how many of a total are done, and a remark."""
+        ...
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a study.
+
+    Attributes:
+        task: A bundled task, or the path of a task file.
+        out: Folder of the results.
+        configurations: Of `CONFIGURATIONS`.
+        search: Options of every search.
+        cost: Of `COSTS`.
+        actuators, catalogue: A JSON file, "prototype" or "none"; by default the prototype's for the bundled tasks and none for others.
+        method: How the catalogue is searched for springs across two joints, of `METHODS`.
+        model: The file of a calibrated model, in which every optimum is tracked.
+        repaired: Whether designs are made for the arm as this model has it.
+    """
+
+    task: str
+    out: Path
+    configurations: tuple[str, ...] = tuple(CONFIGURATIONS)
+    search: SearchOptions = field(default_factory=SearchOptions)
+    cost: str = "load"
+    actuators: str | None = None
+    catalogue: str | None = None
+    method: str = "exhaustive"
+    model: Path | None = None
+    repaired: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.configurations:
+            raise UserError(f"--configurations names none; there are {', '.join(CONFIGURATIONS)}")
+        if self.method not in METHODS:
+            raise UserError(f"--catalogue-search is {self.method!r}; allowed are {', '.join(METHODS)}")
+        if self.repaired and self.model is None:
+            raise UserError("--repaired needs --model, the file of the model that the designs are to be made for")
+        for name in ("actuators", "catalogue"):
+            given = getattr(self, name)
+            bundled = "prototype" if self.bundled else None
+            object.__setattr__(self, name, bundled if given is None else None if given == "none" else given)
+
+    @property
+    def bundled(self) -> bool:
+        """Whether the task is one of the paper's."""
+        return self.task in PRESETS
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A calibrated model in which optima are tracked, and the arm's drives where they are known."""
+
+    model: CalibratedModel
+    drives: Actuators | None
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What all configurations of a run share.
+
+    Attributes:
+        out: Folder of the results.
+        task: The task, on the arm for which it is designed.
+        designs: By configuration, in every way in which the task lets its springs be mounted.
+        asked: The settings on which a result depends; a result saved under the same ones is taken again.
+        options: Of every search.
+        shop, method: The catalogue of the starred designs, if there is one, and how it is searched.
+        twin: The calibrated model, if there is one.
+        published: Springs that were published for the task, if there are some.
+        listener: Who is told how it goes on.
+    """
+
+    out: Path
+    task: Task
+    designs: Mapping[str, Sequence[CoDesign]]
+    asked: dict[str, Any]
+    options: SearchOptions
+    shop: Catalogue | None
+    method: str
+    twin: Twin | None
+    published: Published | None
+    listener: Listener
+
+    def results(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Configurations and starred designs by name: each as soon as it is saved, and again with what is compared with it."""
+        found: dict[str, Any] = {}
+        for name, ways in self.designs.items():
+            for key, result in _results(self, name, ways):
+                found[key] = result
+                yield key, result
+        if "SA" in found:
+            yield from _with_idle_motion(self, found).items()
+
+
+def prepared(request: Request, published: Published | None, listener: Listener) -> Study:
+    """A study whose results are ready to be solved; raises `UserError` for whatever would end it later."""
+    task = load_task(request.task)
+    check_jobs(request.search.jobs)
+    check_folder(request.out)
+    drives = None if request.actuators is None else load_actuators(task.joints, request.actuators)
+    twin = None if request.model is None else Twin(load_model(request.model), drives)
+    needed = None if request.cost == "load" else drives
+    designs = {}
+    for name in request.configurations:
+        ways = [CoDesign(task, springs, request.cost, needed) for springs in arrangements(task, name)]
+        designs[name] = ways if twin is None or not request.repaired else [repaired(way, twin.model, ("", "")) for way in ways]
+    own, shop = next(iter(designs.values()))[0].task, None if request.catalogue is None else load_catalogue(request.catalogue)
+    asked = _asked(request, own)
+    study = Study(request.out, own, designs, asked, request.search, shop, request.method, twin, published, listener)
+    _check(study)
+    return study
+
+
+def _asked(request: Request, task: Task) -> dict[str, Any]:
+    asked = {"preset": request.task, "cost": request.cost, "catalogue": request.catalogue, "catalogue_search": request.method}
+    read = (request.task, request.catalogue, None if request.cost == "load" else request.actuators)
+    read += (str(request.model),) if request.repaired else ()
+    files = [Path(f).read_text(encoding="utf-8") for f in read if f is not None and Path(f).is_file()]
+    asked |= {"options": asdict(request.search), "files": files}
+    return asked | {"robot": [task.robot.placements, task.robot.axes, task.robot.inertial], "version": __version__}
+
+
+def _check(study: Study) -> None:
+    """Raise `UserError` for what would end the study after its first design was solved."""
+    for design, *_ in study.designs.values():
+        if study.shop is not None:
+            check_offers(design, study.shop)
+        check_simulation(design)
+    if study.twin is not None:
+        check_transfer(next(iter(study.designs.values()))[0], study.twin.model)
+
+
+def does_nothing(found: Mapping[str, Any]) -> bool:
+    """Whether a design has springs and none of them does anything."""
+    return bool(found.get("idle")) and set(found["idle"]) == set(found["mounted"])
+
+
+def _results(study: Study, name: str, ways: Sequence[CoDesign]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """A configuration and its starred design by name: each as soon as it is saved, and again with what is compared with it."""
+    solved = _once(study, name, partial(_solve, study, name, ways))
+    yield name, solved
+    design = _chosen(ways, solved)
+    if not solved["interrupted"]:
+        solved |= _compared(study, name, design)
+        yield name, solved
+    if study.shop is None or not design.springs or solved["interrupted"]:
+        return
+    starred = f"{name}*"
+    try:
+        bought = _once(study, starred, partial(_buy, study, starred, design))
+    except SolverFailure as failure:
+        study.listener.show(f"{starred}: no choice of the catalogue could be solved: {failure}")
+        yield name, solved | {"not_bought": str(failure)}
+        return
+    yield starred, bought
+    yield starred, bought | _compared(study, starred, design)
+
+
+def _chosen(ways: Sequence[CoDesign], solved: dict[str, Any]) -> CoDesign:
+    """The design with the springs mounted as in a result."""
+    return next(design for design in ways if plain(mounted(design)) == solved["mounted"])
+
+
+def _with_idle_motion(study: Study, found: dict[str, Any]) -> dict[str, Any]:
+    """The stiff arm moved as a design whose springs do nothing, if that is cheaper than what its own search found; saved."""
+    designs, stiff = study.designs, found["SA"]
+    (design,) = designs["SA"]
+    idle = [name for name in designs if name in found and does_nothing(found[name])]
+    cheapest = min(idle, key=lambda name: found[name]["cost"], default="SA")
+    if stiff["interrupted"] or found[cheapest]["cost"] >= stiff["cost"] * (1 - CHEAPER):
+        return {}
+    began = time.perf_counter()
+    with np.load(study.out / f"{cheapest}.npz") as file:
+        guess = restored(_chosen(designs[cheapest], found[cheapest]), study.options, file).guess()
+    tried = continue_from([(design, replace(guess, parameters=np.zeros(0)))], study.options)
+    if not tried or tried[0][1].cost >= stiff["cost"]:
+        return {}
+    better = _describe(study.out, "SA", SearchResult(design, (tried[0][1],), (), False), began)
+    better |= {key: stiff[key] for key in ("optima", "layers")}
+    _save(study, "SA", better)
+    return {"SA": better | _compared(study, "SA", design)}
+
+
+def _compared(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
+    """What a saved optimum is compared with: published springs on this model, and the optimum in the calibrated twin."""
+    published = {"published_springs_E1": None}
+    if study.published is not None:
+        hardware = study.published(name)
+        published = _once(study, f"{name} published springs", lambda: _published(study, name, design, hardware), files=())
+    return published | {"calibrated": None if study.twin is None else _transferred(study, name, design, study.twin)}
+
+
+def _once(study: Study, name: str, solve: Callable[[], dict[str, Any]], files: Sequence[str] | None = None) -> dict[str, Any]:
+    """A result by name: the one in the folder if a run with the same settings wrote it, else that of `solve`, which is saved at once
+    unless it was interrupted. `files` are the npz files that belong to it, by default that of its name."""
+    saved = study.out / f".{name}.json"
+    if saved.is_file():
+        content = json.loads(saved.read_text())
+        if content["asked"] == _key(study) and all(
+            (study.out / f"{n}.npz").is_file() for n in ([name] if files is None else files)
+        ):
+            study.listener.show(f"{name}: taken from the interrupted or repeated run in {study.out}")
+            return content["found"]
+    saved.unlink(missing_ok=True)  # the motion beside it is about to change
+    found = solve()
+    if not found.get("interrupted"):
+        _save(study, name, found)
+    return found
+
+
+def _save(study: Study, name: str, found: dict[str, Any]) -> None:
+    write_json(study.out / f".{name}.json", {"asked": _key(study), "found": found})
+
+
+def _key(study: Study) -> dict[str, Any]:
+    """The settings as they are read back from JSON."""
+    return json.loads(json.dumps(plain(study.asked)))
+
+
+def _solve(study: Study, name: str, ways: Sequence[CoDesign]) -> dict[str, Any]:
+    """A configuration, its springs mounted in the best of some ways; writes its motion."""
+    began = time.perf_counter()
+    if len(ways) > 1:
+        study.listener.show(f"{name}: the task leaves {len(ways)} ways to mount the springs open; each is tried")
+    return _describe(study.out, name, _search(study, name, best_arranged(ways, study.options)), began)
+
+
+def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
+    """A starred design, from the saved optimum of its configuration; writes its motion."""
+    began = time.perf_counter()
+    with np.load(study.out / f"{name.rstrip('*')}.npz") as file:
+        start = restored(design, study.options, file)
+    assert study.shop is not None
+    with study.listener.count(name) as count:
+        bought = search_catalogue(
+            design, start, study.shop, study.options, study.method, lambda done: count(done, "choices solved")
+        )
+    found = _describe(study.out, name, SearchResult(bought.design, (bought.optimum,), (), False), began)
+    gap = bought.optimum.cost / start.cost - 1
+    left = {key: value for key, value in found.items() if key not in ("optima", "layers")}
+    return left | {"catalogue": plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})}
+
+
+def _search(study: Study, name: str, design: CoDesign) -> SearchResult:
+    polished: list[float] = []
+    with study.listener.count(name, study.options.starts) as count:
+
+        def show(start: Start) -> None:
+            polished.append(start.polished)
+            best = min(polished)
+            count(
+                len(polished),
+                f"starts, best so far {best:.3f}" if np.isfinite(best) else "starts, none within the limits so far",
+            )
+
+        try:
+            return solve_multistart(design, study.options, show)
+        except SolverFailure as failure:
+            task = design.task
+            rows = zip(
+                task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True
+            )
+            limits = "; ".join(
+                f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows
+            )
+            raise UserError(
+                f"no motion of task {task.name!r} was found within its limits ({limits}; "
+                f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
+            ) from None
+
+
+def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[str, Any]:
+    """The entry of a configuration in summary.json; first writes its motion to an npz."""
+    design, solution = result.design, result.best.solution
+    motion = sample_motion(design, solution)
+    joints = {"joints": np.array(design.task.joints)}
+    write_npz(out / f"{name}.npz", motion.arrays | joints | restart_arrays(solution))
+    described = describe(design, motion.metrics()) | {
+        "cost": solution.cost,
+        "lowest_tool_m": min(float(design.model.tool_height(q)) for q in design.task.full(motion.q).T[::7]),
+        "springs": design.hardware(solution.parameters),
+        "mounted": mounted(design),
+        "idle": idle_springs(design, motion, solution.parameters),
+        "parameters": design.model.values(solution.parameters),
+        "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
+        "certificate": asdict(certify(result, result.best)),
+        "meshes": result.best.meshes,
+        "mujoco": describe_simulation(design, solution, motion),
+        "optima": [
+            {
+                "cost": o.solution.cost,
+                "reached": o.reached,
+                "refined": len(o.meshes) > 1,
+                "durations": dict(zip(PHASES, o.solution.durations.tolist(), strict=True)),
+                "springs": design.hardware(o.solution.parameters),
+            }
+            for o in result.optima
+        ],
+        "layers": result.layers(),
+        "interrupted": result.interrupted,
+    }
+    if design.cost == "load":
+        described["E1"] = solution.cost
+    return plain(described | {"wall_s": time.perf_counter() - began})
+
+
+def _transferred(study: Study, name: str, design: CoDesign, twin: Twin) -> dict[str, Any]:
+    """Metrics of a saved optimum in the calibrated twin."""
+    with np.load(study.out / f"{name}.npz") as saved:
+        motion, values = SampledMotion(**{key: saved[key] for key in SAVED}), restored(design, study.options, saved).parameters
+    return plain(describe_transfer(design, motion, values, twin.model, twin.drives))
+
+
+def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str, float]) -> dict[str, float | None]:
+    """The cost of published springs on this model, motion and durations re-optimised; None where there are none, or no motion is
+    found."""
+    options = study.options
+    if not hardware:
+        return {"published_springs_E1": None}
+    few = replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)
+    try:
+        return {"published_springs_E1": solve_multistart(design.with_fixed(hardware), few).whole().best.cost}
+    except SolverFailure as failure:
+        study.listener.show(f"{name}: no motion was found with the published springs: {failure}")
+        return {"published_springs_E1": None}

@@ -1,0 +1,134 @@
+"""`rrr-oc excite`: a motion to record that determines friction and inertia well."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.effects import plain_effects
+from rrr_oc.errors import UserError
+from rrr_oc.excitation.design import Excitation, Search
+from rrr_oc.excitation.design import excite as optimised
+from rrr_oc.excitation.information import INERTIAL, Information, information, model_sensitivity
+from rrr_oc.excitation.limits import UNITS, Rig, robot_limits
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.robot import BUNDLED, Robot, load_robot
+from rrr_oc.storage import check_file, write_csv
+
+UNITS_INERTIAL: dict[str, str] = dict(
+    zip(INERTIAL, ["kg", *["kg m"] * 3, *["kg m²"] * 6], strict=True)
+)  # of the columns of a link
+NOISE = 1.0  # [Nm] of every joint's torque, for which standard errors are told; they are proportional to it
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def excite(
+    urdf: Annotated[str, typer.Argument(help=f"path of the robot's URDF, or a bundled model: {', '.join(BUNDLED)}")],
+    out: Annotated[Path, typer.Option(help="CSV file of the motion: t, q, dq and ddq of every joint")],
+    joints: Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")] = None,
+    duration: Annotated[float, typer.Option(help="of the motion \\[s]")] = 20.0,
+    harmonics: Annotated[int, typer.Option(help="of the base frequency 1/duration; more are faster motions")] = 8,
+    acceleration: Annotated[float, typer.Option(help="limit of every joint \\[rad/s²]")] = 5.0,
+    speed: Annotated[float | None, typer.Option(help="limit of every joint \\[rad/s], if below the URDF's")] = None,
+    torque: Annotated[
+        float | None, typer.Option(help="limit of every joint's motor torque \\[Nm], if below the URDF's")
+    ] = None,
+    floor: Annotated[float | None, typer.Option(help="height that the tool stays above \\[m]; default: no floor")] = None,
+    payload: Annotated[float, typer.Option(help="held at the tool \\[kg]")] = 0.0,
+    starts: Annotated[int, typer.Option(min=1, help="random starts of the search")] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Design a recording for an arm: the motion within its limits that determines friction and inertia best (D-optimal).
+
+    It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for.
+    """
+    output = Output(quiet, as_json)
+    search = Search(duration, harmonics, starts, seed=seed)
+    check_file(out)
+    robot = load_robot(urdf, None if joints is None else [name.strip() for name in joints.split(",")])
+    rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, -math.inf if floor is None else floor, payload)
+    for note in _unlimited(robot, rig):
+        output.note(f"Note: {note}.")
+    with output.steps("looking for the motion"):
+        known = model_sensitivity(rig)
+        asked = information(rig, [name for name in known.names if name != "payload"], noise=NOISE, sensitivity=known)
+        found = optimised(asked, search)
+    motion = found.motion
+    columns = {
+        f"{kind}_{j}": row for kind in ("q", "dq", "ddq") for j, row in zip(robot.joints, getattr(motion, kind), strict=True)
+    }
+    write_csv(out, {"t": motion.t, **columns})
+    result = _result(rig, asked, found)
+    output.result(result | {"path": str(out)})
+    for table in _tables(result):
+        output.show(table)
+    if asked.inseparable:
+        output.show(f"No motion determines these apart from the parameters above: {', '.join(asked.inseparable)}.")
+    output.show(f"{out} holds the motion of {motion.t[-1]:g} s.")
+
+
+def _rig(robot: Robot, less: dict[str, float | None], acceleration: float, floor: float, payload: float) -> Rig:
+    """The arm with the effects of every calibrated model, within its limits or the lower ones of `less`."""
+    for name, limit in {**less, "acceleration": acceleration}.items():
+        if limit is not None and not limit > 0:
+            raise UserError(f"--{name} is {limit:g} {UNITS[name]}; above 0 is required")
+    effects = tuple(kind((j,)) for j in range(robot.n) for kind in plain_effects())
+    model = Model(robot, robot.tool, effects)
+    known = robot_limits(robot, acceleration, floor)
+    tighter = {name: np.minimum(getattr(known, name), math.inf if limit is None else limit) for name, limit in less.items()}
+    limits = type(known)(known.lower, known.upper, tighter["speed"], known.acceleration, tighter["torque"], floor)
+    return Rig(model, limits, np.array([p.nominal for p in model.parameters]), payload)
+
+
+def _unlimited(robot: Robot, rig: Rig) -> list[str]:
+    """What nothing limits, a sentence each."""
+    missing = {
+        "range; it is taken to turn by ±180°": ~(np.isfinite(robot.lower) & np.isfinite(robot.upper)),
+        "speed; --speed gives one": ~np.isfinite(rig.limits.speed),
+        "torque; --torque gives one": ~np.isfinite(rig.limits.torque),
+    }
+    named = {
+        what: [j for j, bare in zip(robot.joints, bare_joints, strict=True) if bare] for what, bare_joints in missing.items()
+    }
+    return [f"{', '.join(found)}: the URDF has no limit of the {what}" for what, found in named.items() if found]
+
+
+def _result(rig: Rig, asked: Information, found: Excitation) -> dict[str, Any]:
+    motion, names = found.motion, rig.model.robot.joints
+    spans = {"position_rad": motion.q, "speed_rad_per_s": motion.dq, "acceleration_rad_per_s2": motion.ddq}
+    effects = {f"{rig.model.label(e)}.{p.name}": p.unit for e in rig.model.effects for p in e.parameters}
+    unit = {name: effects.get(name) or UNITS_INERTIAL[name.rsplit(".", 1)[1]] for name in asked.interest}
+    return {
+        "standard_errors": {
+            name: {"value": value if math.isfinite(value) else None, "unit": unit[name]}
+            for name, value in asked.deviations(motion).items()
+        },
+        "noise_Nm": NOISE,
+        "samples": len(motion.t),
+        "condition": asked.condition(motion),
+        "inseparable": list(asked.inseparable),
+        "joints": {
+            joint: {kind: [float(x[j].min()), float(x[j].max())] for kind, x in spans.items()} for j, joint in enumerate(names)
+        },
+        "status": found.status,
+    }
+
+
+def _tables(result: dict[str, Any]) -> list[Table]:
+    motion = Table("joint", "position [°]", "speed [rad/s]", "acceleration [rad/s²]")
+    for joint, spans in result["joints"].items():
+        q = np.degrees(spans["position_rad"])
+        fastest = (f"{max(map(abs, spans[kind])):.2f}" for kind in ("speed_rad_per_s", "acceleration_rad_per_s2"))
+        motion.add_row(joint, f"{q[0]:.0f} … {q[1]:.0f}", *fastest)
+    title = f"standard error, for noise of {result['noise_Nm']:g} Nm in each of {result['samples']} samples"
+    errors = Table("parameter", title, "unit")
+    for name, error in result["standard_errors"].items():
+        errors.add_row(name, "not determined" if error["value"] is None else f"{error['value']:.3g}", error["unit"])
+    return [motion, errors]

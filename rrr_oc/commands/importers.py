@@ -1,0 +1,80 @@
+"""`rrr-oc import`: recordings in other layouts, made into a recording set."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.importers import JointStates, import_mcap, import_prototype
+from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
+from rrr_oc.recordings.recording import RecordingSet
+
+app = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True, add_completion=False)
+
+
+@app.command()
+def prototype(
+    folder: Annotated[
+        Path, typer.Argument(help="folder with data_file_M_ExpN.txt, of github.com/Co-Evolve/elastic-actuation-arm")
+    ],
+    out: Annotated[Path, typer.Argument(help="folder to make")],
+    payload_at: Annotated[
+        float, typer.Option(help="where the payload is held along link 3 \\[m]; the recordings themselves say 0.355")
+    ] = PAYLOAD_AT,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """The public recordings of the paper's own arm."""
+    _show_set(import_prototype(folder, out, payload_at), Output(quiet, as_json))
+
+
+@app.command()
+def mcap(
+    files: Annotated[list[Path], typer.Argument(help="MCAP files with sensor_msgs/JointState, each one recording")],
+    robot: Annotated[str, typer.Option(help="path of the robot's URDF, or a bundled model")],
+    out: Annotated[Path, typer.Option(help="folder to make")],
+    joints: Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")] = None,
+    topic: Annotated[str | None, typer.Option(help="of the joint states; default: the only one there is")] = None,
+    torque: Annotated[str, typer.Option(help="what the efforts are: motor or load torque [Nm], or current [A]")] = "motor",
+    torque_constant: Annotated[str | None, typer.Option(help="JOINT=Nm/A, comma-separated, for currents")] = None,
+    inertial: Annotated[str, typer.Option(help="nominal: trust the URDF's masses; identify: only its kinematics")] = "nominal",
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """ROS 2 bags in MCAP files."""
+    names = None if joints is None else [name.strip() for name in joints.split(",")]
+    states = JointStates(names, topic, torque, inertial, _constants(torque_constant))
+    _show_set(import_mcap(files, robot, out, states), Output(quiet, as_json))
+
+
+def _constants(text: str | None) -> dict[str, float]:
+    if text is None:
+        return {}
+    try:
+        return {name.strip(): float(value) for name, value in (pair.split("=") for pair in text.split(","))}
+    except ValueError:
+        raise UserError(f"--torque-constant is {text!r}; JOINT=NUMBER, comma-separated, is required") from None
+
+
+def _show_set(recordings: RecordingSet, output: Output) -> None:
+    rows = [
+        {
+            "file": r.file,
+            "rows": len(r.t),
+            "seconds": float(r.t[-1] - r.t[0]),
+            "payload_kg": float(r.payload.max()),
+            "springs": [spring.name for spring, _ in r.springs],
+            "rows_dropped": r.dropped + r.short,
+        }
+        for r in recordings.recordings
+    ]
+    output.result({"path": str(recordings.path), "recordings": rows})
+    table = Table("recording", "rows", "seconds", "payload [kg]", "springs", "rows dropped")
+    for r in rows:
+        springs, dropped = ", ".join(r["springs"]), str(r["rows_dropped"])
+        table.add_row(r["file"], str(r["rows"]), f"{r['seconds']:.1f}", f"{r['payload_kg']:g}", springs, dropped)
+    output.show(table)
+    output.show(f"{recordings.path} holds the set.")

@@ -1,0 +1,94 @@
+"""What commands say: tables for people on stdout, JSON for programs in their place, notes and progress on stderr."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from rrr_oc.report.console import wide_console
+
+LINE_EVERY = 10.0  # [s] between two lines of a count where there is no terminal
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no tables, notes and progress, only errors")]
+Json = Annotated[bool, typer.Option("--json", help="the result as JSON on stdout in place of tables")]
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a command's result goes.
+
+    Attributes:
+        quiet: Nothing is said, whether of the result, of the data or of the progress; errors are exceptions and not said here.
+        as_json: The result is JSON alone on stdout. Notes and progress go to stderr in any case.
+    """
+
+    quiet: bool = False
+    as_json: bool = False
+
+    @cached_property
+    def _result(self) -> Console:
+        return wide_console()
+
+    @cached_property
+    def _beside(self) -> Console:
+        return wide_console(stderr=True)
+
+    def show(self, shown: Any) -> None:
+        """A table, or a sentence that is not broken into lines, for people."""
+        if not (self.quiet or self.as_json):
+            self._result.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
+
+    def result(self, content: Any) -> None:
+        """The result for programs, of plain data without NaN."""
+        if self.as_json:
+            typer.echo(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
+
+    def note(self, sentence: str) -> None:
+        """What a user should know beside the result."""
+        if not self.quiet:
+            self._beside.print(sentence, highlight=False, soft_wrap=True)
+
+    @contextmanager
+    def steps(self, first: str) -> Iterator[Callable[[str], None]]:
+        """A function that says which step has begun: in place on a terminal, else a line each with the time since the start."""
+        if self.quiet:
+            yield lambda _: None
+        elif self._beside.is_terminal:
+            with self._beside.status(first) as status:
+                yield status.update
+        else:
+            began = time.monotonic()
+
+            def line(step: str) -> None:
+                self.note(f"{time.monotonic() - began:7.1f} s  {step}")
+
+            line(first)
+            yield line
+
+    @contextmanager
+    def count(self, name: str, total: int | None = None) -> Iterator[Callable[[int, str], None]]:
+        """A function of how many are done and a remark: a bar on a terminal, else a line now and then, and one for the last."""
+        if self.quiet:
+            yield lambda done, remark: None
+        elif self._beside.is_terminal:
+            columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[remark]}")
+            with Progress(TextColumn("{task.description:12}"), *columns, console=self._beside) as progress:
+                row = progress.add_task(name, total=total, remark="")
+                yield lambda done, remark: progress.update(row, completed=done, remark=remark)
+        else:
+            began, said = time.monotonic(), float("-inf")
+
+            def line(done: int, remark: str) -> None:
+                nonlocal said
+                now = time.monotonic() - began
+                if now - said >= LINE_EVERY or done == total:
+                    said = now
+                    self.note(f"{now:7.1f} s  {name}: {done}{'' if total is None else f' of {total}'} {remark}".rstrip())
+
+            yield line

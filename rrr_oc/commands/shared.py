@@ -1,0 +1,53 @@
+"""What several commands need: the data set that they read, and what they refuse to overwrite."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from rrr_oc.commands.output import Output
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.recording import RecordingSet
+
+Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
+Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
+
+
+def check_window(window: float) -> None:
+    """Raise `UserError` unless a window of smoothing is 0 s or more."""
+    if not 0 <= window < float("inf"):
+        raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
+
+
+def loaded(dataset: Path, output: Output) -> RecordingSet:
+    """A recording set; what a user should know of how it was read is noted."""
+    recordings = load_recordings(dataset)
+    for note in recordings.notes:
+        output.note(f"Note: {note}.")
+    return recordings
+
+
+def check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
+    """Raise `UserError` where what is to be written would take the place of what was read."""
+    inputs = {path.resolve() for path in read}
+    for path in written:
+        if path.resolve() in inputs:
+            raise UserError(f"{path}: is read by this command and would be overwritten; another place is required")
+
+
+def shown(value: float | None) -> str:
+    """A number with four digits, or a dash where there is none."""
+    return "–" if value is None else f"{value:.4g}"
+
+
+def error_table(result: dict[str, Any]) -> Table:
+    """The means of `summary` by way, joint and signal."""
+    table = Table("way", "joint", "signal", "mean NRMSE", "mean RMSE")
+    for way, joints in result["mean"].items():
+        for joint, found in joints.items():
+            for signal, errors in found.items() if way == "simulated" else [("recorded", found)]:
+                table.add_row(way, joint, signal, *(shown(errors[key]) for key in ("nrmse", "rmse")))
+    return table

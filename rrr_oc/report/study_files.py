@@ -1,0 +1,44 @@
+"""The files of a study: its summary as JSON, its report in Markdown, and its figures."""
+
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+from rrr_oc import __version__
+from rrr_oc.codesign.design_problem import COST_UNITS
+from rrr_oc.codesign.springs import CONFIGURATIONS
+from rrr_oc.codesign.study import Study
+from rrr_oc.codesign.transfer import transfer_table
+from rrr_oc.report.design_figures import draw_all
+from rrr_oc.report.design_report import report
+from rrr_oc.storage import plain, write_json, write_text
+
+COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}  # in the summary
+QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
+PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
+
+
+def write_study(study: Study, found: Mapping[str, Any], wall_s: float) -> tuple[dict[str, Any], str]:
+    """Write summary.json, report.md and the figures of the results found; returns the first two's content."""
+    names = sorted(found, key=lambda name: (name.endswith("*"), list(CONFIGURATIONS).index(name.rstrip("*"))))
+    cost = study.asked["cost"]
+    summary = {
+        "preset": study.task.name,
+        "cost": COSTS[cost],
+        "quantity": [QUANTITIES[cost], COST_UNITS[cost]],
+        "paper": study.published is not None,
+        "joints": list(study.task.robot.joints),
+        "seed": study.options.seed,
+        "starts": study.options.starts,
+        "wall_s": wall_s,
+        "versions": {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "options": plain(asdict(study.options)),
+        "configurations": {name: found[name] for name in names},
+    }
+    write_json(study.out / "summary.json", summary)
+    text = report(summary) + transfer_table(summary["configurations"])
+    write_text(study.out / "report.md", text)
+    draw_all(study.out, study.task)
+    return summary, text
