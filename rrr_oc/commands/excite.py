@@ -47,8 +47,8 @@ def excite(
 ) -> None:
     """Design a recording for an arm: the motion within its limits that determines friction and inertia best (D-optimal).
 
-    It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for. Three joints
-    take seconds, six take minutes a start.
+    It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for. Six joints
+    take far longer than three, which are a matter of seconds.
     """
     output = Output(quiet, as_json)
     search = Search(duration, harmonics, starts, seed=seed)
