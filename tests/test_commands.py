@@ -1,6 +1,7 @@
 """Commands that simulate and plan motions: what they write, against closed forms and independent dynamics; and their mistakes."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -171,6 +172,8 @@ def test_excite_tells_which_limits_a_urdf_lacks(monkeypatch, tmp_path, capsys):
         "Note: j2: the URDF has no limit of the torque; --torque gives one.",
     ]
     assert "standard error" in printed.out
+    assert "motion: 0 of 1 starts" in printed.err
+    assert re.search(r"motion: 1 of 1 starts, best -?\d", printed.err)
 
 
 MISTAKES = {

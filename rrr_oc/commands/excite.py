@@ -47,7 +47,8 @@ def excite(
 ) -> None:
     """Design a recording for an arm: the motion within its limits that determines friction and inertia best (D-optimal).
 
-    It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for.
+    It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for. Six joints
+    take far longer than three, which are a matter of seconds.
     """
     output = Output(quiet, as_json)
     search = Search(duration, harmonics, starts, seed=seed)
@@ -56,10 +57,13 @@ def excite(
     rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, -math.inf if floor is None else floor, payload)
     for note in _unlimited(robot, rig):
         output.note(f"Note: {note}.")
-    with output.steps("looking for the motion"):
+    with output.steps("stating the problem"):
         known = model_sensitivity(rig)
         asked = information(rig, [name for name in known.names if name != "payload"], noise=NOISE, sensitivity=known)
-        found = optimised(asked, search)
+    with output.count("motion", starts) as count:
+        found = optimised(
+            asked, search, lambda done, value: count(done, "starts" if math.isinf(value) else f"starts, best {value:.3f}")
+        )
     motion = found.motion
     columns = {
         f"{kind}_{j}": row for kind in ("q", "dq", "ddq") for j, row in zip(robot.joints, getattr(motion, kind), strict=True)

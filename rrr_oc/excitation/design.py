@@ -1,6 +1,7 @@
 """D-optimal motions: Fourier series of greatest information within an arm's limits, by IPOPT from random starts."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -67,11 +68,21 @@ class Excitation:
     status: str
 
 
-def excite(information: Information, search: Search = Search()) -> Excitation:
-    """The motion within a rig's limits of greatest information; raises `UserError` where none is found that keeps the limits."""
+def excite(
+    information: Information, search: Search = Search(), report: Callable[[int, float], None] = lambda done, value: None
+) -> Excitation:
+    """The motion within a rig's limits of greatest information; raises `UserError` where none is found that keeps the limits.
+
+    Args:
+        report: Is told how many starts are done and the least cost so far, infinite where none keeps the limits yet.
+    """
     rig, problem = information.rig, _Problem(information, Series(search.duration, search.harmonics), search)
     starts, drawn = problem.starts()
-    runs = [problem.solve(x) for x in starts]
+    runs: list[_Run] = []
+    report(0, math.inf)
+    for x in starts:
+        runs.append(problem.solve(x))
+        report(len(runs), min(run.value for run in runs))
     best = min(runs, key=lambda run: run.value)
     if not math.isfinite(best.value):
         worst = min(runs, key=lambda run: run.violation)
