@@ -9,7 +9,7 @@ from rrr_oc.commands.common import Output, check_apart, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.effects.priors import load_priors
-from rrr_oc.effects.words import joint_words
+from rrr_oc.effects.words import joint_words, words
 from rrr_oc.parallel import check_jobs, one_thread
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import not_claimed, on_prior, plain, rows, unexplained, verdict
@@ -29,7 +29,7 @@ def run(dataset: Path, out: Path, options: dict[str, Any], output: Output) -> No
     recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
     with one_thread():
-        found = diagnose(recordings, output.progress, jobs, believed)
+        found = diagnose(recordings, lambda line: output.progress(words(line)), jobs, believed)
         if options["simulate"]:
             output.progress("tracking the recordings in closed loop")
         simulated = in_closed_loop(found, jobs) if options["simulate"] else None
