@@ -49,20 +49,6 @@ def common(
 
 
 @app.command()
-def init(
-    robot: Annotated[str, typer.Argument(help="path of the arm's URDF, or a bundled model")],
-    out: Annotated[Path, typer.Option(help="folder to make")],
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-) -> None:
-    """Begin with an arm: write a commented recordings.json, CSV header and task.json for it, and the next commands."""
-    from rrr_oc.commands import init
-    from rrr_oc.commands.common import Output
-
-    init.run(robot, out, Output(quiet, as_json))
-
-
-@app.command()
 def calibrate(
     dataset: Dataset,
     out: Annotated[Path, typer.Option(help="folder for model.json")],
@@ -177,6 +163,20 @@ def export(
     from rrr_oc.commands.common import Output
 
     export.run(model, out, payload, Output(quiet, as_json))
+
+
+@app.command()
+def init(
+    urdf: Annotated[str, typer.Argument(help="path of the robot's URDF, or a bundled model")],
+    out: Annotated[Path, typer.Option(help="folder to make")],
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Begin with a robot: write its recordings.json, the columns of a CSV file, a task, and what to do next."""
+    from rrr_oc.commands import init
+    from rrr_oc.commands.common import Output
+
+    init.run(urdf, out, Output(quiet, as_json))
 
 
 @app.command()

@@ -6,12 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from recorded import Plant, as_set, real, record
 from threadpoolctl import threadpool_info
 
 from rrr_oc import __version__, cli
+from rrr_oc.codesign.task import load_task
 from rrr_oc.commands import common
 from rrr_oc.commands import diagnose as diagnosing
 from rrr_oc.recordings.writer import save_recordings
@@ -201,6 +203,30 @@ def test_what_was_left_out_and_what_cannot_be_right_is_told(folder, monkeypatch,
     assert "0.csv: column vel_joint1 mean nothing here" in printed.err
     assert "the torque of joint2 is explained no better than by a constant" in printed.err
     assert "out [/x]" in printed.out
+
+
+def test_init_begins_what_the_readers_read(folder, monkeypatch, tmp_path, capsys):
+    """A task that can be solved, a set that lacks nothing but rows; what is there stays."""
+    assert run(monkeypatch, "init", "rrr_prototype", "--out", tmp_path / "a") == 0
+    assert load_task(tmp_path / "a" / "task.json").joints == ("joint2", "joint3")
+    assert run(monkeypatch, "calibrate", tmp_path / "a" / "recordings", "--out", tmp_path / "o") == 2
+    assert "first.csv: " in capsys.readouterr().err
+    rows = (folder / "set" / "0.csv").read_text().replace("dq_", "x_").splitlines()
+    (tmp_path / "a" / "recordings" / "first.csv").write_text("\n".join(rows))
+    assert run(monkeypatch, "calibrate", tmp_path / "a" / "recordings", "--out", tmp_path / "o") == 0
+    before = files(tmp_path / "a")
+    assert run(monkeypatch, "init", "rrr_prototype", "--out", tmp_path / "a") == 2
+    assert "is there already" in capsys.readouterr().err
+    assert files(tmp_path / "a") == before
+
+
+def test_export_writes_both_files(folder, monkeypatch, tmp_path, capsys):
+    assert run(monkeypatch, "export", folder / "out" / "model.json", "--out", tmp_path / "e", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["not_in_mjcf"] == []
+    assert {Path(found[k]).name for k in ("mjcf", "urdf")} == {"arm.xml", "arm.urdf"}
+    joints = mujoco.MjModel.from_xml_path(found["mjcf"])
+    np.testing.assert_allclose(joints.dof_frictionloss, TRUTH[0], rtol=0.15)
 
 
 def test_help_keeps_its_units(monkeypatch, capsys):

@@ -9,7 +9,9 @@ from rrr_oc.commands.common import Output
 def run(robot: str, out: Path, output: Output) -> None:
     """Write the example files and say what they are."""
     made = write_example(robot, out)
-    files = "recordings.json, the header of a CSV file, " + "task.json " * bool(made.moving) + "and README.md"
+    files = (
+        "recordings/recordings.json, recordings/first.csv with a header, " + "task.json " * bool(made.moving) + "and README.md"
+    )
     output.show(f"{out} holds {files}, with comments, for {', '.join(made.joints)}.")
     for note in made.notes:
         output.warn(f"Note: {note}.")
