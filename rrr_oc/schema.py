@@ -21,13 +21,15 @@ from rrr_oc.errors import UserError
 from rrr_oc.storage import read_utf8
 
 T = TypeVar("T")
+FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
 NonNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
-# Mass at the tool, which files may call by either name, as they do not agree on whether a key ends with its unit
-Payload = Annotated[float, Meta(ge=0, extra={"spellings": ("payload", "payload_kg")})]
 Interval = tuple[float, float]
 Vector = tuple[float, float, float]
+# What files may call by either name, as they do not agree on whether a key ends with its unit: mass at the tool, and a point
+Payload = Annotated[float, Meta(ge=0, extra={"spellings": ("payload", "payload_kg")})]
+Position = Annotated[Vector, Meta(extra={"spellings": ("position", "position_m")})]
 
 
 class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,7 +57,7 @@ def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schem
         where, text = str(source), read_utf8(source).decode()
     else:
         raise UserError(f"no {what} at {str(source)!r}; give the path of a JSON file or a preset: {', '.join(presets)}")
-    return where, validated(where, parsed(where, text), schema)
+    return where, validated(where, without_free_text(parsed(where, text)), schema)
 
 
 def parsed(where: str | Path, text: str) -> Any:
@@ -83,6 +85,13 @@ def parsed(where: str | Path, text: str) -> Any:
     return data
 
 
+def without_free_text(data: Any) -> Any:
+    """The same without text for people and without nulls, which stand for keys left out."""
+    if isinstance(data, dict):
+        return {key: without_free_text(value) for key, value in data.items() if value is not None and key not in FREE}
+    return [without_free_text(item) for item in data] if isinstance(data, list) else data
+
+
 def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> T:
     """Plain data, from `path` in the file `where`, as `schema` describes it; raises `UserError` that names what is allowed."""
     data = _one_spelling(where, path, data, schema)
@@ -102,12 +111,14 @@ def one_spelling(found: Iterable[str], spellings: Sequence[str], where: str) -> 
     """The one of several spellings of a key that was found, None where none was; raises `UserError` for more than one."""
     given = [name for name in found if name in spellings]
     if len(given) > 1:
-        raise UserError(f"{where}: found {' and '.join(map(repr, given))}, which mean the same; give one of them")
+        raise UserError(f"{where}: {' and '.join(map(repr, given))} stand in one object and mean the same; one is allowed")
     return given[0] if given else None
 
 
 def spellings(schema: Any) -> tuple[str, ...]:
     """The names by which files may call a key of this type; none where there is only its own."""
+    if get_origin(schema) in (Union, types.UnionType):
+        return next((found for member in get_args(schema) if (found := spellings(member))), ())
     metas = get_args(schema)[1:] if get_origin(schema) is Annotated else ()
     return next((meta.extra["spellings"] for meta in metas if meta.extra), ())
 

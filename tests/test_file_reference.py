@@ -106,13 +106,23 @@ def test_both_spellings_of_the_payload_are_read(tmp_path, key):
     assert load_task(tmp_path / "task.json").payload == 2.5
 
 
+def test_both_spellings_of_a_position_are_read(tmp_path):
+    tool = ', "payload": 1}], "tool": {"link": "link3", "%s": [0.1, 0.2, 0.3]}, "comment": [{"a": 0'
+    found = [load_recordings(a_set(tmp_path, tool % key)).tool.position for key in ("position", "position_m")]
+    np.testing.assert_array_equal(*found)
+    text = (EXAMPLES / "task.json").read_text(encoding="utf-8")
+    (tmp_path / "task.json").write_text(text.replace("position_m", "position"))
+    mine, example = load_task(tmp_path / "task.json"), load_task(EXAMPLES / "task.json")
+    np.testing.assert_array_equal([*mine.start, *mine.tool.position], [*example.start, *example.tool.position])
+
+
 def test_both_spellings_at_once_are_an_error(tmp_path):
-    both = "'payload'.*'payload_kg', which mean the same; give one of them"
-    with pytest.raises(UserError, match=r"recordings\[0\]: found " + both):
+    both = "'payload'.*'payload_kg' stand in one object and mean the same; one is allowed"
+    with pytest.raises(UserError, match=r"recordings\[0\]: " + both):
         load_recordings(a_set(tmp_path, ', "payload": 1, "payload_kg": 1'))
-    with pytest.raises(UserError, match=r"a.csv, line 1: found " + both):
+    with pytest.raises(UserError, match=r"a.csv, line 1: " + both):
         load_recordings(a_set(tmp_path, "", "payload payload_kg"))
     text = (EXAMPLES / "task.json").read_text(encoding="utf-8").replace('"payload_kg"', '"payload": 1, "payload_kg"')
     (tmp_path / "task.json").write_text(text)
-    with pytest.raises(UserError, match=r"task.json: found " + both):
+    with pytest.raises(UserError, match=r"task.json: " + both):
         load_task(tmp_path / "task.json")

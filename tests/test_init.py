@@ -57,14 +57,14 @@ def test_the_task_can_be_done_and_the_set_only_lacks_recordings(tmp_path, arm):
         assert np.all((task.lower <= q) & (q <= task.upper))
         assert np.all(np.isfinite(np.array(body.tool_position(task.full(q), task.tool.position))))
     assert len(spring_bounds(task, "PEA")) == 2
-    with pytest.raises(UserError, match=r"recording1\.csv: no recordings yet: a header and no rows"):
-        load_recordings(tmp_path / "set")
+    with pytest.raises(UserError, match=r"first\.csv: no recordings yet: a header and no rows"):
+        load_recordings(tmp_path / "set" / "recordings")
     rows = 200
-    names = (tmp_path / "set" / "recording1.csv").read_text().splitlines()[0].split(",")
+    names = (tmp_path / "set" / "recordings" / "first.csv").read_text().splitlines()[0].split(",")
     t = np.arange(rows) / 50
     motion = {"q": np.sin(t), "dq": np.cos(t), "tau": np.sin(3 * t)}
-    write_csv(tmp_path / "set" / "recording1.csv", {n: t if n == "t" else motion[n.split("_")[0]] for n in names})
-    assert load_recordings(tmp_path / "set").joints == made.joints
+    write_csv(tmp_path / "set" / "recordings" / "first.csv", {n: t if n == "t" else motion[n.split("_")[0]] for n in names})
+    assert load_recordings(tmp_path / "set" / "recordings").joints == made.joints
 
 
 def uncommented(path: Path) -> str:
@@ -78,15 +78,15 @@ def uncommented(path: Path) -> str:
 
 def test_hints_name_every_optional_key_and_are_valid_once_uncommented(tmp_path):
     write_example("rrr", tmp_path / "set")
-    for file, structures in (("recordings.json", (Header, Entry)), ("task.json", (TaskFile,))):
+    for file, structures in (("recordings/recordings.json", (Header, Entry)), ("task.json", (TaskFile,))):
         text = (tmp_path / "set" / file).read_text()
         keys = {key for structure in structures for key in structure.__struct_fields__}
         assert not [key for key in keys if f'"{key}"' not in text and f'"{key}_kg"' not in text]
         (tmp_path / "set" / file).write_text(uncommented(tmp_path / "set" / file))
     for key in ("tool", "actuators"):
-        assert key in parsed("f", (tmp_path / "set" / "recordings.json").read_text())
-    first, second = read_header(tmp_path / "set" / "recordings.json").recordings
-    assert (first.payload, first.group, list(first.springs), second.file) == (2.0, "first day", ["pea"], "recording2.csv")
+        assert key in parsed("f", (tmp_path / "set" / "recordings" / "recordings.json").read_text())
+    first, second = read_header(tmp_path / "set" / "recordings" / "recordings.json").recordings
+    assert (first.payload, first.group, list(first.springs), second.file) == (2.0, "first day", ["pea"], "second.csv")
     assert load_task(tmp_path / "set" / "task.json").floor == 0.0
 
 
@@ -94,7 +94,7 @@ def test_an_arm_without_masses_gets_a_set_that_identifies_them_and_no_task(tmp_p
     arm = an_arm(tmp_path, LIMIT.format(-2.0, 2.5, 2.0), mass='<mass value="0"/>')
     made = write_example(arm, tmp_path / "set")
     assert "mass 0 kg" in made.no_task
-    assert read_header(tmp_path / "set" / "recordings.json").inertial == "identify"
+    assert read_header(tmp_path / "set" / "recordings" / "recordings.json").inertial == "identify"
     assert not (tmp_path / "set" / "task.json").exists()
     assert "There is no task.json" in (tmp_path / "set" / "README.md").read_text()
 
@@ -108,12 +108,12 @@ def test_limits_that_the_urdf_lacks_are_said_by_every_reader(tmp_path, capsys):
     task = load_task(tmp_path / "set" / "task.json")  # an angle of a joint without a range is allowed
     assert (task.locked[0], task.robot.notes) == (pytest.approx(np.radians(20)), made.notes)
     t = np.arange(200) / 50
-    names = (tmp_path / "set" / "recording1.csv").read_text().splitlines()[0].split(",")
+    names = (tmp_path / "set" / "recordings" / "first.csv").read_text().splitlines()[0].split(",")
     write_csv(
-        tmp_path / "set" / "recording1.csv",
+        tmp_path / "set" / "recordings" / "first.csv",
         {n: np.cos(t) if n.startswith("dq") else t if n == "t" else np.sin(t) for n in names},
     )
-    assert note in load_recordings(tmp_path / "set").notes
+    assert note in load_recordings(tmp_path / "set" / "recordings").notes
 
 
 def test_the_command_says_what_comes_next(tmp_path, capsys, monkeypatch):
@@ -130,7 +130,7 @@ def test_the_command_says_what_comes_next(tmp_path, capsys, monkeypatch):
     readme = (tmp_path / "set" / "README.md").read_text()
     assert all(line in readme for line in said.splitlines() if line.startswith("rrr-oc"))
     assert run("init", "rrr", "--out", tmp_path / "set") == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "is there already" in capsys.readouterr().err
     assert run("init", tmp_path / "nowhere.urdf", "--out", tmp_path / "b") == 2
     assert "no robot at" in capsys.readouterr().err
     assert run("init", "rrr", "--out", tmp_path / "c", "--json") == 0

@@ -134,6 +134,11 @@ def test_currents_become_torques(write):
     np.testing.assert_array_equal(found.output_torque(recording)[2], -10.89 * columns["current_joint3"])
 
 
+def test_keys_may_be_spelled_as_in_tasks(write):
+    recordings = load_recordings(write(ONE | {"recordings": [{"file": "a.csv", "payload_kg": 2.0}]}))
+    assert recordings.recordings[0].payload.max() == 2.0
+
+
 def test_payload_column_overrides(write):
     columns = motion(np.arange(50) * 0.01)
     columns["payload"] = np.linspace(0, 2, 50)

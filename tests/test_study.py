@@ -201,7 +201,7 @@ BAD = {
     "too weak": (lambda f: ["--preset", task_file(f, limits__joint2=TORQUE)], "load torque of joint2"),
     "prismatic": (lambda f: ["--preset", with_robot(f, PRISMATIC)], "joint 'j2' is prismatic; allowed are revolute"),
     "floating": (lambda f: ["--preset", with_robot(f, FLOATING)], "joint 'j1' is floating; allowed are revolute"),
-    "massless": (lambda f: ["--preset", with_robot(f, MASSLESS)], "'l2', moved by joint 'j2', has mass 0 kg"),
+    "massless": (lambda f: ["--preset", with_robot(f, MASSLESS)], "'l2', moved by joint 'j2', has no <inertial>"),
     "unknown cost": (lambda f: ["--cost", "beauty"], "unknown cost 'beauty'"),
     "energy without resistances": (lambda f: ["--cost", "energy"], "joint2, joint3"),
     "no actuators": (lambda f: ["--cost", "motor", "--actuators", "gone.json"], "no actuators at"),

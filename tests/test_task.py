@@ -51,6 +51,18 @@ def test_the_papers_ends_are_the_inverse_kinematics():
     np.testing.assert_allclose(np.degrees(task.release), [48.19, -96.38], atol=0.006)
 
 
+def test_keys_may_be_spelled_as_in_recording_sets(tmp_path):
+    """And texts for people are not read."""
+    path = task_file(tmp_path)
+    content = json.loads(path.read_text())
+    other = {("payload" if k == "payload_kg" else k): v for k, v in content.items()} | {"comment": "mine"}
+    path.write_text(json.dumps(other))
+    assert load_task(path).payload == content["payload_kg"]
+    path.write_text(json.dumps(content | {"payload": 2.0}))
+    with pytest.raises(UserError, match="'payload_kg' and 'payload' stand in one object"):
+        load_task(path)
+
+
 def holding(task, q: np.ndarray, payload: float) -> np.ndarray:
     """Gravity torque of joints 2 and 3 by numeric pinocchio, the payload a point mass on link 3 [Nm]."""
     urdf = importlib.resources.files("rrr_oc.urdf").joinpath(f"{task.robot.name}.urdf").read_text()

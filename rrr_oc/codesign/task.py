@@ -17,6 +17,7 @@ from rrr_oc.schema import (
     Interval,
     NonNegative,
     Payload,
+    Position,
     Positive,
     Schema,
     Text,
@@ -39,7 +40,7 @@ class Tool(Schema, frozen=True):
     """
 
     link: Text
-    position_m: Vector
+    position_m: Position
 
 
 class End(Schema, frozen=True):
@@ -51,7 +52,7 @@ class End(Schema, frozen=True):
     """
 
     angles_deg: tuple[float, ...] | None = None
-    position_m: Vector | None = None
+    position_m: Position | None = None
 
     def __post_init__(self) -> None:
         if (self.angles_deg is None) == (self.position_m is None):

@@ -11,7 +11,7 @@ from rrr_oc.commands.shared import Dataset, check_apart, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects.priors import load_priors
-from rrr_oc.effects.words import joint_words
+from rrr_oc.effects.words import joint_words, words
 from rrr_oc.parallel import check_jobs, one_thread
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import not_claimed, on_prior, plain, rows, unexplained, verdict
@@ -44,7 +44,7 @@ def diagnose(
     recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
     with output.steps("reading") as step, one_thread():
-        found = diagnose_recordings(recordings, step, jobs, believed)
+        found = diagnose_recordings(recordings, lambda line: step(words(line)), jobs, believed)
         if simulate:
             step("tracking the recordings in closed loop")
         simulated = in_closed_loop(found, jobs) if simulate else None

@@ -25,7 +25,8 @@ HIGH = 0.3  # height of both ends over the reach from which on higher ones are n
 OFFERS = 20  # pairs of ends that the task's reader is asked about; it refuses few
 TRIALS = 400  # random pairs of ends; the best that the task's reader accepts is taken
 LEVEL = 0.1  # largest cosine between a horizontal axis and the vertical; doubled, axes 11° off would count
-RECORDING = "recording1.csv"
+SET = "recordings"  # folder of the recording set within the example
+RECORDING = "first.csv"
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,14 @@ def write_example(source: str | Path, folder: str | Path) -> Example:
         robot, why, exact = load_robot(source, inertial=False), str(error), False
     name = str(source) if bundled else f"{Path(source).stem}.urdf"
     moving: tuple[str, ...] = ()
+    if folder.is_dir() and any(folder.iterdir()):
+        raise UserError(f"{folder}: something is there already; a new or an empty folder is required")
     with new_folder(folder) as temporary:
         if not bundled:
             shutil.copyfile(source, temporary / name)
-        write_text(temporary / HEADER, _header(name, robot, exact))
-        write_text(temporary / RECORDING, _csv(robot.joints))
+        (temporary / SET).mkdir()
+        write_text(temporary / SET / HEADER, _header(name if bundled else f"../{name}", robot, exact))
+        write_text(temporary / SET / RECORDING, _csv(robot.joints))
         if not why:
             try:
                 moving = _write_task(temporary / "task.json", name, robot)
@@ -94,14 +98,14 @@ def _header(name: str, robot: Robot, exact: bool) -> str:
       // , "group": "first day" // recordings of one set-up share what is estimated for it
       // , "springs": {_springs(last)} // mounted springs
     }}
-    // , {{"file": "recording2.csv"}} // three or more, so that some can be left out of a fit and predicted
+    // , {{"file": "second.csv"}} // three or more, so that some can be left out of a fit and predicted
   ]
 }}
 """
 
 
 def _where(name: str) -> str:
-    return "a bundled model; or the path of a URDF" if name in BUNDLED else "beside this file"
+    return "a bundled model; or the path of a URDF" if name in BUNDLED else "relative to this file"
 
 
 def _plain(name: str) -> str:
@@ -139,12 +143,12 @@ def _readme(folder: Path, robot: Robot, why: str) -> str:
     design = f"rrr-oc design {shown('task.json')} --out {shown('design')}\n" * (not why)
     return f"""# {robot.name}
 
-Put your recordings beside `recordings.json`, with the columns of `{RECORDING}`, and list them there. Move all joints to and fro, fast
-and slowly, over much of their range; 20 s each and three of them are a start. {task}
+Put your recordings beside `{SET}/{RECORDING}`, with its columns, and list them in `{SET}/{HEADER}`. Move all joints to and fro,
+fast and slowly, over much of their range; 20 s each and three of them are a start. {task}
 
 ```
-rrr-oc calibrate {shown("")} --out {shown("calibrated")}
-rrr-oc diagnose {shown("")} --out {shown("diagnosis")}
+rrr-oc calibrate {shown(SET)} --out {shown("calibrated")}
+rrr-oc diagnose {shown(SET)} --out {shown("diagnosis")}
 {design}```
 """
 

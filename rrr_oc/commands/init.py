@@ -21,7 +21,9 @@ def init(
     """Begin with an arm: write a commented recordings.json, CSV header and task.json for it, and the next commands."""
     output = Output(quiet, as_json)
     made = write_example(robot, out)
-    files = "recordings.json, the header of a CSV file, " + "task.json " * bool(made.moving) + "and README.md"
+    files = (
+        "recordings/recordings.json, recordings/first.csv with a header, " + "task.json " * bool(made.moving) + "and README.md"
+    )
     output.show(f"{out} holds {files}, with comments, for {', '.join(made.joints)}.")
     for note in made.notes:
         output.note(f"Note: {note}.")

@@ -6,12 +6,11 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, field
 
 from rrr_oc.effects import Effect
-from rrr_oc.schema import Payload, Schema, Text, Vector, check_names, parsed, validated
+from rrr_oc.schema import Payload, Position, Schema, Text, Vector, check_names, parsed, validated, without_free_text
 from rrr_oc.storage import read_utf8
 
 HEADER = "recordings.json"
 FORMAT = "rrr_oc-recordings/1"
-FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
 
 Spring = tuple[Effect, dict[str, float]]
 
@@ -25,7 +24,7 @@ class Tool(Schema, frozen=True):
     """
 
     link: Text
-    position: Vector
+    position: Position
 
 
 class Actuator(Schema, frozen=True):
@@ -108,13 +107,7 @@ class Header(Schema, frozen=True):
 
 def read_header(path: Path) -> Header:
     """Read and check `recordings.json`; raises `UserError` that names the key, what was found and what is allowed."""
-    header = validated(path, _without_free_text(parsed(path, read_utf8(path).decode())), Header)
+    data = without_free_text(parsed(path, read_utf8(path).decode()))
+    header = validated(path, data, Header)
     check_names(header.actuators, header.joints, f"{path}: actuators", "joint")
     return header
-
-
-def _without_free_text(data: Any) -> Any:
-    """The same without text for people and without nulls, which stand for keys left out."""
-    if isinstance(data, dict):
-        return {key: _without_free_text(value) for key, value in data.items() if value is not None and key not in FREE}
-    return [_without_free_text(item) for item in data] if isinstance(data, list) else data

@@ -76,13 +76,15 @@ def pages() -> dict[str, str]:
 
 
 def _described() -> dict[str, Page]:
-    json = "JSON; comments go from `//` to the end of the line. "
+    json = (
+        "JSON; comments go from `//` to the end of the line, and an object may also have `comment`, `description`, `license` and "
+        "`source` with any text. "
+    )
     priors = "TOML: a table `[context]`, and a table for each effect that differs, named as `rrr-oc effects` lists it."
     return {
         "recordings": Page(
             "recordings.json",
-            f"What a recording set says about itself; you write it, beside the CSV files. {json}An object may also have "
-            "`comment`, `description`, `license` and `source` with any text.",
+            f"What a recording set says about itself; you write it, beside the CSV files. {json}",
             {"recordings.json": Header, "springs of a recording": springs_schema()},
             "recordings.json",
             "The CSV columns are `t` [s], `q_<joint>` [rad], `tau_<joint>` [Nm] or `current_<joint>` [A] and, if measured, "
