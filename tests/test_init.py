@@ -10,7 +10,7 @@ import pytest
 from rrr_oc.cli import main
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import TaskFile, load_task
-from rrr_oc.commands.example_set import write_example
+from rrr_oc.commands.init import write_example
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Entry, Header, read_header
 from rrr_oc.recordings.reader import load_recordings

@@ -1,12 +1,24 @@
 """`rrr-oc init`: the files that a user writes, begun for an arm."""
 
+import json
+import shlex
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
-from rrr_oc.commands.example_set import write_example
+from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.effects import design_forms, listed_springs
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.header import FORMAT, HEADER
+from rrr_oc.robot.rigid_body import rigid_body, upwards
+from rrr_oc.robot.robot import BUNDLED, Robot, load_robot
+from rrr_oc.storage import new_folder, write_text
 
 app = typer.Typer(add_completion=False)
 
@@ -31,3 +43,258 @@ def init(
         output.note(f"Note: there is no task.json: {made.no_task}.")
     output.show((out / "README.md").read_text(encoding="utf-8").partition("```\n")[2].partition("```")[0].rstrip())
     output.result({"folder": str(out), "joints": made.joints, "moving": made.moving, "no_task": made.no_task})
+
+
+PAYLOAD = 1.0  # [kg] of the example; any arm from a few kilograms on carries it
+SPEED = 90.0  # [°/s] of a joint whose URDF gives no speed
+MIDDLE = 0.7  # share of a joint's range in which the task's ends are looked for; nearer to 1, ends lie at the limits
+WAY = (0.15, 0.5)  # least and greatest distance between both ends over the arm's reach
+HIGH = 0.3  # height of both ends over the reach from which on higher ones are no better; at 0.6, ends would be above the arm
+OFFERS = 20  # pairs of ends that the task's reader is asked about; it refuses few
+TRIALS = 400  # random pairs of ends; the best that the task's reader accepts is taken
+LEVEL = 0.1  # largest cosine between a horizontal axis and the vertical; doubled, axes 11° off would count
+SET = "recordings"  # folder of the recording set within the example
+RECORDING = "first.csv"
+
+
+@dataclass(frozen=True)
+class Example:
+    """What was written.
+
+    Attributes:
+        folder: The folder.
+        joints: The arm's joints.
+        moving: Joints that move in the task; none where there is no task.
+        no_task: Why there is no task, "" where there is one.
+        notes: What a user should know of the URDF.
+    """
+
+    folder: Path
+    joints: tuple[str, ...]
+    moving: tuple[str, ...]
+    no_task: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def write_example(source: str | Path, folder: str | Path) -> Example:
+    """Write a new folder with recordings.json, the header of a CSV file, task.json, the URDF and README.md with the next commands.
+
+    Raises `UserError` where the arm cannot be read or the folder has something in it.
+    """
+    folder, bundled, why, exact = Path(folder), str(source) in BUNDLED, "", True
+    try:
+        robot = load_robot(source)
+    except UserError as error:  # without masses its kinematics still say what to record
+        robot, why, exact = load_robot(source, inertial=False), str(error), False
+    name = str(source) if bundled else f"{Path(source).stem}.urdf"
+    moving: tuple[str, ...] = ()
+    if folder.is_dir() and any(folder.iterdir()):
+        raise UserError(f"{folder}: something is there already; a new or an empty folder is required")
+    with new_folder(folder) as temporary:
+        if not bundled:
+            shutil.copyfile(source, temporary / name)
+        (temporary / SET).mkdir()
+        write_text(temporary / SET / HEADER, _header(name if bundled else f"../{name}", robot, exact))
+        write_text(temporary / SET / RECORDING, _csv(robot.joints))
+        if not why:
+            try:
+                moving = _write_task(temporary / "task.json", name, robot)
+            except UserError as error:
+                why = str(error).replace(str(temporary), str(folder))
+        write_text(temporary / "README.md", _readme(folder, robot, why))
+    return Example(folder, robot.joints, moving, why, robot.notes)
+
+
+def _header(name: str, robot: Robot, exact: bool) -> str:
+    """The content of recordings.json, with a hint of every optional key."""
+    gravity, tool = json.dumps(robot.gravity.tolist()), json.dumps(robot.tool_link)
+    first, last = json.dumps(robot.joints[0]), json.dumps(robot.joints[-1])
+    return f"""{{
+  // What the recordings are. Comments go from // to the end of the line. Units: s, rad, Nm, A, kg, m.
+  "format": "{FORMAT}",
+  "robot": {json.dumps(name)}, // {_where(name)}
+  "joints": {json.dumps(list(robot.joints))}, // recorded ones, in the order of the chain
+  "torque": "motor", // or "load" (behind the gear), or "current" with "actuators"
+  "inertial": "{"nominal" if exact else "identify"}", // "nominal": masses of the URDF; "identify": they are estimated
+  "gravity": {gravity}, // in the base frame [m/s²]; another one for an arm on a wall
+  // "tool": {{"link": {tool}, "position": [0.0, 0.0, 0.0]}}, // where a payload is held
+  // "actuators": {{{first}: {{"torque_constant": 10.0}}}}, // Nm of {_plain(robot.joints[0])} per A, for all joints if currents are recorded
+  "recordings": [
+    {{
+      "file": "{RECORDING}"
+      // , "payload_kg": 2.0 // mass at the tool
+      // , "group": "first day" // recordings of one set-up share what is estimated for it
+      // , "springs": {_springs(last)} // mounted springs
+    }}
+    // , {{"file": "second.csv"}} // three or more, so that some can be left out of a fit and predicted
+  ]
+}}
+"""
+
+
+def _where(name: str) -> str:
+    return "a bundled model; or the path of a URDF" if name in BUNDLED else "relative to this file"
+
+
+def _plain(name: str) -> str:
+    return " ".join(name.split())
+
+
+def _springs(joint: str) -> str:
+    """How a spring of one joint is listed."""
+    kind = next(kind for kind in listed_springs().values() if kind.placement != "pair")
+    assert kind.listing is not None
+    entry = ", ".join(f'"{key}": 1.0' for key in kind.listing.quantities)
+    return f'{{"{kind.listing.key}": {{{joint}: {{{entry}}}}}}}'
+
+
+def _csv(joints: Sequence[str]) -> str:
+    """A header and no rows, with what the columns are behind #."""
+    columns = ["t", *(f"{kind}_{joint}" for kind in ("q", "dq", "tau") for joint in joints)]
+    return (
+        f"{','.join(columns)}\n"
+        "# one row a sample, at 50 Hz or more: t [s], q_ [rad], tau_ [Nm] (current_ [A] for currents)\n"
+        "# dq_ [rad/s] may be left out; ddq_ [rad/s²] and payload [kg] may be added\n"
+    )
+
+
+def _readme(folder: Path, robot: Robot, why: str) -> str:
+
+    def shown(name: str) -> str:
+        return shlex.quote(str(folder / name))
+
+    task = (
+        f"`task.json` is a task that {robot.name} can do; change its ends, payload and springs to yours. It needs no recordings."
+        if not why
+        else f"There is no task.json: {why}."
+    )
+    design = f"rrr-oc design {shown('task.json')} --out {shown('design')}\n" * (not why)
+    return f"""# {robot.name}
+
+Put your recordings beside `{SET}/{RECORDING}`, with its columns, and list them in `{SET}/{HEADER}`. Move all joints to and fro,
+fast and slowly, over much of their range; 20 s each and three of them are a start. {task}
+
+```
+rrr-oc calibrate {shown(SET)} --out {shown("calibrated")}
+rrr-oc diagnose {shown(SET)} --out {shown("diagnosis")}
+{design}```
+"""
+
+
+def _write_task(path: Path, name: str, robot: Robot) -> tuple[str, ...]:
+    """Write a task whose ends are in reach, and return its moving joints; raises `UserError` where none is found."""
+    moving = _lifting(robot)
+    limits = [_limits(robot, j) for j in moving]
+    said = "no two ends of a task were found"
+    for ends in _ends(robot, moving, limits):
+        write_text(path, _task(name, robot, (moving, limits), ends))
+        try:
+            load_task(path)
+            return tuple(robot.joints[j] for j in moving)
+        except UserError as error:
+            said = str(error)
+    path.unlink(missing_ok=True)
+    raise UserError(said)
+
+
+def _lifting(robot: Robot) -> tuple[int, ...]:
+    """The first joint whose axis is horizontal while all stand at zero, and the next one parallel to it; else the first two."""
+    frames = np.array(rigid_body(robot).joint_frames(np.zeros(robot.n))).reshape(12, -1)
+    axes = np.array([frames[:9, j].reshape(3, 3, order="F") @ robot.axes[j] for j in range(robot.n)])
+    level = [j for j in range(robot.n) if abs(axes[j] @ upwards(robot.gravity)) < LEVEL]
+    parallel = [j for j in level if abs(axes[j] @ axes[level[0]]) > 1 - LEVEL]
+    return tuple(parallel[:2] or range(min(2, robot.n)))
+
+
+def _limits(robot: Robot, j: int) -> tuple[float, float, float]:
+    """Least and greatest angle [°], and speed [°/s]; those that the URDF does not give are a half turn either way, and `SPEED`."""
+    known = np.isfinite([robot.lower[j], robot.upper[j]]).all() and robot.lower[j] < robot.upper[j]
+    low, high = np.degrees([robot.lower[j], robot.upper[j]]) if known else (-180.0, 180.0)
+    low, high = np.ceil(10 * max(low, -180.0)) / 10, np.floor(10 * min(high, 180.0)) / 10  # one digit, not beyond the URDF's
+    speed = np.degrees(robot.velocity[j]) if 0 < robot.velocity[j] < np.inf else SPEED
+    return float(low), float(high), float(np.floor(10 * speed) / 10)
+
+
+def _ends(robot: Robot, moving: Sequence[int], limits: Sequence[tuple[float, float, float]]) -> Iterator[tuple[str, str]]:
+    """Both ends of tasks, as they stand in the file, the best first: high above the base, and with little way of the joints.
+
+    The best pair is offered as positions, which a few digits can tell where the moving joints' plane is that of two coordinates,
+    then all pairs as angles.
+    """
+    body, rng = rigid_body(robot), np.random.default_rng(0)
+    low, high = np.array(limits)[:, :2].T
+    drawn = (low + high) / 2 + MIDDLE * (high - low) / 2 * (2 * rng.random((TRIALS, 2, len(moving))) - 1)
+    angles = np.round(drawn, 1)
+    reach = float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum() + np.linalg.norm(robot.tool.position))
+    found = []
+    for pair in angles:
+        q = np.zeros((2, robot.n))
+        q[:, list(moving)] = np.radians(pair)
+        places = np.array([np.array(body.tool_position(one, robot.tool.position)).ravel() for one in q])
+        if WAY[0] * reach < np.linalg.norm(places[1] - places[0]) < WAY[1] * reach:
+            height = float(np.min(places @ upwards(robot.gravity)))
+            found.append((-min(height, HIGH * reach), float(np.abs(pair[0] - pair[1]).sum()), pair, places))
+    found.sort(key=lambda one: one[:2])
+    for _, _, _, places in found[:1]:
+        for digits in (3, 4):
+            first, second = (
+                f'{{"position_m": {json.dumps((np.round(p, digits) + 0.0).tolist())}}}, // of the tool' for p in places
+            )
+            yield f"{first} in the base frame, in reach of the moving joints", f'{second}, or "angles_deg" of the moving joints'
+    for _, _, pair, places in found[:OFFERS]:
+        told = [f", // the tool is at {json.dumps((np.round(p, 4) + 0.0).tolist())} m in the base frame" for p in places]
+        first, second = (f'{{"angles_deg": {json.dumps((a + 0.0).tolist())}}}{t}' for a, t in zip(pair, told, strict=True))
+        yield first, f'{second}; also "position_m"'
+
+
+def _task(name: str, robot: Robot, joints: tuple, ends: tuple[str, str]) -> str:
+    """The content of task.json, with a hint of every optional key."""
+    moving, limits = joints
+    names = [robot.joints[j] for j in moving]
+    still = [joint for joint in robot.joints if joint not in names]
+    lines = [
+        f'    {json.dumps(joint)}: {{"range_deg": [{low:g}, {high:g}], "speed_deg_per_s": {speed:g}}}'
+        for joint, (low, high, speed) in zip(names, limits, strict=True)
+    ]
+    bounds = ",\n".join(lines)
+    springs = ",\n".join(_spring_bounds(robot, j, limit) for j, limit in zip(moving, limits, strict=True))
+    locked = (
+        f'\n  "locked_deg": {{{", ".join(f"{json.dumps(j)}: 0.0" for j in still)}}}, // angles of the others' if still else ""
+    )
+    longest = max(5.0, np.ceil(max((high - low) / speed for low, high, speed in limits)))
+    return f"""{{
+  // What the arm has to do. Comments go from // to the end of the line. Bounds are [least, greatest].
+  "format": "rrr_oc-task/1",
+  "name": "example", // in reports
+  "robot": {json.dumps(name)}, // {_where(name)}
+  "moving": {json.dumps(names)}, // base first; the others are locked{locked}
+  "gravity": {json.dumps(robot.gravity.tolist())}, // in the base frame [m/s²]
+  // "tool": {{"link": {json.dumps(robot.tool_link)}, "position_m": [0.0, 0.0, 0.0]}}, // where the payload is held
+  "start": {ends[0]}
+  "release": {ends[1]}
+  "payload_kg": {PAYLOAD:g}, // from start to release; the arm comes back without it
+  "duration_s": [0.5, {longest:g}], // of each way
+  // "floor_m": 0.0, // the tool stays above
+  // "path_margin": 0.25, // keep the joints' ranges to the way between both ends and this share of it
+  "limits": {{ // also "acceleration_deg_per_s2" and "torque_Nm"
+{bounds}
+  }},
+  "springs": [ // that a design may use, each with bounds; make them those of springs that you can mount
+{springs}
+  ]
+}}
+"""
+
+
+def _spring_bounds(robot: Robot, j: int, limit: tuple[float, float, float]) -> str:
+    """A spring of one joint: adjustable quantities over the joint's range, others up to what the arm's weight asks for."""
+    kind = next(k for k in design_forms().values() if k.placement != "pair" and k.design is not None and not k.design.derived)
+    assert kind.design is not None
+    mass = float(robot.inertial[0, j:].sum()) + PAYLOAD
+    lever = float(np.linalg.norm(robot.placements[j + 1 :, :3, 3], axis=1).sum() + np.linalg.norm(robot.tool.position)) / 2
+    most = float(f"{np.linalg.norm(robot.gravity) * mass * max(lever, 0.05):.2g}")
+    low, high, _ = limit
+    given = ", ".join(
+        f'"{q.key}": [{low:g}, {high:g}]' if q.free else f'"{q.key}": [0, {most:g}]' for q in kind.design.quantities
+    )
+    return f'    {{"effect": "{kind.name}", "joint": {json.dumps(robot.joints[j])}, {given}}}'
