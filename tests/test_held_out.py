@@ -289,3 +289,13 @@ def test_an_effect_of_several_joints_is_kept_where_one_of_them_is_predicted_bett
 )
 def test_what_changes_motion_or_body_acts_on_all_joints(effect, joints):
     assert acts_on(Term(effect, ()), 3) == joints
+
+
+@pytest.mark.parametrize(("effect", "mean"), [(ParallelSpring((1,)), (0.2, 0.1)), (EncoderOffset((1,)), (0.4, 0.2))])
+def test_the_error_of_an_effect_is_that_of_all_joints_whose_torque_it_changes(effect, mean):
+    """An encoder's offset turns the links, of which all joints feel a part; a spring acts on its own joint."""
+    errors = np.array([[[0.4, 0.2, 0.6]], [[0.2, 0.1, 0.3]]])  # without and with it, one recording, three joints
+    one = Check(np.array([1.0]), np.ones((1, 3)), np.array([1.0]), np.array([[4.0] * 3, [1.0] * 3]), errors)
+    found = Shares.of([one], [finding(effect)], 3)
+    assert (found.before[0], found.after[0]) == pytest.approx(mean)
+    assert found.share == pytest.approx((0.75,))

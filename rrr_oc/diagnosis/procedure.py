@@ -85,7 +85,7 @@ class Shares:
 
     Attributes:
         share: Fall of the squared residual when the effect is added, relative to the plain model's squared residual.
-        before, after: NRMSE of the effect's joints without and with it.
+        before, after: Mean NRMSE of the joints whose torque it changes, without and with it.
         gain: Fall of the negative log predictive density with it, beside all others [nats]; NaN where it cannot be measured.
     """
 
@@ -99,7 +99,7 @@ class Shares:
         """From checks in which the findings were added in their order."""
         total = np.sum([c.squares for c in checks], axis=(0, 2))
         errors = [mean_nrmse(np.concatenate([c.errors[k] for c in checks])) for k in range(len(findings) + 1)]
-        joints = [list(f.term.effect.joints) or list(range(n)) for f in findings]
+        joints = [acts_on(f.term, n) for f in findings]
         gains = np.array([c.gains for c in checks]).reshape(len(checks), -1)
         return cls(
             tuple(float((total[k] - total[k + 1]) / max(total[0], 1e-300)) for k in range(len(findings))),
