@@ -9,6 +9,7 @@ import importlib.resources
 import json
 import re
 import reprlib
+import tomllib
 import types
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -43,6 +44,14 @@ class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def read_json(path: str | Path, schema: type[T]) -> T:
     """Read a file. Raises `UserError` where it is missing, no JSON, or not as `schema` describes it."""
     return validated(path, parsed(path, read_utf8(path).decode()), schema)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Plain data of a TOML file; raises `UserError` where it is missing or no TOML."""
+    try:
+        return tomllib.loads(read_utf8(path).decode())
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: not valid TOML: {error}") from None
 
 
 def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schema: type[T]) -> tuple[str, T]:

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.importers import JointStates, import_mcap, import_prototype
+from rrr_oc.recordings.importers import JointStates, import_csv, import_mcap, import_prototype
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.recording import RecordingSet
 
@@ -48,6 +48,19 @@ def mcap(
     names = None if joints is None else [name.strip() for name in joints.split(",")]
     states = JointStates(names, topic, torque, inertial, _constants(torque_constant))
     _show_set(import_mcap(files, robot, out, states), Output(quiet, as_json))
+
+
+@app.command(name="csv")
+def from_csv(
+    files: Annotated[list[Path], typer.Argument(help="CSV files with columns of any names and units, each one recording")],
+    mapping: Annotated[Path, typer.Option("--map", help="TOML file that says which column is what, and in which unit")],
+    robot: Annotated[str, typer.Option(help="path of the robot's URDF, or a bundled model")],
+    out: Annotated[Path, typer.Option(help="folder to make")],
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """CSV files with columns and units of one's own."""
+    _show_set(import_csv(files, robot, out, mapping), Output(quiet, as_json))
 
 
 def _constants(text: str | None) -> dict[str, float]:

@@ -22,6 +22,7 @@ from rrr_oc.effects import design_forms
 from rrr_oc.effects.priors import Context, Given
 from rrr_oc.effects.words import words
 from rrr_oc.recordings.header import Header
+from rrr_oc.recordings.importers.csv import UNITS, CsvMapping
 from rrr_oc.recordings.springs import springs_schema
 from rrr_oc.robot.drives import Drive
 from rrr_oc.schema import spellings
@@ -116,6 +117,13 @@ def _described() -> dict[str, Page]:
             {"context": Context, "table of an effect": Given},
             "priors.toml",
         ),
+        "csv_mapping": Page(
+            "mapping.toml",
+            "Which columns of your own CSV files are what, and in which units; you write it, for `rrr-oc import csv`. TOML.",
+            {"mapping.toml": CsvMapping},
+            "csv_mapping.toml",
+            _unit_notes(),
+        ),
         "model": Page(
             "model.json",
             "A calibrated model; `rrr-oc calibrate` and `rrr-oc diagnose` write it, and `rrr-oc evaluate` reads it. Keys that are "
@@ -123,6 +131,17 @@ def _described() -> dict[str, Page]:
             {"model.json": ModelFile},
         ),
     }
+
+
+def _unit_notes() -> str:
+    columns = (
+        'Keys of `columns` are `t`, `q_<joint>` and `tau_<joint>`, or `current_<joint>` where `torque` is "current", and, if '
+        "measured, `dq_<joint>`, `ddq_<joint>` and `payload`. A value is factor (cell − zero). Units are:"
+    )
+    return (
+        "\n".join([columns, "", *(f"- {what}: {', '.join(f'`{u}`' for u in units)};" for what, units in UNITS.items())])[:-1]
+        + "."
+    )
 
 
 def _spring_notes() -> str:

@@ -1,0 +1,161 @@
+"""CSV files in foreign columns and units: the same numbers again in SI units, and what is wrong with a wrong mapping."""
+
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rrr_oc import cli
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.importers import import_csv
+from rrr_oc.recordings.importers.csv import QUANTITIES, UNITS
+from rrr_oc.recordings.reader import load_recordings
+
+START = 1_700_000_000_000.0  # [ms] since 1970
+T = 0.01 * np.arange(200)  # [s]
+Q = np.array([0.5 * np.sin(2 * T), 1.0 + 0.4 * np.cos(3 * T), -0.3 * np.sin(4 * T)])  # [rad], (3, K)
+DQ = np.array([np.cos(2 * T), -1.2 * np.sin(3 * T), -1.2 * np.cos(4 * T)])  # [rad/s]
+TAU = np.array([2.0 + T, -1.0 + 0.1 * T, 0.5 * np.cos(T)])  # [Nm]
+MAPPING = """
+[columns]
+t = { column = "stamp", unit = "ms" }
+payload_kg = { column = "held", unit = "g" }
+q_joint1 = { column = "p1", unit = "deg" }
+q_joint2 = { column = "p2", unit = "deg", factor = -1, zero = 90 }
+q_joint3 = { column = "p3", unit = "rev", factor = 0.01 }
+dq_joint1 = { column = "v1", unit = "rpm" }
+dq_joint2 = { column = "v2", unit = "°/s", factor = -1 }
+dq_joint3 = { column = "v3", unit = "mrad/s" }
+tau_joint1 = { column = "m1", unit = "Ncm" }
+tau_joint2 = "m2"
+tau_joint3 = { column = "m3", unit = "mNm" }
+"""
+
+
+def write(folder: Path, mapping: str = MAPPING) -> tuple[Path, Path]:
+    """A file with a controller's columns, separated by semicolons, with one that nobody wants; and its mapping."""
+    columns = {
+        "stamp": START + 1e3 * T,
+        "state": 7 + 0 * T,
+        "p1": Q[0] * 180 / np.pi,
+        "p2": 90 - Q[1] * 180 / np.pi,
+        "p3": Q[2] / (2 * np.pi) * 100,  # of the motor, before a gear of 1:100
+        "v1": DQ[0] * 30 / np.pi,
+        "v2": -DQ[1] * 180 / np.pi,
+        "v3": DQ[2] * 1e3,
+        "m1": TAU[0] * 100,
+        "m2": TAU[1],
+        "m3": TAU[2] * 1e3,
+        "held": 1500 + 0 * T,
+    }
+    rows = [";".join(map(repr, row)) for row in np.array(list(columns.values())).T.tolist()]
+    (folder / "log.csv").write_text("\n".join([";".join(columns), *rows]) + "\n")
+    (folder / "mapping.toml").write_text(mapping)
+    return folder / "log.csv", folder / "mapping.toml"
+
+
+def test_foreign_units_signs_zeros_and_ratios_become_si(tmp_path):
+    file, mapping = write(tmp_path)
+    import_csv([file], "rrr", tmp_path / "out", mapping)
+    (found,) = load_recordings(tmp_path / "out").recordings
+    np.testing.assert_allclose(found.t, T, atol=2e-7)  # stamps of 1.7e12 ms hold steps of 2.4e-4 ms
+    for array, truth in ((found.q, Q), (found.dq, DQ), (found.tau, TAU), (found.payload, 1.5 + 0 * T)):
+        np.testing.assert_allclose(array, truth, rtol=1e-13, atol=1e-13)
+    assert not [name for name in found.computed if name.startswith("dq")]
+
+
+def test_the_example_reads_currents_of_some_joints(tmp_path):
+    columns = {"time_ms": 1e3 * T, "load_kg": 2 + 0 * T}
+    for j, sign, zero in ((1, 1, 0), (2, -1, 90)):
+        columns |= {
+            f"pos{j}": zero + sign * np.degrees(Q[j - 1]),
+            f"speed{j}": sign * DQ[j - 1] * 30 / np.pi,
+            f"i{j}": sign * TAU[j - 1] / 5.5 * 1e3,
+        }
+    np.savetxt(tmp_path / "a.csv", np.array(list(columns.values())).T, "%.17g", ",", header=",".join(columns))
+    found = import_csv(
+        [tmp_path / "a.csv"], "rrr", tmp_path / "out", str(files("rrr_oc.data") / "examples" / "csv_mapping.toml")
+    )
+    assert (found.torque, found.joints) == ("current", ("joint1", "joint2"))
+    np.testing.assert_allclose(found.recordings[0].q, Q[:2], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(found.output_torque(found.recordings[0]), TAU[:2], rtol=1e-13)
+
+
+def test_an_empty_cell_is_a_row_dropped_and_time_begins_at_the_first_stamp(tmp_path):
+    file, mapping = write(tmp_path)
+    lines = file.read_text().splitlines()
+    lines[1] = ";" + lines[1].split(";", 1)[1]
+    file.write_text("\n".join(lines))
+    (found,) = import_csv([file], "rrr", tmp_path / "out", mapping).recordings
+    assert (found.t[0], found.dropped, len(found.t)) == (0.0, 1, 199)
+
+
+def test_every_quantity_begins_with_its_si_unit():
+    assert {units[0] for units in map(list, UNITS.values())} == {"s", "rad", "rad/s", "rad/s²", "Nm", "A", "kg"}
+    assert all(next(iter(units.values())) == 1.0 for units in UNITS.values())
+    assert set(QUANTITIES.values()) == set(UNITS)
+
+
+MISTAKES = {
+    "column not there": (('"p1"', '"p9"'), "log.csv, line 1: no column 'p9', which {map} takes for 'q_joint1'; there are stamp, state, p1"),
+    "unit not known": (('"Ncm"', '"Nfoo"'), "columns.tau_joint1.unit: unit 'Nfoo' is not known; units of torque are Nm, kNm, Ncm"),
+    "unit of something else": (('"Ncm"', '"mA"'), "columns.tau_joint1.unit: 'mA' is a unit of current; units of torque are Nm"),
+    "column of no set": (("q_joint1", "pos_joint1"), "columns: unknown column of a set 'pos_joint1'; allowed are t, q_joint1"),
+    "column left out": (('tau_joint2 = "m2"', ""), "columns: 'tau_joint2' is missing; required are t, q_joint1"),
+    "key not known": (("zero", "offset"), "columns.q_joint2: unknown key 'offset'; allowed are column, unit, factor, zero"),
+    "factor 0": (("factor = -1,", "factor = 0,"), "columns.q_joint2.factor: found 0; a finite number other than 0 is required"),
+    "zero not finite": (("zero = 90", "zero = nan"), "columns.q_joint2.zero: found nan; a finite number is required"),
+    "constant not finite": (("[columns]", "torque_constant.joint1 = inf\n[columns]"), "found inf for 'joint1'; a finite number of Nm/A"),
+    "constant of no joint": (("[columns]", "torque_constant.elbow = 1\n[columns]"), "torque_constant: unknown joint 'elbow'; allowed"),
+    "joint not there": (("\n[columns]", 'joints = ["elbow"]\n[columns]'), "elbow"),
+    "kind of torque": (("\n[columns]", 'torque = "voltage"\n[columns]'), "torque: found 'voltage'; allowed are 'motor', 'load', 'current'"),
+    "no constants": (("\n[columns]", 'torque = "current"\n[columns]'), "unknown column of a set 'tau_joint1'; allowed are t, q_joint1"),
+    "no TOML": (("[columns]", "[columns"), "mapping.toml: not valid TOML"),
+    "degrees taken for radians": (('"v2", unit = "°/s"', '"v2"'), "it looks as if 'dq_joint2' is in degrees"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_in_the_mapping_is_one_sentence(mistake, tmp_path):
+    change, said = MISTAKES[mistake]
+    assert change[0] in MAPPING
+    file, mapping = write(tmp_path, MAPPING.replace(*change))
+    with pytest.raises(UserError) as raised:
+        import_csv([file], "rrr", tmp_path / "out", mapping)
+    assert said.format(map=mapping) in str(raised.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_that_make_no_set_are_told(tmp_path):
+    file, mapping = write(tmp_path)
+    with pytest.raises(UserError, match="no CSV file given; at least one is required"):
+        import_csv([], "rrr", tmp_path / "out", mapping)
+    with pytest.raises(UserError, match=r"another file has the same name; .* it becomes 'log\.csv'"):
+        import_csv([file, file], "rrr", tmp_path / "out", mapping)
+    with pytest.raises(UserError, match=r"nowhere\.toml: cannot be read: No such file"):
+        import_csv([file], "rrr", tmp_path / "out", tmp_path / "nowhere.toml")
+    file.write_text(file.read_text().replace(";7.0;", ";on;").replace(repr(TAU[1].tolist()[3]), "x", 1))
+    with pytest.raises(
+        UserError, match="line 5, column 'm2': found 'x'; a number"
+    ):  # text in a column that is not used is no matter
+        import_csv([file], "rrr", tmp_path / "out", mapping)
+
+
+def test_the_command_makes_a_set_or_says_what_is_wrong(monkeypatch, tmp_path, capsys):
+    file, mapping = write(tmp_path)
+
+    def run(*arguments) -> int:
+        monkeypatch.setattr(sys, "argv", ["rrr-oc", "import", "csv", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return int(ended.value.code or 0)
+
+    assert run(file, "--map", mapping, "--robot", "rrr", "--out", tmp_path / "out") == 0
+    assert "log.csv" in capsys.readouterr().out
+    assert len(load_recordings(tmp_path / "out").recordings) == 1
+    assert run(file, "--map", mapping, "--robot", "rrr", "--out", tmp_path / "out") == 2
+    assert "exists already; give a new or an empty folder" in capsys.readouterr().err
+    assert run(file, "--robot", "rrr", "--out", tmp_path / "other") == 2
+    assert "--map" in capsys.readouterr().err
