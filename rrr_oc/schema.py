@@ -183,7 +183,7 @@ def _fault(path: str, data: Any, schema: Any) -> tuple[str, str]:
             return _fault(path + step, value, inner)
     if _is_structure(schema) and isinstance(data, dict):
         fields = {f.encode_name: f for f in msgspec.structs.fields(schema)}
-        for key in data:
+        for key in data if schema.__struct_config__.forbid_unknown_fields else ():
             if key not in fields:
                 return path, f"unknown key {key!r}; allowed are {', '.join(fields)}"
         required = [key for key, field in fields.items() if field.required]

@@ -1,14 +1,21 @@
 """Exported files, read again by the programs that they are for."""
 
+import json
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from rrr_oc import cli
+from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
+from rrr_oc.calibration.model_file import save_model
 from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import BUNDLED, load_robot, urdf_text
@@ -77,3 +84,103 @@ def test_what_mujoco_cannot_express_is_named():
     assert "load_dependent_friction" in one
     assert "load_dependent_friction" in made.text.split("-->")[0]
     mujoco.MjModel.from_xml_string(made.text)
+
+
+STIFFNESS, EQUILIBRIUM = 9.0, 1.2  # [Nm/rad], [rad], of the spring in `saved`
+
+
+def saved(folder, **change) -> Path:
+    """A summary.json with what is read of a design for the paper's task: springs of joints 2 and 3."""
+    entry = {
+        "mounted": {"parallel_spring[joint2]": {"active": "below"}, "parallel_spring[joint3]": {"active": "below"}},
+        "parameters": {
+            "parallel_spring[joint2]": {"stiffness": STIFFNESS, "equilibrium": EQUILIBRIUM},
+            "parallel_spring[joint3]": {"stiffness": 1.0, "equilibrium": -1.2},
+        },
+        "cost": 1.0,
+    } | change
+    (folder / "summary.json").write_text(json.dumps({"preset": "paper", "configurations": {"PEA": entry}}))
+    return folder / "summary.json"
+
+
+def run(monkeypatch, *arguments) -> int:
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", "export", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+def model_file(folder: Path, joints: int) -> Path:
+    """model.json of the paper's arm with as many joints, with dry friction of the last one."""
+    robot = load_robot("rrr", [f"joint{k + 1}" for k in range(joints)])
+    term = nominal_term(DryFriction((joints - 1,))).with_values(np.array([0.7]))
+    nothing = np.zeros(joints)
+    text, constants = urdf_text("rrr"), (None,) * joints
+    arm = CalibratedModel(robot, "rrr", text, robot.tool, "motor", constants, "nominal", (term,), nothing, nothing)
+    save_model(arm, folder / f"model{joints}.json")
+    return folder / f"model{joints}.json"
+
+
+@pytest.mark.parametrize("with_model", [False, True])
+def test_a_designs_springs_pull_on_the_arm_in_plain_mujoco(with_model, monkeypatch, tmp_path, capsys):
+    """An arm at rest needs gravity less the springs, by their laws written out here; only with a model there is friction."""
+    options = ["--design", saved(tmp_path), "--configuration", "PEA", "--task", "paper", "--json", "--out", tmp_path / "e"]
+    assert run(monkeypatch, *([model_file(tmp_path, 3)] if with_model else []), *options) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert ("urdf" in found) is with_model
+    assert (tmp_path / "e" / "arm.urdf").exists() is with_model
+    mj, body = mujoco.MjModel.from_xml_path(found["mjcf"]), pin.buildModelFromXML(urdf_text("rrr"))
+    robot = load_robot("rrr")
+    assert bool(mj.dof_frictionloss.any()) is with_model
+    if not with_model:
+        assert found["not_in_mjcf"] == ["joint1 is held by the task; here it moves"]
+    slack = []
+    for share, _, _ in STATES:
+        q = robot.lower + (robot.upper - robot.lower) * (0.5 + share / 3.2)  # limits push back beyond
+        stretch = np.maximum([0.0, EQUILIBRIUM - q[1], -1.2 - q[2]], 0.0)
+        slack.append(stretch[2] == 0)
+        gravity = pin.computeGeneralizedGravity(body, body.createData(), q)
+        still = torque(mj, q, np.zeros(3), np.zeros(3))
+        np.testing.assert_allclose(still, gravity - np.array([0.0, STIFFNESS, 1.0]) * stretch, rtol=1e-6, atol=1e-6)
+    assert 0 < np.mean(slack) < 1
+
+
+DESIGN = ["--design", "{0}/summary.json", "--configuration", "PEA", "--task", "paper"]
+MISTAKES = {
+    "nothing": ([], {}, "nothing to export: a model.json, or --design with --configuration and --task, is required"),
+    "no task": (DESIGN[:4], {}, "--task is missing: --design, --configuration, --task go together"),
+    "no configuration": ([*DESIGN[:2], *DESIGN[4:]], {}, "--configuration is missing: --design"),
+    "no such design": (["--design", "{0}/nowhere.json", *DESIGN[2:]], {}, "nowhere.json: cannot be read"),
+    "other file": (["--design", "{model}", *DESIGN[2:]], {}, "key 'configurations' is missing"),
+    "not solved": ([*DESIGN[:3], "BPEA", *DESIGN[4:]], {}, "unknown configuration 'BPEA'; allowed are PEA"),
+    "other springs": (DESIGN, {"mounted": {"parallel_spring[joint1]": {"active": "below"}}}, "which task 'paper' does not offer so mounted"),
+    "no value": (
+        DESIGN,
+        {"parameters": {"parallel_spring[joint2]": {"stiffness": 1.0}}},
+        "configurations.PEA.parameters: parallel_spring[joint2]: equilibrium is missing",
+    ),
+    "other joints": (["{two}", *DESIGN], {}, "the model has the joints joint1, joint2, but the task's robot joint1, joint2, joint3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, monkeypatch, tmp_path, capsys):
+    arguments, change, said = MISTAKES[mistake]
+    saved(tmp_path, **change)
+    given = [a.format(tmp_path, model=model_file(tmp_path, 3), two=model_file(tmp_path, 2)) for a in arguments]
+    assert run(monkeypatch, *given, "--out", tmp_path / "e") == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith("Error: ")
+    assert said in printed
+    assert not (tmp_path / "e").exists()
+
+
+def test_effects_of_the_arm_that_a_repaired_design_was_made_for_are_named(monkeypatch, tmp_path, capsys):
+    summary = saved(tmp_path)
+    content = json.loads(summary.read_text())
+    content["configurations"]["PEA"]["parameters"]["payload_com[joint3]"] = {"x": 0.01}
+    summary.write_text(json.dumps(content))
+    options = ["--design", summary, "--configuration", "PEA", "--task", "paper", "--json", "--out", tmp_path / "e"]
+    assert run(monkeypatch, *options) == 0
+    left_out = json.loads(capsys.readouterr().out)["not_in_mjcf"]
+    assert "payload_com[joint3]: the design was made for an arm that has it; give its model.json" in left_out

@@ -18,7 +18,7 @@ from rrr_oc import cli
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign import study as steps
-from rrr_oc.codesign.springs import arrangements, spring_bounds
+from rrr_oc.codesign.springs import arrangements, saved_springs, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
@@ -60,6 +60,14 @@ def out(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def summary(out) -> dict:
     return json.loads((out / "summary.json").read_text())
+
+
+def test_the_springs_of_a_summary_are_read_again(out, summary):
+    found, task = summary["configurations"]["PEA"]["parameters"], load_task("paper")
+    springs = saved_springs(out / "summary.json", "PEA", task)
+    assert {task.model().label(effect): theta for effect, theta in springs.mounted} == found
+    assert len(found) == 2
+    assert saved_springs(out / "summary.json", "SA", task).mounted == springs.known == ()
 
 
 def test_summary_holds_what_the_contract_says(summary):

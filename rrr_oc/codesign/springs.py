@@ -3,14 +3,18 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from rrr_oc.codesign.task import Task
 from rrr_oc.effects import Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
-from rrr_oc.schema import check_names
+from rrr_oc.schema import check_names, read_json
+from rrr_oc.storage import plain
 
 
 def configurations() -> dict[str, tuple[str, ...]]:
@@ -100,6 +104,70 @@ def _ways(spring: SpringBounds, entry: Mapping) -> list[SpringBounds]:
         values = list(itertools.product(allowed, repeat=len(default))) if isinstance(default, tuple) else list(allowed)
         lists.append(sorted(values, key=lambda value, default=default: value != default))
     return [replace(spring, effect=replace(effect, **dict(zip(left, v, strict=True)))) for v in itertools.product(*lists)]
+
+
+class SavedDesign(msgspec.Struct, frozen=True):
+    """What makes a configuration's springs, of its entry in summary.json.
+
+    Attributes:
+        mounted: How each spring is mounted, by its label.
+        parameters: Values by label and name, of the springs and of effects that the arm has.
+    """
+
+    mounted: dict[str, dict[str, Any]]
+    parameters: dict[str, dict[str, float]]
+
+
+class SavedStudy(msgspec.Struct, frozen=True):
+    """Of a summary.json what is read again.
+
+    Attributes:
+        configurations: The designs by name.
+    """
+
+    configurations: dict[str, SavedDesign]
+
+
+@dataclass(frozen=True)
+class SavedSprings:
+    """The springs of a saved design.
+
+    Attributes:
+        mounted: Each with its parameters by name.
+        known: Labels of effects that the arm had when it was designed for.
+    """
+
+    mounted: tuple[tuple[Effect, dict[str, float]], ...]
+    known: tuple[str, ...]
+
+
+def saved_springs(path: str | Path, name: str, task: Task) -> SavedSprings:
+    """The springs of a configuration of a study's summary.json, which was made for the task.
+
+    Raises `UserError` where it is no such file, has no such configuration, or was made for a task with other springs.
+    """
+    designs = read_json(path, SavedStudy).configurations
+    check_names([name], designs, path, "configuration")
+    saved = designs[name]
+    for way in arrangements(task, name.rstrip("*")):
+        effects = {task.model().label(s.effect): s.effect for s in way}
+        if saved.mounted == {label: plain({key: getattr(e, key) for key in e.options}) for label, e in effects.items()}:
+            lacking = [
+                f"{label}: {p.name}"
+                for label, e in effects.items()
+                for p in e.parameters
+                if p.name not in saved.parameters.get(label, {})
+            ]
+            if lacking:
+                raise UserError(
+                    f"{path}: configurations.{name}.parameters: {lacking[0]} is missing; one value a parameter is required"
+                )
+            mounted = tuple(
+                (e, {p.name: saved.parameters[label][p.name] for p in e.parameters}) for label, e in effects.items()
+            )
+            return SavedSprings(mounted, tuple(label for label in saved.parameters if label not in effects))
+    found = ", ".join(saved.mounted) or "none"
+    raise UserError(f"{path}: configuration {name} has the springs {found}, which task {task.name!r} does not offer so mounted")
 
 
 def drawn_bounds(springs: Sequence[SpringBounds]) -> tuple[np.ndarray, np.ndarray]:

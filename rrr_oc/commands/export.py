@@ -1,4 +1,4 @@
-"""`rrr-oc export`: a model as files for other programs."""
+"""`rrr-oc export`: an arm, with the springs of a design, as files for other programs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,9 +6,12 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
+from rrr_oc.codesign.springs import SavedSprings, saved_springs
+from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Model as ModelFile
+from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.simulation.export import mjcf, urdf
 from rrr_oc.storage import check_folder, write_text
@@ -18,28 +21,75 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def export(
-    model: ModelFile,
     out: Annotated[Path, typer.Option(help="folder for arm.xml and arm.urdf")],
+    model: Annotated[
+        Path | None,
+        typer.Argument(help="model.json that calibrate or diagnose wrote; left out: the arm of --task as its URDF has it"),
+    ] = None,
+    design: Annotated[Path | None, typer.Option(help="summary.json of a design, whose springs are mounted")] = None,
+    configuration: Annotated[str | None, typer.Option(help="of --design: which one, such as PEA")] = None,
+    task: Annotated[str | None, typer.Option(help="of --design: its task file, or a bundled task")] = None,
     payload: Annotated[float, typer.Option(min=0.0, help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Write a model for other programs: MJCF that plain MuJoCo runs, and the URDF with identified inertias."""
+    """Write an arm for other programs: MJCF that plain MuJoCo runs, and the URDF with identified inertias."""
     output = Output(quiet, as_json)
     check_folder(out)
-    found = load_model(model)
-    everywhere = [term for term in found.terms if term.recordings == "all"]
-    theta = np.concatenate([np.zeros(0), *(term.values for term in everywhere)])
-    arm = Model(found.robot, found.tool, tuple(term.effect for term in everywhere))
+    found = None if model is None else load_model(model)
+    wanted, springs = _designed(design, configuration, task)
+    if found is None and wanted is None:
+        raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
+    arm, theta, left_out = _arm(found, wanted, springs)
     made = mjcf(arm, theta, payload)
     write_text(out / "arm.xml", made.text)
-    write_text(out / "arm.urdf", urdf(found.urdf, found.robot))
-    left_out = [
-        *made.left_out,
-        *(f"{t.effect.name}: only some recordings have it" for t in found.terms if t.recordings != "all"),
-    ]
-    for one in left_out:
-        output.note(f"Not in arm.xml: {one}.")
+    files = {"mjcf": str(out / "arm.xml")}
     output.show(f"{out / 'arm.xml'} runs in plain MuJoCo: python -m mujoco.viewer --mjcf={out / 'arm.xml'}")
-    output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
-    output.result({"mjcf": str(out / "arm.xml"), "urdf": str(out / "arm.urdf"), "not_in_mjcf": left_out})
+    if found is not None:
+        write_text(out / "arm.urdf", urdf(found.urdf, found.robot))
+        files["urdf"] = str(out / "arm.urdf")
+        output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
+    for one in (*made.left_out, *left_out):
+        output.note(f"Not in arm.xml: {one}.")
+    output.result({**files, "not_in_mjcf": [*made.left_out, *left_out]})
+
+
+def _designed(design: Path | None, configuration: str | None, name: str | None) -> tuple[Task | None, SavedSprings]:
+    """The task of a design, and its springs; neither where no design is asked for."""
+    given = {"--design": design, "--configuration": configuration, "--task": name}
+    missing = [option for option, value in given.items() if value is None]
+    if len(missing) == len(given):
+        return None, SavedSprings((), ())
+    if missing:
+        raise UserError(f"{missing[0]} is missing: {', '.join(given)} go together")
+    assert design is not None
+    assert configuration is not None
+    task = load_task(str(name))
+    return task, saved_springs(design, configuration, task)
+
+
+def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings) -> tuple[Model, np.ndarray, list[str]]:
+    """The calibrated arm, or the task's, with springs; its parameters, and what is not in it, one sentence each."""
+    terms = () if found is None else found.terms
+    left_out = [f"{t.effect.name}: only some recordings have it" for t in terms if t.recordings != "all"]
+    terms = [t for t in terms if t.recordings == "all"]
+    if task is not None:
+        left_out += [f"{task.robot.joints[j]} is held by the task; here it moves" for j in _held(task)]
+        left_out += [f"{t.effect.name}: scales the springs of the recordings" for t in terms if "springs" in t.effect.inputs]
+        terms = [t for t in terms if "springs" not in t.effect.inputs]
+    if found is None:
+        assert task is not None
+        left_out += [f"{label}: the design was made for an arm that has it; give its model.json" for label in springs.known]
+        robot, tool = task.robot, task.tool
+    else:
+        robot, tool = found.robot, found.tool
+        if task is not None and task.robot.joints != robot.joints:
+            own, other = ", ".join(robot.joints), ", ".join(task.robot.joints)
+            raise UserError(f"the model has the joints {own}, but the task's robot {other}; they must be the same")
+    effects = (*(effect for effect, _ in springs.mounted), *(t.effect for t in terms))
+    values = [*(list(theta.values()) for _, theta in springs.mounted), *(t.values for t in terms)]
+    return Model(robot, tool, effects), np.concatenate([np.zeros(0), *values]), left_out
+
+
+def _held(task: Task) -> list[int]:
+    return [j for j in range(task.robot.n) if j not in task.moving]
