@@ -152,8 +152,6 @@ class Fitter:
             if missed > BEND * np.sum((found.residual - after) ** 2):
                 found = data.rows(model)
                 columns = self.columns(model, found)
-                if not np.isfinite(columns).all():  # beyond what the equations of motion can be followed in
-                    break
         assert best is not None
         return best
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigh
 
 # Tolerances, and what they decide. A direction below its tolerance is taken for undetermined. Of normal matrices, eigenvalues
 # count, which are squares of singular values.
@@ -42,7 +43,7 @@ class Directions:
         """
         own = scale is None
         scale = lengths(matrix) if scale is None else scale
-        values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+        values, vectors = eigh(matrix / np.outer(scale, scale))  # numpy's (LAPACK's syevd) fails on some finite matrices
         return cls(scale, values, vectors, values > tolerance * (max(values.max(initial=0.0), 1e-300) if own else 1.0))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
