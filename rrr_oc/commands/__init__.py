@@ -71,4 +71,4 @@ app = typer.Typer(
 def rrr_oc(
     version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Show the version and exit."),
 ) -> None:
-    """System identification of robot arms on recordings of their motion and torques."""
+    """Springs for robot arms, and what their simulation lacks: co-design, calibration and diagnosis on recordings."""

@@ -1,10 +1,9 @@
 """Priors of all effects: those that the effects declare, with what a user knows better about an arm, from a TOML file."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
@@ -12,9 +11,7 @@ from msgspec import field as key
 
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.base import Effect, Prior, Trial, View
-from rrr_oc.errors import UserError
-from rrr_oc.schema import Schema, check_names, validated
-from rrr_oc.storage import read_utf8
+from rrr_oc.schema import Schema, check_names, read_toml, validated
 
 # Neither 0 nor 1, which no recording could contradict
 Probability = Annotated[float, Meta(gt=0, lt=1, description="a number above 0 and below 1 is required")]
@@ -90,19 +87,12 @@ def load_priors(path: str | Path) -> Priors:
 
     Raises `UserError` where it is missing or no TOML, for an unknown effect or amplitude, and for numbers that are not allowed.
     """
-    tables = _parsed(path)
+    tables = read_toml(path)
     context = validated(path, tables.pop("context", {}), Context, "context")
     check_names(tables, (name for name, kind in CATALOGUE.items() if kind.role != "plain"), path, "effect")
     found = validated(path, tables, dict[str, Given])
     given = {name: _changed(path, CATALOGUE[name], one) for name, one in found.items()}
     return Priors(given, context.springs, context.inertias == "exact", str(path))
-
-
-def _parsed(path: str | Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(read_utf8(path).decode())
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: not valid TOML: {error}") from None
 
 
 def _changed(path: str | Path, kind: type[Effect], given: Given) -> Prior:

@@ -1,7 +1,7 @@
 """Recording sets written as a folder with `recordings.json` and CSV files."""
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,11 +30,7 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
         "inertial": recordings.inertial,
         "gravity": robot.gravity.tolist(),
         "tool": {"link": robot.links[tool.joint], "position": (pose[:3, :3].T @ (tool.position - pose[:3, 3])).tolist()},
-        "actuators": {
-            joint: {"torque_constant": constant}
-            for joint, constant in zip(robot.joints, recordings.torque_constant, strict=True)
-            if constant is not None
-        },
+        "actuators": constants({j: k for j, k in zip(robot.joints, recordings.torque_constant, strict=True) if k is not None}),
     }
     tables = {r.file: _table(r, robot.joints, recordings.torque) for r in recordings.recordings}
     entries = []
@@ -42,6 +38,31 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
         entry = {"file": r.file, "group": r.group, "springs": spring_json(r.springs, robot.joints)}
         entries.append(entry if "payload" in tables[r.file] else {**entry, "payload": float(r.payload[0])})
     write_set(folder, recordings.source, {**header, "recordings": entries}, tables)
+
+
+def write_files(
+    folder: str | Path,
+    source: str | Path,
+    header: Mapping[str, Any],
+    files: Sequence[str | Path],
+    read: Callable[[Path], Mapping[str, np.ndarray]],
+) -> RecordingSet:
+    """Write files of another layout as a new set, each one recording under its own name; `read` turns one into columns.
+
+    Raises `UserError` where two would get the same name, and as `write_set`.
+    """
+    tables: dict[str, Mapping[str, np.ndarray]] = {}
+    for file in map(Path, files):
+        name = f"{file.stem}.csv"
+        if name in tables:
+            raise UserError(f"{file}: another file has the same name; each needs its own, for it becomes {name!r}")
+        tables[name] = read(file)
+    return write_set(folder, source, {**header, "recordings": [{"file": name} for name in tables]}, tables)
+
+
+def constants(torque_constant: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Torque constants [Nm/A] by joint as the key `actuators` of a set has them."""
+    return {joint: {"torque_constant": constant} for joint, constant in torque_constant.items()}
 
 
 def write_set(

@@ -87,6 +87,13 @@ def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
     return np.block([[moments, first[:, None]], [first[None, :], np.array([[mass]])]])
 
 
+def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre of mass [m], (3,), and rotational inertia about it [kg m²], (3, 3), of a link's ten numbers (`Robot.inertial`)."""
+    mass, centre, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4] / parameters[0], parameters[4:]
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return centre, about_origin - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+
+
 def is_physical(parameters: np.ndarray) -> bool:
     """Whether ten inertial parameters are physically consistent: finite, with a positive definite pseudo-inertia."""
     return bool(np.all(np.isfinite(parameters)) and np.linalg.eigvalsh(pseudo_inertia(parameters))[0] > 0)

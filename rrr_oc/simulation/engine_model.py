@@ -17,6 +17,7 @@ import numpy as np
 from rrr_oc.effects import Body
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.inertial_parameters import about_centre
 from rrr_oc.robot.robot import Robot, ToolPoint
 from rrr_oc.simulation import generated_c
 from rrr_oc.simulation.generated_c import PAYLOAD, EffectLibrary
@@ -290,9 +291,8 @@ def _inertial(parameters: np.ndarray) -> dict:
 
 def _principal(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centre of mass [m], principal axes (3, 3) and moments about it [kg m²] of a link's ten numbers."""
-    mass, com, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4] / parameters[0], parameters[4:]
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    moments, axes = np.linalg.eigh(about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
+    com, inertia = about_centre(parameters)
+    moments, axes = np.linalg.eigh(inertia)
     return com, axes * np.sign(np.linalg.det(axes)), moments
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
+from rrr_oc.robot.inertial_parameters import about_centre
 from rrr_oc.robot.robot import Robot
 from rrr_oc.simulation.engine_model import Settings, assembled, controller
 from rrr_oc.simulation.generated_c import PAYLOAD
@@ -116,12 +117,10 @@ def urdf(text: str, robot: Robot) -> str:
 
 def _inertial(parameters: np.ndarray) -> ElementTree.Element:
     """The element of a link's ten numbers (`Robot.inertial`)."""
-    mass, com, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4] / parameters[0], parameters[4:]
-    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    inertia = about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com))
+    com, inertia = about_centre(parameters)
     element = ElementTree.Element("inertial")
     ElementTree.SubElement(element, "origin", xyz=" ".join(f"{x:.12g}" for x in com), rpy="0 0 0")
-    ElementTree.SubElement(element, "mass", value=f"{mass:.12g}")
+    ElementTree.SubElement(element, "mass", value=f"{parameters[0]:.12g}")
     pairs = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), inertia[np.triu_indices(3)], strict=True)
     ElementTree.SubElement(element, "inertia", {name: f"{x:.12g}" for name, x in pairs})
     return element

@@ -11,7 +11,7 @@ from msgspec import field
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.csv_table import Table, read_table
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.recordings.writer import write_set
+from rrr_oc.recordings.writer import constants, write_files
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.schema import Payload, Schema, Text, check_names, read_toml, spellings, validated
 
@@ -103,21 +103,14 @@ def import_csv(files: Sequence[str | Path], robot: str | Path, out: str | Path, 
     understood = validated(mapping, read_toml(mapping), CsvMapping)
     joints = load_robot(robot, understood.joints, understood.inertial == "nominal").joints
     sources = _sources(mapping, understood, joints)
-    tables: dict[str, dict[str, np.ndarray]] = {}
-    for file in map(Path, files):
-        name = f"{file.stem}.csv"
-        if name in tables:
-            raise UserError(f"{file}: another file has the same name; each needs its own, for it becomes {name!r}")
-        tables[name] = _columns(read_table(file), sources, mapping)
     check_names(understood.torque_constant, joints, f"{mapping}: torque_constant", "joint")
     header = {
         "joints": list(joints),
         "torque": understood.torque,
         "inertial": understood.inertial,
-        "actuators": {joint: {"torque_constant": constant} for joint, constant in understood.torque_constant.items()},
-        "recordings": [{"file": name} for name in tables],
+        "actuators": constants(understood.torque_constant),
     }
-    return write_set(out, robot, header, tables)
+    return write_files(out, robot, header, files, lambda file: _columns(read_table(file), sources, mapping))
 
 
 def _sources(path: str | Path, mapping: CsvMapping, joints: Sequence[str]) -> dict[str, tuple[Column, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.recordings.writer import write_set
+from rrr_oc.recordings.writer import constants, write_files
 from rrr_oc.robot.robot import load_robot
 
 SCHEMAS = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
@@ -51,20 +51,17 @@ def import_mcap(
     states = states or JointStates()
     names = load_robot(robot, None, states.inertial == "nominal").joints if states.joints is None else states.joints
     effort = "current" if states.torque == "current" else "tau"
-    tables = {}
-    for file in map(Path, files):
-        name = f"{file.stem}.csv"
-        if name in tables:
-            raise UserError(f"{file}: another file has the same name; each needs its own, for it becomes {name!r}")
-        tables[name] = _columns(file, _samples(file, states.topic, names), names, effort)
     header = {
         "joints": list(names),
         "torque": states.torque,
         "inertial": states.inertial,
-        "actuators": {joint: {"torque_constant": constant} for joint, constant in states.torque_constant.items()},
-        "recordings": [{"file": name} for name in tables],
+        "actuators": constants(states.torque_constant),
     }
-    return write_set(out, robot, header, tables)
+
+    def read(file: Path) -> dict[str, np.ndarray]:
+        return _columns(file, _samples(file, states.topic, names), names, effort)
+
+    return write_files(out, robot, header, files, read)
 
 
 def _samples(file: Path, topic: str | None, joints: Sequence[str]) -> list[tuple[int, tuple[float, ...]]]:
