@@ -1,6 +1,11 @@
-"""Many independent calls at once, on all cores of this machine or on a Dask cluster."""
+"""Many independent calls at once, on the cores of this machine or on a Dask cluster.
+
+A program says where its calls run, once, by `with workers(jobs, where)`; the functions that make them, `ordered` and `unordered`,
+take no such argument, and what they compute does not depend on it. Outside of `workers` they run one after the other.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
@@ -12,31 +17,80 @@ from rrr_oc.errors import UserError
 _T = TypeVar("_T")
 LOCAL = "local"
 SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error; doubled, a wrong address takes longer
+DEATHS = (
+    3  # of worker processes in a row, without any call done between them, after which a call is taken to be what kills them
+)
 _made: dict[str, Any] = {}  # the one value of this process that `once_per_process` keeps
 
 
-def check_jobs(jobs: int) -> None:
-    """Raise `UserError` unless `jobs` is a positive number of processes, or -1."""
+@contextmanager
+def workers(jobs: int = -1, where: str = LOCAL) -> Iterator[None]:
+    """Run `ordered` and `unordered` on `jobs` processes of this machine (-1: one a core), or on the Dask cluster of the scheduler at
+    the address `where`, as in tcp://host:8786, whose workers need this package and the same file system.
+
+    Raises `UserError` for an unusable number, and where Dask is not installed, no scheduler answers or its workers die.
+    """
     if jobs == 0 or jobs < -1:
         raise UserError(f"--jobs is {jobs}; allowed are 1 or more, and -1 for all cores")
+    if where == LOCAL:
+        with joblib.parallel_config(n_jobs=jobs):
+            yield
+        return
+    try:
+        from dask.distributed import Client, KilledWorker
+    except ImportError:
+        raise UserError("a Dask cluster needs the package distributed: pip install 'rrr_oc[cluster]'") from None
+    try:
+        client = Client(where, timeout=SCHEDULER_TIMEOUT)
+    except (OSError, ValueError) as error:
+        address = "give 'local' or an address as tcp://host:8786"
+        raise UserError(f"no Dask scheduler answers at {where!r} ({error}); {address}") from None
+    try:
+        with client, joblib.parallel_config(backend="dask"):
+            yield
+    except KilledWorker as error:
+        raise UserError(
+            f"workers of the cluster at {where!r} ended while they worked, as for want of memory: {error}"
+        ) from None
 
 
-def unordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = -1) -> Iterator[Any]:
-    """Results of `function(*a)` for each a in `arguments`, in the order in which they finish, from `jobs` processes (-1: one a core)."""
-    pool = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=cast(Any, 1))
-    return cast(Iterator[Any], pool(joblib.delayed(_on_one_thread)(function, a) for a in arguments))
+def unordered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterator[Any]:
+    """Results of `function(*a)` for each a in `arguments`, in the order in which they finish."""
+    for _, found in _numbered(function, arguments):
+        yield found
 
 
-def ordered(function: Callable, arguments: Iterable[Sequence[Any]], jobs: int = -1) -> list[Any]:
-    """Results of `function(*a)` for each a in `arguments`, in their order, from `jobs` processes (-1: one a core)."""
-    pool = joblib.Parallel(n_jobs=jobs, batch_size=cast(Any, 1))
-    return cast(list[Any], pool(joblib.delayed(_on_one_thread)(function, a) for a in arguments))
+def ordered(function: Callable, arguments: Iterable[Sequence[Any]]) -> list[Any]:
+    """Results of `function(*a)` for each a in `arguments`, in their order."""
+    found = dict(_numbered(function, arguments))
+    return [found[i] for i in range(len(found))]
 
 
-def _on_one_thread(function: Callable, arguments: Sequence[Any]) -> Any:
-    """The call, while other processes use the other cores."""
-    with one_thread():
-        return function(*arguments)
+def _numbered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterator[tuple[int, Any]]:
+    """(number, result) of each call as it finishes. Calls that were lost with a worker process are made again."""
+    left, deaths = dict(enumerate(arguments)), 0
+    if len(left) == 1:
+        yield _call(0, function, left[0])
+        return
+    while left:
+        pool = joblib.Parallel(return_as="generator_unordered", batch_size=cast(Any, 1))
+        calls = [joblib.delayed(_call)(number, function, a) for number, a in left.items()]
+        try:
+            for number, found in cast(Iterator[Any], pool(calls)):
+                del left[number]
+                deaths = 0
+                yield number, found
+        except BrokenExecutor:
+            deaths += 1
+            if deaths == DEATHS:
+                reason = f"worker processes ended {DEATHS} times before they were done, as for want of memory"
+                raise UserError(f"{reason}; fewer --jobs need less") from None
+
+
+def _call(number: int, function: Callable, arguments: Sequence[Any]) -> tuple[int, Any]:
+    """One call, while other processes use the other cores."""
+    with one_thread(), joblib.parallel_config(backend="sequential"):
+        return number, function(*arguments)
 
 
 @contextmanager
@@ -53,26 +107,3 @@ def once_per_process(key: str, make: Callable[[], _T]) -> _T:
         _made.clear()
         _made[key] = make()
     return _made[key]
-
-
-@contextmanager
-def workers(where: str = LOCAL) -> Iterator[None]:
-    """Run `ordered` and `unordered` on processes of this machine ("local"), or on the Dask cluster of the scheduler at the address
-    `where`, as in tcp://host:8786, whose workers need this package and the same file system.
-
-    Raises `UserError` where Dask is not installed or no scheduler answers.
-    """
-    if where == LOCAL:
-        yield
-        return
-    try:
-        from dask.distributed import Client
-    except ImportError:
-        raise UserError("a Dask cluster needs the package distributed: pip install 'rrr_oc[cluster]'") from None
-    try:
-        client = Client(where, timeout=SCHEDULER_TIMEOUT)
-    except (OSError, ValueError) as error:
-        address = "give 'local' or an address as tcp://host:8786"
-        raise UserError(f"no Dask scheduler answers at {where!r} ({error}); {address}") from None
-    with client, joblib.parallel_config(backend="dask"):
-        yield

@@ -37,6 +37,7 @@ from scipy.stats import beta, chi2
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import evaluate_inverse
+from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.diagnosis.candidates import Screen, signatures
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.evidence import solve
@@ -92,7 +93,7 @@ def diagnose_case(folder: Path, out: Path) -> str:
     measurable, peak = forget_peak(), None
     start = time.perf_counter()
     try:
-        diagnosis = diagnose(load_recordings(folder / "data"), jobs=1)
+        diagnosis = diagnose(load_recordings(folder / "data"))
         wall, peak = time.perf_counter() - start, peak_memory() if measurable else None
         unseen = load_recordings(folder / "unseen")
         errors = {"before": mean_errors(diagnosis.plain, unseen), "after": mean_errors(diagnosis.model, unseen)}
@@ -134,13 +135,13 @@ def without_nan(x: Any) -> Any:
     return None if isinstance(x, float) and not np.isfinite(x) else x
 
 
-def run_all(what: str, function: Callable[..., str], arguments: Mapping[str, Sequence[Any]], out: Path, jobs: int) -> None:
+def run_all(what: str, function: Callable[..., str], arguments: Mapping[str, Sequence[Any]], out: Path) -> None:
     """Call a function for the cases that have no result yet; its arguments by case, less the folder of results."""
     todo = [(*a, out) for case, a in arguments.items() if not (out / f"{case}.json").exists()]
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console) as progress:
         bar = progress.add_task(what, total=len(arguments), completed=len(arguments) - len(todo))
-        for case in parallel.unordered(function, todo, jobs):
+        for case in parallel.unordered(function, todo):
             progress.update(bar, advance=1, description=f"{what} {case}")
 
 
@@ -754,7 +755,8 @@ def has_oracle(cases: Path, case: str) -> bool:
 def main(
     cases: Annotated[Path, typer.Option(help="a folder that validation/concealed/make_cases.py made")],
     out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/concealed"),
-    jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
+    jobs: Jobs = -1,
+    workers: Workers = parallel.LOCAL,
     limit: Annotated[int | None, typer.Option(min=1, help="only so many cases, the first by id")] = None,
     only: Annotated[str | None, typer.Option(help="only cases of this kind, as single, clean, pair")] = None,
     score_only: Annotated[bool, typer.Option("--score-only", help="diagnose nothing more; score what there is")] = False,
@@ -762,9 +764,10 @@ def main(
     """Diagnose sealed cases, then open and score them; writes cases/<id>.json, summary.json, report.md and two figures."""
     folders = chosen(cases, only, limit)
     if not score_only:
-        run_all("diagnosing", diagnose_case, {f.name: (f,) for f in folders}, out / "cases", jobs)
         known = {f.name: (f, cases / "sealed" / f"{f.name}.json") for f in folders if has_oracle(cases, f.name)}
-        run_all("the oracle", oracle_case, known, out / "oracle", jobs)
+        with parallel.workers(jobs, workers):
+            run_all("diagnosing", diagnose_case, {f.name: (f,) for f in folders}, out / "cases")
+            run_all("the oracle", oracle_case, known, out / "oracle")
     scores = open_cases(cases, folders, out / "cases")
     if not scores:
         raise UserError(f"{out / 'cases'}: no results of these cases; run without --score-only first")

@@ -29,6 +29,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rrr_oc import parallel
 from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.task import load_task
+from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.paper.comparison import FREE_MOTION, NEAR, evolved_of, summarise
 from rrr_oc.paper.encoding import Encoding
@@ -100,32 +101,28 @@ def main(
     ] = ",".join(ENDS),
     stages: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(STAGES))] = ",".join(STAGES),
     out: Annotated[Path, typer.Option(help="folder of the store and of the results")] = Path("results/gradient_vs_evolution"),
-    workers: Annotated[
-        str, typer.Option(help="local, or the address of a Dask scheduler, as in tcp://host:8786")
-    ] = parallel.LOCAL,
-    jobs: Annotated[int, typer.Option(help="processes of the local workers; -1 for all cores")] = -1,
+    jobs: Jobs = -1,
+    workers: Workers = parallel.LOCAL,
 ) -> None:
     """Run what is missing in the store, then write report.md, summary.json and figures."""
     names, wanted = _listed("experiments", experiments, EXPERIMENTS), _listed("stages", stages, STAGES)
     here = _listed("ends", ends, ENDS)
     if protocol not in SIZES:
         raise UserError(f"--protocol is {protocol!r}; allowed are {', '.join(SIZES)}")
-    parallel.check_jobs(jobs)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out {out} is a file; give a folder")
     size, store, task = SIZES[protocol], out / "runs", load_task(preset)
     for name in names:
         _ = experiment(task, name)
     began = time.perf_counter()
-    with parallel.workers(workers):
+    with parallel.workers(jobs, workers):
         for stage in wanted:
             if stage in JOBS:
-                listed = [job for job in JOBS[stage](store, preset, names, size) if job[1][1]["ends"] in here]
-                _run(stage, listed, jobs)
-    if "transfer" in wanted:
-        from transfer_to_plant import transfer  # which needs the validation's plant, beside this package
+                _run(stage, [run for run in JOBS[stage](store, preset, names, size) if run[1][1]["ends"] in here])
+        if "transfer" in wanted:
+            from transfer_to_plant import transfer  # which needs the validation's plant, beside this package
 
-        write_json(out / "transfer.json", transfer(out, preset, names, jobs))
+            write_json(out / "transfer.json", transfer(out, preset, names))
     if "tables" in wanted:
         summary = summarise(store, preset) | {
             "protocol": protocol,
@@ -174,12 +171,12 @@ def _listed(option: str, given: str, known: Iterable[str]) -> list[str]:
     return [n for n in known if n in names]
 
 
-def _run(stage: str, jobs: list[Job], processes: int) -> None:
+def _run(stage: str, jobs: list[Job]) -> None:
     """All runs of a stage, with a progress bar; runs that have ended are read from the store."""
     columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[last]}")
     with Progress(TextColumn("{task.description:12}"), *columns, console=console) as progress:
         bar = progress.add_task(stage, total=len(jobs), last="")
-        for labels, found in parallel.unordered(_call, jobs, processes):
+        for labels, found in parallel.unordered(_call, jobs):
             told = found.get("E1", found.get("reached"))
             last = f"{labels['experiment']} {labels['ends']}: {'nothing' if told is None else f'{told:.3f}'}, {found['core_s']:.1f} s"
             progress.update(bar, advance=1, last=last)

@@ -28,6 +28,7 @@ import typer
 from rich.markdown import Markdown
 from scipy.interpolate import CubicHermiteSpline
 
+from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import error
@@ -39,6 +40,7 @@ from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
+from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.excitation.sweeps import PROTOTYPE_SWEEP, Sweep, protocol, sweep
@@ -47,7 +49,6 @@ from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published
-from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -282,12 +283,12 @@ def cost_on(arm: Prototype, plans: Sequence[Recording], model: CalibratedModel, 
 # --- the stages ---
 
 
-def diagnosed(folder: Path, recordings: RecordingSet, jobs: int) -> tuple[CalibratedModel, CalibratedModel, dict[str, Any]]:
+def diagnosed(folder: Path, recordings: RecordingSet) -> tuple[CalibratedModel, CalibratedModel, dict[str, Any]]:
     """The plain and the extended model and the content of diagnosis.json, from their files where they are there."""
     done = folder / "diagnosis.json"
     if not done.exists():
-        with one_thread():
-            found = diagnose(recordings, lambda line: console.print(f"  {line}", highlight=False), jobs)
+        with parallel.one_thread():
+            found = diagnose(recordings, lambda line: console.print(f"  {line}", highlight=False))
         save_model(found.plain, folder / "plain.json")
         write_diagnosis(found, folder)
     return load_model(folder / "plain.json"), load_model(folder / "model.json"), json.loads(done.read_text(encoding="utf-8"))
@@ -327,7 +328,7 @@ def wanted(folder: Path, found: Mapping[str, Any], task: Task, motion: Sweep) ->
     return plans
 
 
-def failure(out: Path, arm: Prototype, task: Task, motion: Sweep, options: SearchOptions, jobs: int) -> dict[str, Any]:
+def failure(out: Path, arm: Prototype, task: Task, motion: Sweep, options: SearchOptions) -> dict[str, Any]:
     """The paper's Table 2 on an arm with its drives, before and after the diagnosis, and after the recording that was missing."""
     drives, here = load_actuators(task.joints), out / arm.name
     sweeps = arm.record(here / "sweeps", protocol(motion))
@@ -335,10 +336,10 @@ def failure(out: Path, arm: Prototype, task: Task, motion: Sweep, options: Searc
     fast = designed(out / "designs" / "labelled", "SA", CoDesign(task, ()), options)
     plans = fast.plans(task)
     tried = arm.record(here / "task", plans, helped_by(paper, plans))
-    _, first, found = diagnosed(here / "diagnosis", sweeps, jobs)
+    _, first, found = diagnosed(here / "diagnosis", sweeps)
     added = arm.record(here / "wanted", wanted(here / "diagnosis", found, task, motion))
     more = replace(sweeps, recordings=(*sweeps.recordings, *added.recordings))
-    plain_more, second, found_more = diagnosed(here / "diagnosis_with_wanted", more, jobs)
+    plain_more, second, found_more = diagnosed(here / "diagnosis_with_wanted", more)
     models = {
         "calibrated as in the paper": (paper, sweeps),
         "repaired from the sweeps": (first, sweeps),
@@ -389,9 +390,7 @@ def load_errors(runs: Sequence[Run], joints: Sequence[str]) -> dict[str, float]:
     return dict(zip(joints, np.mean(found, axis=0).tolist(), strict=True))
 
 
-def loop(
-    out: Path, arm: Prototype, task: Task, motion: Sweep, names: Sequence[str], options: SearchOptions, jobs: int
-) -> dict[str, Any]:
+def loop(out: Path, arm: Prototype, task: Task, motion: Sweep, names: Sequence[str], options: SearchOptions) -> dict[str, Any]:
     """Designs on the model as labelled and on the repaired one: what each predicts of E1, and what the arm says.
 
     "on_arm": the controllers are helped by the torque that the design's own calibrated model predicts. "steered": the labelled
@@ -399,7 +398,7 @@ def loop(
     """
     here = out / arm.name
     sweeps = arm.record(here / "sweeps", protocol(motion))
-    plain, model, found = diagnosed(here / "diagnosis", sweeps, jobs)
+    plain, model, found = diagnosed(here / "diagnosis", sweeps)
     result: dict[str, Any] = {"found": brief(found), "designs": {}}
     for name in names:
         labelled = CoDesign(task, spring_bounds(task, name))
@@ -609,7 +608,8 @@ def main(
     starts: Annotated[int, typer.Option(min=1, help="of each search for a design")] = 12,
     tolerance: Annotated[float, typer.Option(min=1e-8, max=1e-2, help="mesh tolerance of the designs, relative")] = 1e-4,
     seed: Annotated[int, typer.Option(min=0, help="of what the arms hide, of the noise and of the searches")] = 0,
-    jobs: Annotated[int, typer.Option(help="processes; -1 for all cores")] = -1,
+    jobs: Jobs = -1,
+    workers: Workers = parallel.LOCAL,
 ) -> None:
     """Writes report.md, summary.json, truth.json, figures, and a folder of recordings, models and designs for each arm."""
     known, names = prototypes(seed), [n.strip() for n in configurations.split(",") if n.strip()]
@@ -623,10 +623,11 @@ def main(
     asked = {"preset": preset, "seconds": seconds, "starts": starts, "tolerance": tolerance, "seed": seed}
     if cached(out / "asked.json", lambda: asked) != asked:
         raise UserError(f"--out {out} holds a run with other options; give another folder or the same options again")
-    options = SearchOptions(starts=starts, seed=seed, jobs=jobs, kept=3, hops=1, refinement=Refinement(tolerance))
+    options = SearchOptions(starts=starts, seed=seed, kept=3, hops=1, refinement=Refinement(tolerance))
     motion = replace(PROTOTYPE_SWEEP, duration=seconds)
-    failed = failure(out, known["drives"], task, motion, options, jobs) if "drives" in chosen else None
-    closed = {name: loop(out, known[name], task, motion, names, options, jobs) for name in chosen if name != "drives"}
+    with parallel.workers(jobs, workers):
+        failed = failure(out, known["drives"], task, motion, options) if "drives" in chosen else None
+        closed = {name: loop(out, known[name], task, motion, names, options) for name in chosen if name != "drives"}
     truth = {name: known[name].truth() for name in chosen}
     write_json(out / "truth.json", truth)
     summary = {"asked": asked, "failure": failed, "loop": closed, "truth": truth}

@@ -58,7 +58,7 @@ class Played:
     predicted: float
 
 
-def transfer(out: Path, preset: str, names: Sequence[str], jobs: int = -1) -> dict[str, Any]:
+def transfer(out: Path, preset: str, names: Sequence[str]) -> dict[str, Any]:
     """Predicted, simulated and played E1 of each experiment's optimum, before and after repair of the model.
 
     Raises `UserError` where the store has no gradient optimum of an experiment, or the preset is of another arm than the plant's.
@@ -71,7 +71,7 @@ def transfer(out: Path, preset: str, names: Sequence[str], jobs: int = -1) -> di
     if not (data / "recordings.json").is_file():
         write_set(built, data, range(built.seen))
     with one_thread():
-        diagnosis = diagnose(load_recordings(data), jobs=jobs)
+        diagnosis = diagnose(load_recordings(data))
     found = [f.term for f in diagnosis.findings]
     console.print(f"diagnosed: {', '.join(t.effect.name for t in found) or 'nothing'}")
     runs = [r for r in all_runs(out / "runs") if r.asked["preset"] == preset and r.asked["ends"] == "rest"]
@@ -145,7 +145,7 @@ def _again(played: Played, model: CalibratedModel) -> Played:
         )
     known = [spring.lower for spring in design.springs[len(played.design.springs) :]]
     guess = Guess(tuple(phases), np.concatenate([played.parameters, *known]))
-    optima = continue_from([(design, guess)], SearchOptions(jobs=1, refinement=Refinement(1e-5)))
+    optima = continue_from([(design, guess)], SearchOptions(refinement=Refinement(1e-5)))
     if not optima:
         raise UserError("the repaired model's optimum was lost on the way from the nominal one")
     solution = optima[0][1].solution

@@ -84,9 +84,9 @@ def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, 
     (tmp_path / "known.toml").write_text('[context]\ninertias = "exact"\n[stribeck]\nprobability = 0.2\n')
     given, found = [], diagnose_command.diagnose_recordings
 
-    def kept(recordings, report, jobs, priors):
+    def kept(recordings, report, priors):
         given.append((priors, {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}))
-        return found(recordings, report, jobs, priors)
+        return found(recordings, report, priors)
 
     monkeypatch.setattr(diagnose_command, "diagnose_recordings", kept)
     options = ["--no-simulate", "--jobs", "1", "--priors", tmp_path / "known.toml"]

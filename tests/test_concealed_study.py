@@ -32,10 +32,10 @@ def test_blind_then_opened(cases, tmp_path, monkeypatch):
     with pytest.raises(UserError, match="no cases of the kind 'pair'"):
         study.chosen(cases, "pair", None)
     shutil.move(cases / "sealed", tmp_path / "away")  # nothing of the truth is there while the diagnosis runs
-    study.run_all("diagnosing", study.diagnose_case, {f.name: (f,) for f in folders}, tmp_path / "out" / "cases", 1)
+    study.run_all("diagnosing", study.diagnose_case, {f.name: (f,) for f in folders}, tmp_path / "out" / "cases")
     shutil.move(tmp_path / "away", cases / "sealed")
     monkeypatch.setattr(study, "diagnose", lambda *_, **__: pytest.fail("diagnosed again"))
-    study.main(cases, tmp_path / "out", 1, None, None)
+    study.main(cases, tmp_path / "out", 1)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["failed"] == []
     assert summary["false_alarms"]["count"] == 0
@@ -330,7 +330,7 @@ def test_imperfect_cases_alone(tmp_path):
         errors = {"before": {"joint1": 0.2}, "after": {"joint1": 0.1}}
         result = {"case": folder.name, "wall_s": 2.0, "diagnosis": found, "unseen": errors}
         study.write_json(tmp_path / "out" / "cases" / f"{folder.name}.json", result)
-    study.main(tmp_path, tmp_path / "out", 1, None, "imperfect", True)
+    study.main(tmp_path, tmp_path / "out", only="imperfect", score_only=True)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["cases"] == 1
     assert summary["imperfect"]["something_not_there"]["count"] == 0

@@ -190,7 +190,7 @@ def test_nothing_is_missing_whatever_the_width_of_dry_friction(planar, width):
     plant, rng = replace(planar(1), width=width), np.random.default_rng(3)
     slow = (multisine(1, np.arange(1500) / 100, rng, 0.3) for _ in range(4))
     made = [record(plant, f"{i}.csv", rng, 15.0, 0.005, motion) for i, motion in enumerate(slow)]
-    assert not diagnose(as_set(plant, made), jobs=1).findings
+    assert not diagnose(as_set(plant, made)).findings
 
 
 TURNS = {
@@ -215,8 +215,8 @@ def turned(plant: Plant, turn: str, drag: float) -> list[Recording]:
 def test_dry_friction_may_change_sign_in_other_ways(planar, turn):
     """What is between tanh and the other way looks like laws of speed; beside it, a true one is still named."""
     plant = planar(1)
-    assert not diagnose(as_set(plant, turned(plant, turn, 0.0)), jobs=1).findings
-    (drag,) = diagnose(as_set(plant, turned(plant, turn, 0.3)), jobs=1).findings
+    assert not diagnose(as_set(plant, turned(plant, turn, 0.0))).findings
+    (drag,) = diagnose(as_set(plant, turned(plant, turn, 0.3))).findings
     assert drag.term.effect == QuadraticDrag((0,))
     assert drag.term.values == pytest.approx([0.3], rel=0.1)
 
@@ -229,7 +229,7 @@ def test_a_law_is_named_rather_than_a_series_that_also_says_how_friction_changes
         made.append(
             replace(r, tau=r.tau + np.clip(motion[1] / 0.05, -1, 1) - np.tanh(motion[1] / plant.width) + [[0.0], [0.4]])
         )
-    (found,) = diagnose(as_set(plant, made), jobs=1).findings
+    (found,) = diagnose(as_set(plant, made)).findings
     assert found.term.effect == TorqueOffset((1,))
     assert found.term.values == pytest.approx([0.4], rel=0.05)
 
@@ -241,7 +241,7 @@ def test_a_faint_law_is_named_rather_than_a_series_of_fewer_parameters_that_expl
         r = record(plant, f"{i}.csv", rng, 15.0, 0.05)
         friction = np.cos(3.8 * r.q - 2.9) * np.tanh(r.dq / plant.width)
         made.append(replace(r, tau=r.tau - 0.012 * r.tau.std() * friction))
-    (found,) = diagnose(as_set(plant, made), jobs=1).findings
+    (found,) = diagnose(as_set(plant, made)).findings
     assert found.term.effect == PositionDependentFriction((0,))
 
 
@@ -258,7 +258,7 @@ def test_a_ripple_of_few_cycles_takes_the_place_of_a_series(planar):
         r = record(plant, f"{i}.csv", rng, 10.0, 0.01, tuple(motion))
         made.append(replace(r, tau=r.tau + 1.5 * np.sin(8 * motion[0] + 1)))
     assert 1 < np.ptp([r.q for r in made]) * 8 / 2 / np.pi < 2
-    found = diagnose(as_set(plant, made), jobs=1)
+    found = diagnose(as_set(plant, made))
     (ripple,) = found.findings
     assert ripple.term.effect == TorqueRipple((0,))
     assert ripple.term.values[:2] == pytest.approx([1.5, 8.0], rel=0.03)
@@ -270,7 +270,7 @@ def test_ripples_of_many_orders_are_found_and_what_is_weaker_than_they(planar):
     plant, rng, orders = planar(1), np.random.default_rng(8), {12: 0.4, 24: 0.3, 31: 0.2, 40: 0.15}
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
     gear = [replace(r, tau=r.tau + 0.1 + sum(a * np.sin(k * r.q + k) for k, a in orders.items())) for r in made]
-    found = [f.term for f in diagnose(as_set(plant, gear), jobs=1).findings]
+    found = [f.term for f in diagnose(as_set(plant, gear)).findings]
     ripples = {round(t.named["order"]): t.named["amplitude"] for t in found if t.effect == TorqueRipple((0,))}
     assert ripples == pytest.approx(orders, rel=0.05)
     assert [t.effect.name for t in found if t.effect != TorqueRipple((0,))] == ["torque_offset"]
@@ -282,7 +282,7 @@ def test_a_bump_is_no_sum_of_ripples(planar):
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
     middle = float(np.mean(np.concatenate([r.q[0] for r in made])))
     bump = [replace(r, tau=r.tau + 0.4 * np.exp(-(((r.q - middle) / 0.08) ** 2) / 2)) for r in made]
-    found = diagnose(as_set(plant, bump), jobs=1)
+    found = diagnose(as_set(plant, bump))
     assert (("q", 0),) in [f.term.effect.depends_on for f in found.findings]
     assert TorqueRipple((0,)) not in [f.term.effect for f in found.findings]
     assert found.held_out[1][0] < 0.3 * found.held_out[0][0]
@@ -296,7 +296,7 @@ def test_where_a_torque_begins_is_found(planar):
     every = np.concatenate([r.q[0] for r in made])
     start = float(every.min() + 0.73 * np.ptp(every))
     cushion = [replace(r, tau=r.tau + 20 * np.maximum(r.q - start, 0) ** 3) for r in made]
-    (found,) = diagnose(as_set(plant, cushion), jobs=1).findings
+    (found,) = diagnose(as_set(plant, cushion)).findings
     effect = found.term.effect
     assert isinstance(effect, Empirical)
     assert effect.depends_on == (("q", 0),)
@@ -311,7 +311,7 @@ def test_a_spring_that_is_preloaded_by_much_equals_an_encoder_that_is_off():
     plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(2)
     made = [record(plant, f"{i}.csv", rng, 8.0, pea={0: (12.0, 0.42)}) for i in range(4)]
     listed = ((ParallelSpring((0,)), {"stiffness": 12.0, "equilibrium": 0.3}),)
-    (found,) = diagnose(as_set(plant, [replace(r, springs=listed) for r in made]), jobs=1).findings
+    (found,) = diagnose(as_set(plant, [replace(r, springs=listed) for r in made])).findings
     same = {("spring_preload", (0,)), ("encoder_offset", (0,))}
     assert {(found.term.effect.name, found.term.effect.joints), *found.rivals} >= same
     assert found.term.values == pytest.approx([0.12], rel=0.05)
@@ -352,7 +352,7 @@ STICKS = pytest.mark.xfail(
 @pytest.mark.parametrize(("seed", "loss"), [(1, 1.0), pytest.param(1, 2.0, marks=STICKS), (2, 1.0)])
 def test_abrupt_dry_friction_that_holds_a_joint_for_a_moment_is_no_effect(planar, seed, loss):
     plant, rng = planar(1), np.random.default_rng(seed)
-    found = diagnose(as_set(plant, [by_engine(plant, f"{i}.csv", rng, loss) for i in range(4)]), jobs=1)
+    found = diagnose(as_set(plant, [by_engine(plant, f"{i}.csv", rng, loss) for i in range(4)]))
     assert not found.findings
 
 
@@ -360,7 +360,7 @@ def test_a_tilt_is_found_where_one_of_its_angles_does_nothing(planar):
     """Arms that move in a plane hardly feel a tilt about an axis in it; what is fitted to it is beyond all bounds."""
     plant, rng = planar(2), np.random.default_rng(3)
     plant.model.gravity.linear = 9.81 * np.array([np.sin(0.03), 0.0, -np.cos(0.03)])
-    found = diagnose(as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(4)]), jobs=1)
+    found = diagnose(as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(4)]))
     (finding,) = found.findings
     equal = {"gravity_tilt", "encoder_offset", "backlash"}  # all turn the first link
     assert finding.term.effect.name in equal
@@ -388,7 +388,7 @@ def with_stops(plant: Plant, name: str, rng: np.random.Generator) -> Recording:
 
 def test_nothing_is_missing_where_joints_stop_and_some_of_their_friction_stays(planar):
     plant, rng = planar(2), np.random.default_rng(7)
-    found = diagnose(as_set(plant, [with_stops(plant, f"{i}.csv", rng) for i in range(4)]), jobs=1)
+    found = diagnose(as_set(plant, [with_stops(plant, f"{i}.csv", rng) for i in range(4)]))
     assert found.findings == ()
     dry = [term.values[0] for term in found.plain.terms if term.effect.name == "dry_friction"]
     assert dry == pytest.approx(plant.dry, rel=0.02)
@@ -420,7 +420,7 @@ def test_of_two_laws_alike_in_motion_the_one_that_holds_at_rest_is_named(planar,
         ddq[:, 1:] = (ddq[:, 1:] + ddq[:, :-1]) / 2  # where it jumps
         r = record(plant, f"{i}.csv", rng, ddq.size / 100, noise, (q, dq, ddq))
         made.append(replace(r, tau=r.tau + 0.4 * np.maximum(always, np.tanh(r.dq / width) ** 2)))
-    (finding,) = diagnose(as_set(plant, made), jobs=1).findings
+    (finding,) = diagnose(as_set(plant, made)).findings
     assert finding.term.effect.name == name
 
 
@@ -475,7 +475,7 @@ def test_a_listed_spring_that_is_stiffer_in_some_recordings_is_no_second_spring(
     plant, rng = planar(1), np.random.default_rng(14)  # by chance, a second spring fits a little better than what it is
     made = [record(plant, f"{i}.csv", rng, 10.0, pea={0: (6.0 + 2.0 * (i % 2), 0.4)}) for i in range(4)]
     springs = tuple((effect, {**theta, "stiffness": 6.0}) for effect, theta in made[0].springs)
-    (finding,) = diagnose(as_set(plant, [replace(r, springs=springs) for r in made]), jobs=1).findings
+    (finding,) = diagnose(as_set(plant, [replace(r, springs=springs) for r in made])).findings
     assert finding.term.effect.name == "spring_stiffness"
     assert finding.term.groups == ("1.csv", "3.csv")
     assert finding.term.values == pytest.approx([8 / 6], rel=0.02)
@@ -487,7 +487,7 @@ def test_what_is_finer_than_any_model_is_not_named(planar, share, named):
     plant, rng = planar(1), np.random.default_rng(10)
     made = [record(plant, f"{i}.csv", rng, 10.0, noise=1e-5) for i in range(3)]
     ripple = [replace(r, tau=r.tau + share * np.std(r.tau) * np.sqrt(2) * np.sin(9 * r.q)) for r in made]
-    assert bool(diagnose(as_set(plant, ripple), jobs=1).findings) is named
+    assert bool(diagnose(as_set(plant, ripple)).findings) is named
 
 
 def test_friction_that_all_but_vanishes_is_found(planar):
@@ -496,7 +496,7 @@ def test_friction_that_all_but_vanishes_is_found(planar):
     made = [record(plant, f"{i}.csv", rng, 10.0, noise=0.01) for i in range(4)]
     friction = [np.exp(-r.t / 8.0) * (np.tanh(r.dq / plant.width) + r.dq) for r in made]
     weak = [replace(r, tau=r.tau - 0.95 * f) for r, f in zip(made, friction, strict=True)]
-    found = diagnose(as_set(plant, weak), jobs=1).findings[0].term
+    found = diagnose(as_set(plant, weak)).findings[0].term
     assert found.effect.name == "friction_drift"
     assert found.named["ratio"] == pytest.approx(-0.95, abs=0.05)
     assert found.named["time_constant"] == pytest.approx(8.0, rel=0.15)
@@ -538,7 +538,7 @@ def test_an_effect_of_some_groups_is_that_of_all_where_nothing_speaks_against_it
     plant, rng = planar(1), np.random.default_rng(8)
     made_up = [replace(record(plant, f"{k}.csv", rng, 6.0), group="ab"[k % 2]) for k in range(4)]
     offset = [replace(r, tau=r.tau - 2.0) if everywhere or r.group == "a" else r for r in made_up]
-    (finding,) = diagnose(as_set(plant, offset), jobs=1).findings
+    (finding,) = diagnose(as_set(plant, offset)).findings
     assert (finding.term.effect, finding.term.groups) == (TorqueOffset((0,)), () if everywhere else ("a",))
     assert finding.term.values == pytest.approx([-2.0], rel=0.02)
 
@@ -553,7 +553,7 @@ def test_a_spring_that_is_always_engaged_where_it_is_mounted_is_called_a_spring(
     plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(2)
     made = [record(plant, f"{i}.csv", rng, seconds, pea={1: (12.0, 3.0)} if i % 2 else None) for i in range(6)]
     assert all(r.q[1].max() < 2.5 for r in made)
-    found = diagnose(as_set(plant, [replace(r, springs=()) for r in made]), jobs=1)
+    found = diagnose(as_set(plant, [replace(r, springs=()) for r in made]))
     (finding,) = found.findings
     assert (finding.term.effect.name, finding.term.effect.joints) == ("parallel_spring", (1,))
     assert set(finding.term.groups) == {"1.csv", "3.csv", "5.csv"}
@@ -601,7 +601,7 @@ def test_what_only_one_recording_has_is_found_there(planar, change):
     other = {"payload": made[1].tau, "gain": 1.1 * made[1].tau, "offset": made[1].tau + 1.0}[change]
     recordings = as_set(plant, [made[0], replace(made[1], tau=other), *made[2:]])
     recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
-    (found,) = diagnose(recordings, jobs=1).findings
+    (found,) = diagnose(recordings).findings
     names = {"payload": "payload_mass", "gain": "torque_gain", "offset": "torque_offset"}
     assert found.term.effect.name == names[change]
     assert found.term.groups == ("1.csv",)
@@ -614,7 +614,7 @@ def test_a_torque_in_one_direction_of_motion_is_unexplained(planar, way):
     plant, rng = planar(2), np.random.default_rng(3)
     made = [record(plant, f"{i}.csv", rng, 12.0) for i in range(4)]
     pull = [np.array([[0.0], [0.5]]) * (r.q - 0.3) * (1 + way * np.tanh(r.dq / plant.width)) / 2 for r in made]
-    (found,) = diagnose(as_set(plant, [replace(r, tau=r.tau + p) for r, p in zip(made, pull, strict=True)]), jobs=1).findings
+    (found,) = diagnose(as_set(plant, [replace(r, tau=r.tau + p) for r, p in zip(made, pull, strict=True)])).findings
     effect = found.term.effect
     assert isinstance(effect, Empirical)
     assert effect.direction == ("upwards" if way > 0 else "downwards")
@@ -629,7 +629,7 @@ def test_a_spring_that_engages_in_part_of_the_range_and_an_offset_are_no_harness
     """Though these, one by one, explain more."""
     plant, rng = planar(1), np.random.default_rng(3)
     made = [record(plant, f"{i}.csv", rng, 12.0, pea={0: (1.0, 0.0)}) for i in range(4)]
-    found = diagnose(as_set(plant, [replace(r, tau=r.tau - 0.5, springs=()) for r in made]), jobs=1).findings
+    found = diagnose(as_set(plant, [replace(r, tau=r.tau - 0.5, springs=()) for r in made])).findings
     values = {f.term.effect.name: f.term.named for f in found}
     assert set(values) == {"parallel_spring", "torque_offset"}
     assert values["parallel_spring"]["stiffness"] == pytest.approx(1.0, rel=0.05)
@@ -645,7 +645,7 @@ def test_a_payloads_centre_goes_before_a_links_inertial_parameters_that_fit_more
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, payload=2.0, tool=off) for i in range(4)]
     recordings = as_set(plant, made)
     recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
-    found = diagnose(recordings, jobs=1).findings
+    found = diagnose(recordings).findings
     assert [f.term.effect.name for f in found] == ["payload_com"]
 
 
@@ -654,7 +654,7 @@ def test_a_drift_within_an_only_recording_goes_on_from_block_to_block(planar):
     whole = record(plant, "0.csv", rng, 40.0, 0.01)
     friction = np.tanh(whole.dq / plant.width) + whole.dq
     warm = replace(whole, tau=whole.tau + 0.5 * np.exp(-whole.t / 5.0) * friction)
-    found = diagnose(as_set(plant, [warm]), jobs=1)
+    found = diagnose(as_set(plant, [warm]))
     (drift,) = found.findings
     assert drift.term.effect.name == "friction_drift"
     assert drift.term.named == pytest.approx({"ratio": 0.5, "time_constant": 5.0}, rel=0.05)
@@ -666,7 +666,7 @@ def test_recorded_load_torque_may_hold_what_no_law_explains(planar, tmp_path):
     plant, rng = planar(1), np.random.default_rng(4)
     made = [record(plant, f"{i}.csv", rng, 12.0, 0.01, load=True) for i in range(4)]
     made = [replace(r, tau=r.tau + 1.5 * np.exp(-((r.q / 0.25) ** 2))) for r in made]
-    found = diagnose(as_set(plant, made, torque="load"), jobs=1)
+    found = diagnose(as_set(plant, made, torque="load"))
     (term,) = (f.term for f in found.findings if f.term.effect.black_box)
     assert term.effect.side == "link"
     assert term.effect.depends_on == (("q", 0),)
@@ -683,7 +683,7 @@ def test_a_joint_that_stands_still_is_no_reason_to_fail(planar):
         still = np.array([[0.0], [1.0]])
         r = record(plant, f"{i}.csv", rng, 10.0, 0.01, (still * q, still * dq, still * ddq))
         made.append(r)
-    assert not diagnose(as_set(plant, made), jobs=1).findings
+    assert not diagnose(as_set(plant, made)).findings
 
 
 def test_pieces_too_short_for_the_filter_do_not_count(planar):
@@ -695,7 +695,7 @@ def test_pieces_too_short_for_the_filter_do_not_count(planar):
     gaps = np.flatnonzero(np.diff(arrays["t"]) > 0.05) + 1
     ends = [0, *gaps.tolist(), len(kept)]
     torn = replace(whole, **arrays, segments=tuple(slice(a, b) for a, b in itertools.pairwise(ends)))
-    assert not diagnose(as_set(plant, [torn]), jobs=1).findings
+    assert not diagnose(as_set(plant, [torn])).findings
     one, other = (fit_terms(s, prepare(s), plain_model(s)).model for s in (as_set(plant, [torn]), as_set(plant, [whole])))
     for term, whole_term in zip(one.terms, other.terms, strict=True):
         for e, w in zip(term.estimates, whole_term.estimates, strict=True):
@@ -711,7 +711,7 @@ def test_a_mismatch_that_nothing_explains_is_said_to_be_one(planar, tmp_path):
         r = record(plant, f"{i}.csv", rng, 12.0, 0.003)
         f, phase = rng.uniform(1.2, 2.0, 3), rng.uniform(0, 6.3, 3)
         made.append(replace(r, tau=r.tau + 0.4 * np.sin(2 * np.pi * f[:, None] * r.t + phase[:, None]).sum(axis=0)))
-    found = diagnose(as_set(plant, made), jobs=1)
+    found = diagnose(as_set(plant, made))
     assert found.findings == ()
     assert found.verdict == "cannot_tell"
     assert found.mismatch[0]["significant"]
@@ -755,7 +755,7 @@ def test_friction_that_grows_with_load_goes_before_friction_over_position(planar
         law = 0.25 * np.abs(plant.load(*motion)) + 0.03 * np.cos(2 * motion[0] + 3)
         made.append(replace(r, tau=r.tau + turn * law))
     said: list[str] = []
-    found = [f.term for f in diagnose(as_set(plant, made), said.append, jobs=1).findings]
+    found = [f.term for f in diagnose(as_set(plant, made), said.append).findings]
     assert next(line for line in said if "friction" in line).startswith("load_dependent_friction")
     assert {t.effect.name for t in found} == {"load_dependent_friction", "position_dependent_friction"}
     assert found[0].values[0] == pytest.approx(0.25, rel=0.15)
@@ -767,14 +767,14 @@ def test_friction_of_a_real_servo_grows_with_load():
     folder = real("xl330_pendulum")
     whole = load_recordings(folder)
     smooth = tuple(r for r in whole.recordings if "sin_sin" in r.file or "up_and_down" in r.file)
-    first = diagnose(replace(whole, recordings=smooth), jobs=1).findings[0].term
+    first = diagnose(replace(whole, recordings=smooth)).findings[0].term
     assert (first.effect.name, first.groups) == ("load_dependent_friction", ())
     assert 0.3 < first.values[0] < 0.6
 
 
 def test_an_effect_may_be_another_in_each_recording(planar):
     plant, rng, truth = planar(1), np.random.default_rng(9), {1: 0.6, 3: -0.5, 4: 1.2}
-    found = diagnose(as_set(plant, with_changes(plant, rng, lambda i, r: truth.get(i, 0.0))), jobs=1).findings
+    found = diagnose(as_set(plant, with_changes(plant, rng, lambda i, r: truth.get(i, 0.0)))).findings
     assert {f.term.effect.name for f in found} == {"torque_offset"}
     assert {g: f.term.values[0] for f in found for g in f.term.groups} == pytest.approx(
         {f"{i}.csv": v for i, v in truth.items()}, abs=0.01
@@ -790,7 +790,7 @@ def test_friction_may_be_another_in_some_recordings(planar, truth):
         dry, viscous = truth.get(i, (0.0, 0.0))
         return np.outer([0, 1], dry * np.tanh(r.dq[1] / plant.width) + viscous * r.dq[1])
 
-    found = diagnose(as_set(plant, with_changes(plant, rng, change, 6)), jobs=1)
+    found = diagnose(as_set(plant, with_changes(plant, rng, change, 6)))
     assert {(f.term.effect.name, f.term.effect.joints) for f in found.findings} == {("friction_change", (1,))}
     values = {g: f.term.values for f in found.findings for g in f.term.groups}
     assert values == {f"{i}.csv": pytest.approx(v, abs=0.02) for i, v in truth.items()}
@@ -806,7 +806,7 @@ def test_payloads_may_be_others_in_each_recording(planar):
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, truth.get(i, 0.0), TOOL) for i in range(5)]
     recordings = as_set(plant, [replace(r, payload=0 * r.t) for r in made])
     recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
-    found = diagnose(recordings, jobs=1).findings
+    found = diagnose(recordings).findings
     assert {f.term.effect.name for f in found} == {"payload_mass"}
     assert {g: f.term.values[0] for f in found for g in f.term.groups} == pytest.approx({"1.csv": 1.0, "3.csv": 3.0}, rel=0.02)
 
@@ -818,7 +818,7 @@ def test_a_spring_of_one_recording_of_many_beside_a_law_of_all(planar):
     def change(i: int, r: Recording) -> np.ndarray:
         return 0.6 * r.dq * np.abs(r.dq) - (i == 2) * 8.0 * np.maximum(0.0 - r.q, 0.0)
 
-    found = diagnose(as_set(plant, with_changes(plant, rng, change, 8)), jobs=1).findings
+    found = diagnose(as_set(plant, with_changes(plant, rng, change, 8))).findings
     assert {(f.term.effect.name, f.term.groups) for f in found} == {("quadratic_drag", ()), ("parallel_spring", ("2.csv",))}
 
 
@@ -828,7 +828,7 @@ def test_a_payload_that_was_listed_and_not_mounted(planar):
     made = [replace(r, payload=0 * r.t + 3.0 * (i in (1, 3))) for i, r in enumerate(made)]
     recordings = as_set(plant, made)
     recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
-    (found,) = diagnose(recordings, jobs=1).findings
+    (found,) = diagnose(recordings).findings
     assert (found.term.effect.name, found.term.groups) == ("payload_mass", ("1.csv",))
     assert found.term.values == pytest.approx([-3.0], rel=0.02)
 

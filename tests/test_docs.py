@@ -100,7 +100,10 @@ def unknown_options(command: str) -> list[str]:
 
 def declared(option: str, script: str) -> bool:
     """Whether a script declares an option, to argparse by its name or to typer as a parameter of its command."""
-    return f'"{option}"' in script or re.search(rf"^    {option[2:].replace('-', '_')}: Annotated", script, re.M) is not None
+    return (
+        f'"{option}"' in script
+        or re.search(rf"^    {option[2:].replace('-', '_')}: (?:Annotated|[A-Z])", script, re.M) is not None
+    )
 
 
 @each_current_page

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rrr_oc import parallel
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Analytic, Encoding
@@ -87,22 +86,6 @@ def test_killed_at_random_moments_it_ends_the_same(uninterrupted, tmp_path):
     assert not saved.exists()
 
 
-def test_a_cluster_of_two_workers_gives_the_same_numbers(tmp_path):
-    """The local backend and joblib's Dask backend, the same three trials in the engine."""
-    distributed = pytest.importorskip("distributed")
-    protocol = replace(SMALL, model="engine", generations=4, every=2, steps=120)
-    labels = LABELS | {"model": "engine"}
-    stores = {where: tmp_path / where for where in ("local", "dask")}
-    arguments = {where: [(store, labels, protocol, seed) for seed in range(3)] for where, store in stores.items()}
-    here = parallel.ordered(run_evolution, arguments["local"], 2)
-    local = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
-    with local as cluster, parallel.workers(cluster.scheduler_address):
-        there = list(parallel.unordered(run_evolution, arguments["dask"]))
-        assert [numbers(f) for _, f in parallel.ordered(run_evolution, arguments["dask"])] == [numbers(f) for _, f in here]
-    assert sorted(f["cost"] for _, f in there) == sorted(f["cost"] for _, f in here)
-    assert len({f["cost"] for _, f in here}) == 3
-
-
 def test_what_was_found_is_taken_from_the_store_only_for_the_same_question(uninterrupted, tmp_path):
     design, small = experiment(TASK, "PEA"), replace(SMALL, generations=3)
     first = evolve(design, small, 0, tmp_path / "0", {"a": 1})
@@ -128,10 +111,3 @@ def test_evolution_from_a_design_never_ends_above_it(tmp_path):
 def test_unusable_protocols_are_refused(wrong):
     with pytest.raises(UserError, match="evolution"):
         replace(SMALL, **wrong)
-
-
-def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr(parallel, "SCHEDULER_TIMEOUT", 0.5)
-    with pytest.raises(UserError, match="no Dask scheduler answers"), parallel.workers("tcp://127.0.0.1:9"):
-        pass

@@ -209,6 +209,20 @@ def test_exact_gradient(rig):
         assert float(gradient(at).T @ direction) == pytest.approx(difference, rel=1e-5, abs=1e-6)
 
 
+def test_exact_jacobian():
+    """What the solver is given, by the chain rule, against CasADi's own of the constraints, where all kinds of limits are there."""
+    rig = friction_rig(load_robot("rrr"), floor=0.05, torque=10.0)
+    problem = excitation._Problem(everything(rig), Series(QUICK.duration, QUICK.harmonics), QUICK)
+    values, given = problem.constraints
+    x = ca.MX.sym("x", values.size1_in(0))
+    at = problem.starts()[0][0].ravel("F")
+    stacked, jacobian = given(at, [])
+    expected = np.asarray(ca.Function("expected", [x], [ca.jacobian(values(x), x)])(at))
+    assert set(problem.path.names) == {"torque", "floor"}
+    np.testing.assert_allclose(np.asarray(jacobian), expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_array_equal(np.asarray(stacked), np.asarray(values(at)))
+
+
 def test_criterion_is_the_information_on_the_grid(rig):
     asked = everything(rig)
     problem = excitation._Problem(asked, Series(QUICK.duration, QUICK.harmonics), QUICK)

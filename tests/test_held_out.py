@@ -91,7 +91,7 @@ def test_intervals_cover_as_often_as_they_say(diagnosis, monkeypatch):
 
 
 def test_the_twin_tracks_better_with_what_was_missing(diagnosis):
-    found = in_closed_loop(diagnosis, 1)
+    found = in_closed_loop(diagnosis)
     assert found["held_out"] is True
     before, after = (found[key]["joint2"] for key in ("before", "after"))
     for signal in ("tau_motor", "tau_load"):
@@ -105,7 +105,7 @@ def test_what_the_twin_cannot_simulate_is_said(diagnosis):
         Term(JointElasticity((0,)), (Estimate(500.0), Estimate(0.002))),
     )
     with_gap = replace(diagnosis.plain, terms=(*diagnosis.plain.terms, twist, gap))
-    found = in_closed_loop(replace(diagnosis, folds=tuple(replace(f, model=with_gap) for f in diagnosis.folds)), 1)
+    found = in_closed_loop(replace(diagnosis, folds=tuple(replace(f, model=with_gap) for f in diagnosis.folds)))
     assert "joint1" in found["before"]
     assert "backlash[joint1]" in found["after"]["why_not"]
 

@@ -188,7 +188,7 @@ def test_it_is_calibrated(band, stretched):
 
 
 def test_it_is_diagnosed(band, stretched):
-    (finding,) = diagnose(stretched, jobs=1).findings
+    (finding,) = diagnose(stretched).findings
     assert finding.term.effect == band((0,))
     np.testing.assert_allclose(finding.term.values, [12.0, 0.2], rtol=0.05)
 

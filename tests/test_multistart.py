@@ -16,12 +16,10 @@ from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.optimal_control.solver import SolverFailure
-from rrr_oc.parallel import once_per_process
+from rrr_oc.parallel import once_per_process, workers
 
 TASK = load_task("paper")
-OPTIONS = SearchOptions(
-    starts=6, jobs=1, coarse=8, fine=12, widths=(0.01,), refinement=Refinement(1e-3, rounds=2), within=0.02, hops=0
-)
+OPTIONS = SearchOptions(starts=6, coarse=8, fine=12, widths=(0.01,), refinement=Refinement(1e-3, rounds=2), within=0.02, hops=0)
 
 
 def design_of(configuration: str, task: Task = TASK) -> CoDesign:
@@ -100,7 +98,8 @@ def test_the_result_depends_on_the_seed_alone(found):
 
 
 def test_the_result_does_not_depend_on_the_number_of_processes(found):
-    parallel = solve_multistart(PEA, replace(OPTIONS, jobs=2))
+    with workers(2):
+        parallel = solve_multistart(PEA, OPTIONS)
     assert fingerprint(parallel) == fingerprint(found)
     assert parallel.best.solution.cost == found.best.solution.cost
     np.testing.assert_array_equal(parallel.best.solution.w, found.best.solution.w)
@@ -117,16 +116,18 @@ def test_options_are_heeded_when_the_same_design_is_searched_again(change):
 
 def test_a_design_at_a_recycled_address_is_not_taken_for_the_old_one():
     """Worker processes outlive a search, and Python hands the `id` of a design that is gone to a new one."""
-    few = replace(OPTIONS, starts=4, within=0.0, jobs=2)
+    few = replace(OPTIONS, starts=4, within=0.0)
     loaded, empty = design_of("SA"), replace(TASK, payload=0.0)
     address = id(loaded)
-    assert min(s.polished for s in solve_multistart(loaded, few).starts) > 500  # facts.md: 563
+    with workers(2):
+        assert min(s.polished for s in solve_multistart(loaded, few).starts) > 500  # facts.md: 563
     del loaded
     gc.collect()
     others: list[CoDesign] = []
     while id(others[-1] if others else None) != address and len(others) < 20_000:
         others.append(CoDesign(empty, ()))
-    assert max(s.polished for s in solve_multistart(others[-1], few).starts) < 100  # 72 without payload
+    with workers(2):
+        assert max(s.polished for s in solve_multistart(others[-1], few).starts) < 100  # 72 without payload
 
 
 def test_hopping_over_durations_never_loses():
@@ -167,7 +168,8 @@ def stopping_after(number: int) -> Callable[[Start], None]:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_ctrl_c_keeps_what_was_found(jobs):
-    result = solve_multistart(PEA, replace(OPTIONS, jobs=jobs, starts=4), stopping_after(3))
+    with workers(jobs):
+        result = solve_multistart(PEA, replace(OPTIONS, starts=4), stopping_after(3))
     assert result.interrupted
     assert len(result.starts) == 3
     assert result.best.solution.cost == pytest.approx(66.75, rel=5e-3)

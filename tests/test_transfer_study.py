@@ -115,8 +115,8 @@ def test_the_loop_on_a_model_that_is_known(task, tmp_path, monkeypatch):
     found = {"verdict": "missing_physics", "effects": [], "unexplained": [], "nrmse": {}, "suggested_recordings": []}
     monkeypatch.setattr(study, "diagnosed", lambda *_: (*known(arm, task), found))
     monkeypatch.setattr(study.Prototype, "record", lambda *_: None)
-    options = SearchOptions(starts=2, jobs=1, kept=1, hops=0, coarse=8, fine=16, refinement=Refinement(1e-2))
-    content = study.loop(tmp_path, arm, task, PROTOTYPE_SWEEP, ["SA"], options, 1)
+    options = SearchOptions(starts=2, kept=1, hops=0, coarse=8, fine=16, refinement=Refinement(1e-2))
+    content = study.loop(tmp_path, arm, task, PROTOTYPE_SWEEP, ["SA"], options)
     one, two = (content["designs"]["SA"][kind] for kind in ("labelled", "repaired"))
     assert two["on_arm"]["E1"] < one["steered"]["E1"] * 1.01
     assert abs(two["predicted"] / two["on_arm"]["E1"] - 1) < 0.05
@@ -124,7 +124,7 @@ def test_the_loop_on_a_model_that_is_known(task, tmp_path, monkeypatch):
     assert two["engine"] == pytest.approx(two["predicted"], rel=0.02)
     monkeypatch.setattr(study, "solve_multistart", lambda *_: pytest.fail("searched again"))
     monkeypatch.setattr(study, "cost_on", lambda *_: pytest.fail("driven again"))
-    assert study.loop(tmp_path, arm, task, PROTOTYPE_SWEEP, ["SA"], options, 1) == json.loads(json.dumps(content))
+    assert study.loop(tmp_path, arm, task, PROTOTYPE_SWEEP, ["SA"], options) == json.loads(json.dumps(content))
     truth = {"payload": arm.truth()}
     text = study.report({"asked": {"preset": "prototype", "seconds": 60, "seed": 3, "starts": 2}, "failure": None,
                          "loop": {"payload": content}, "truth": truth})  # fmt: skip

@@ -28,9 +28,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.term_fit import labels
+from rrr_oc.commands.shared import Jobs
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import differentiate, split
-from rrr_oc.parallel import ordered
+from rrr_oc.parallel import ordered, workers
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import Robot, load_robot
 from rrr_oc.storage import write_json
@@ -108,12 +109,13 @@ def main(
     recordings: Annotated[int, typer.Option(min=1)] = 4,
     seconds: Annotated[float, typer.Option(min=2.0)] = 10.0,
     robot: Annotated[str, typer.Option(help="bundled model")] = "rrr",
-    jobs: Annotated[int, typer.Option()] = 2,
+    jobs: Jobs = 2,
     out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/calibration_coverage"),
 ) -> None:
     """Measure the coverage; writes coverage.json."""
     began = time.perf_counter()
-    results = ordered(repetition, [(seed, robot, recordings, seconds) for seed in range(repetitions)], jobs)
+    with workers(jobs):
+        results = ordered(repetition, [(seed, robot, recordings, seconds) for seed in range(repetitions)])
     names = list(results[0])
     table = np.array([[r[name] for name in names] for r in results])  # (repetitions, parameters, 4)
     true, value, low, high = np.moveaxis(table, 2, 0)

@@ -31,9 +31,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # pyright: reportAttributeAccessIssue=false
 # (mujoco has no stubs)
 
+from rrr_oc.commands.shared import Jobs
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import diagnose
-from rrr_oc.parallel import unordered
+from rrr_oc.parallel import unordered, workers
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.storage import write_json, write_text
 
@@ -328,7 +329,7 @@ def judged(number: int, out: Path) -> dict[str, Any]:
     file = out / f"{number:03d}.json"
     if not file.exists():
         one = make(number, out / f"{number:03d}")
-        found = to_json(diagnose(load_recordings(out / f"{number:03d}"), jobs=1))
+        found = to_json(diagnose(load_recordings(out / f"{number:03d}")))
         claims = [
             {"names": [e["effect"], *(x if isinstance(x, str) else x["effect"] for x in e["indistinguishable_from"])]}
             | {"joint": e["joint"]}
@@ -347,12 +348,13 @@ def _wanted(effect: str) -> str:
 def main(
     sets: Annotated[int, typer.Option(min=1)] = 40,
     first: Annotated[int, typer.Option(min=0, help="number of the first set")] = 0,
-    jobs: Annotated[int, typer.Option()] = -1,
+    jobs: Jobs = -1,
     out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/engine_plants"),
 ) -> None:
     """Make sets, diagnose them, and compare with what was hidden."""
-    runs = unordered(judged, [(number, out) for number in range(first, first + sets)], jobs)
-    results = sorted(track(runs, "sets", total=sets), key=lambda r: r["set"])
+    with workers(jobs):
+        runs = unordered(judged, [(number, out) for number in range(first, first + sets)])
+        results = sorted(track(runs, "sets", total=sets), key=lambda r: r["set"])
     shown = Table("set", "joints", "dry friction", "hidden", "found")
     for r in results:
         found = ", ".join(f"{c['names'][0]} {c['joint'] or ''}" for c in r["claims"]) or "nothing"

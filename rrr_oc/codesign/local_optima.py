@@ -111,7 +111,7 @@ def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solutio
 
 def refined(design: CoDesign, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
     """Optima refined to the mesh tolerance, in parallel; one that is lost on a finer mesh stays as it was, with its error."""
-    found = ordered(_refine, [(design, options, o) for o in optima], options.jobs)
+    found = ordered(_refine, [(design, options, o) for o in optima])
     return [attached(design, options, o) for o in found]
 
 
@@ -133,7 +133,7 @@ def hopped(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimu
     for _ in range(options.hops):
         best = optimum
         tries = [(design, options, optimum, i, f, barrier) for i in range(2) for f in STRETCHES for barrier in BARRIERS]
-        for found in ordered(_hop, tries, options.jobs):
+        for found in ordered(_hop, tries):
             if found is not None and found.cost < best.cost * (1 - 1e-5):
                 best = attached(design, options, found)
         if best is optimum:

@@ -183,12 +183,12 @@ def continue_from(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) 
     Returns:
         (index of the start, optimum), cheapest first; starts from which IPOPT found no optimum are missing.
     """
-    followed = ordered(follow_to_fine_mesh, [(design, options, guess) for design, guess in starts], options.jobs)
+    followed = ordered(follow_to_fine_mesh, [(design, options, guess) for design, guess in starts])
     found = [(i, attached(starts[i][0], options, o)) for i, o in enumerate(followed) if o is not None]
     found.sort(key=lambda pair: pair[1].cost)
     if found:
         index, optimum = found[0]
-        found[0] = index, refined(starts[index][0], replace(options, jobs=1), [optimum])[0]
+        found[0] = index, refined(starts[index][0], options, [optimum])[0]
     return found
 
 
@@ -198,7 +198,7 @@ def _polished(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
     half = (options.starts + 1) // 2 if options.layers == LAYERS else options.starts if LAYERS[0] in options.layers else 0
 
     def polish(layer: str, vectors: Iterable[np.ndarray]) -> Iterator[tuple[int, Start]]:
-        return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)], options.jobs)
+        return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)])
 
     for _, start in polish("sobol", sobol_points(size, half, options.seed)):
         yield start
@@ -234,7 +234,7 @@ def _best_optima(polisher: Polisher, starts: list[Start], interrupted: bool) -> 
     design, options = polisher.design, polisher.options
     starts = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
     coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in starts)[: 1 if interrupted else options.kept]
-    followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in coarse], options.jobs)
+    followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in coarse])
     pairs = [(o, f) for o, f in zip(coarse, followed, strict=True) if f is not None]
     if not pairs:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")

@@ -26,7 +26,6 @@ class SearchOptions:
         starts: Number of starting points that IPOPT polishes, half of them from each layer.
         layers: Sources of the starting points, of `LAYERS`.
         seed: Seed of both layers.
-        jobs: Number of processes; -1 for all cores.
         scheme, stages: Collocation scheme.
         coarse: Intervals a phase of the mesh on which starts are polished.
         fine: Intervals a phase of the first mesh of the optima that are kept.
@@ -44,7 +43,6 @@ class SearchOptions:
     starts: int = 20
     layers: tuple[str, ...] = LAYERS
     seed: int = 0
-    jobs: int = -1
     scheme: str = "lobatto"
     stages: int = 4
     coarse: int = 16

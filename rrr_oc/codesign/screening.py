@@ -31,7 +31,7 @@ class ChoiceSolver:
         coarse = Solver(transcribed(design, options, options.coarse), Options(barrier=1e-4))
         w = coarse.solve(start.guess(), design.data(options.widths[0])).w
         self._problem = uuid.uuid4().hex, design, options, w
-        self._jobs, self._progress = options.jobs, progress
+        self._progress = progress
         self.solved = self.failed = 0
 
     def solve(self, choices: list[Choice]) -> list[Solved]:
@@ -39,7 +39,7 @@ class ChoiceSolver:
         ordered = sorted(choices, key=lambda c: c.lower.tolist())
         arguments = [(*self._problem, ordered[i : i + CHUNK]) for i in range(0, len(ordered), CHUNK)]
         results: list[Solved] = []
-        for part in unordered(_solve_chunk, arguments, self._jobs):
+        for part in unordered(_solve_chunk, arguments):
             results += part
             self.solved += len(part)
             if self._progress:

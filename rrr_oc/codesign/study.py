@@ -42,7 +42,6 @@ from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
-from rrr_oc.parallel import check_jobs
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.storage import check_folder, plain, write_json, write_npz
 
@@ -156,7 +155,6 @@ class Study:
 def prepared(request: Request, published: Published | None, listener: Listener) -> Study:
     """A study whose results are ready to be solved; raises `UserError` for whatever would end it later."""
     task = load_task(request.task)
-    check_jobs(request.search.jobs)
     check_folder(request.out)
     drives = None if request.actuators is None else load_actuators(task.joints, request.actuators)
     twin = None if request.model is None else Twin(load_model(request.model), drives)

@@ -7,13 +7,15 @@ from typing import Annotated, Any
 import typer
 from rich.markdown import Markdown
 
+from rrr_oc import parallel
 from rrr_oc.codesign.design_problem import COSTS
 from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import METHODS
 from rrr_oc.codesign.springs import CONFIGURATIONS
-from rrr_oc.codesign.study import Request, prepared
+from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
 from rrr_oc.report.study_files import write_study
@@ -45,7 +47,8 @@ def design(
     repaired: Annotated[
         bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")
     ] = False,
-    jobs: Annotated[int, typer.Option(help="processes; -1 for all cores")] = -1,
+    jobs: Jobs = -1,
+    workers: Workers = parallel.LOCAL,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -53,12 +56,17 @@ def design(
 
     Writes tables, figures, summary.json and one npz a configuration.
     """
-    began, output = time.perf_counter(), Output(quiet, as_json)
-    search = SearchOptions(starts=starts, seed=seed, jobs=jobs, hops=hops, refinement=Refinement(tolerance))
+    output = Output(quiet, as_json)
+    search = SearchOptions(starts=starts, seed=seed, hops=hops, refinement=Refinement(tolerance))
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, catalogue_search, model, repaired)
-    study = prepared(request, published_springs if request.bundled else None, output)
-    found: dict[str, Any] = {}
+    with parallel.workers(jobs, workers):
+        _run(prepared(request, published_springs if request.bundled else None, output), output)
+
+
+def _run(study: Study, output: Output) -> None:
+    """Solve, write and show a study."""
+    began, found = time.perf_counter(), dict[str, Any]()
     try:
         for name, result in study.results():
             found[name] = result
@@ -67,4 +75,4 @@ def design(
             summary, text = write_study(study, found, time.perf_counter() - began)
             output.result(summary)
             output.show(Markdown(text.split("## Certificates")[0]))
-            output.show(f"Everything is in {out}: report.md, summary.json, figures, one npz a configuration.")
+            output.show(f"Everything is in {study.out}: report.md, summary.json, figures, one npz a configuration.")

@@ -6,13 +6,13 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, check_apart, loaded, shown
+from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects.priors import load_priors
 from rrr_oc.effects.words import joint_words, words
-from rrr_oc.parallel import check_jobs, one_thread
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import not_claimed, on_prior, plain, rows, unexplained, verdict
 from rrr_oc.storage import check_folder
@@ -24,7 +24,8 @@ app = typer.Typer(add_completion=False)
 def diagnose(
     dataset: Dataset,
     out: Annotated[Path, typer.Option(help="folder for diagnosis.json, model.json, report.html and figures")],
-    jobs: Annotated[int, typer.Option(help="processes; -1: one a core")] = -1,
+    jobs: Jobs = -1,
+    workers: Workers = parallel.LOCAL,
     simulate: Annotated[bool, typer.Option(help="let the MuJoCo model track the recordings before and after, held out")] = True,
     priors: Annotated[
         Path | None,
@@ -38,16 +39,15 @@ def diagnose(
 ) -> None:
     """Say where the calibrated model fails, which physics it lacks, and how well it predicts once that is added."""
     output = Output(quiet, as_json)
-    check_jobs(jobs)
     check_folder(out)
     believed = None if priors is None else load_priors(priors)
     recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
-    with output.steps("reading") as step, one_thread():
-        found = diagnose_recordings(recordings, lambda line: step(words(line)), jobs, believed)
+    with parallel.workers(jobs, workers), output.steps("reading") as step, parallel.one_thread():
+        found = diagnose_recordings(recordings, lambda line: step(words(line)), believed)
         if simulate:
             step("tracking the recordings in closed loop")
-        simulated = in_closed_loop(found, jobs) if simulate else None
+        simulated = in_closed_loop(found) if simulate else None
         step("writing the report")
         content = write_diagnosis(found, out, simulated)
     output.result(content)

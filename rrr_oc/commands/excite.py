@@ -8,7 +8,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Excitation, Search
@@ -42,13 +44,14 @@ def excite(
     payload: Annotated[float, typer.Option(help="held at the tool \\[kg]")] = 0.0,
     starts: Annotated[int, typer.Option(min=1, help="random starts of the search")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
+    jobs: Jobs = -1,
+    workers: Workers = parallel.LOCAL,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Design a recording for an arm: the motion within its limits that determines friction and inertia best (D-optimal).
 
-    It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for. Six joints
-    take far longer than three, which are a matter of seconds.
+    It begins and ends at rest in the same pose and may be repeated. A collision of the arm with itself is not looked for.
     """
     output = Output(quiet, as_json)
     search = Search(duration, harmonics, starts, seed=seed)
@@ -60,7 +63,7 @@ def excite(
     with output.steps("stating the problem"):
         known = model_sensitivity(rig)
         asked = information(rig, [name for name in known.names if name != "payload"], noise=NOISE, sensitivity=known)
-    with output.count("motion", starts) as count:
+    with parallel.workers(jobs, workers), output.count("motion", starts) as count:
         found = optimised(
             asked, search, lambda done, value: count(done, "starts" if math.isinf(value) else f"starts, best {value:.3f}")
         )

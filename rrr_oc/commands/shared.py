@@ -15,6 +15,9 @@ from rrr_oc.recordings.recording import RecordingSet
 Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
 
+Jobs = Annotated[int, typer.Option(help="processes on this machine; -1: one a core")]
+Workers = Annotated[str, typer.Option(help="local, or the address of a Dask scheduler, as tcp://host:8786")]
+
 
 def check_window(window: float) -> None:
     """Raise `UserError` unless a window of smoothing is 0 s or more."""

@@ -3,7 +3,7 @@
 Errors before and after with bootstrap intervals, and while MuJoCo tracks the recordings.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -108,12 +108,12 @@ def _blocks(data: Data) -> Data:
     return Data(tuple(pieces), data.start, data.links, data.free, type(data.signatures)())
 
 
-def repeated(search: Search, begin: Fitted, found: bool, jobs: int) -> tuple[str, list[Recording], list[Fold]]:
+def repeated(search: Search, begin: Fitted, found: bool) -> tuple[str, list[Recording], list[Fold]]:
     """The way of holding out, what is held out by number, and the folds, in which the search is repeated if it found anything."""
     way, data, held = folds_of(search.fitter.data)
     whole = replace(search.fitter, data=data)
     arguments = [(Search(whole, search.trials), begin, found, one) for one in held]
-    return way, [p.recording for p in data.prepared], parallel.ordered(_fold, arguments, jobs if found else 1)
+    return way, [p.recording for p in data.prepared], _each(_fold, arguments, found)
 
 
 def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, Data, Fitted]:
@@ -122,17 +122,22 @@ def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, 
     return train, fitter.data.part(held), train.with_signs(train.fit(begin.model, begin.links))
 
 
+def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) -> list[Any]:
+    """Results of the calls, which worker processes make if they are long enough to be worth the start of these."""
+    return parallel.ordered(function, arguments) if long else [function(*a) for a in arguments]
+
+
 def _fold(search: Search, begin: Fitted, found: bool, held: list[int]) -> Fold:
     train, test, plain = _parts(search.fitter, begin, held)
     model = (replace(search, fitter=train).run(plain).fitted if found else plain).model
     return Fold(tuple(held), plain.model, model, nrmse(test, plain.model), nrmse(test, model))
 
 
-def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding], jobs: int) -> list[Fold]:
+def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding]) -> list[Fold]:
     """The folds with those effects alone that were found in them and are claimed."""
     _, data, _ = folds_of(fitter.data)
     arguments = [(replace(fitter, data=data), begin, fold, tuple(findings)) for fold in folds]
-    return parallel.ordered(_claimed, arguments, jobs if any(fold.extra for fold in folds) else 1)
+    return _each(_claimed, arguments, any(fold.extra for fold in folds))
 
 
 def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Finding]) -> Fold:
@@ -148,11 +153,11 @@ def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Findi
     return replace(fold, model=model, after=nrmse(test, model))
 
 
-def checked(fitter: Fitter, begin: Fitted, findings: Sequence[Finding], jobs: int) -> list[Check]:
+def checked(fitter: Fitter, begin: Fitted, findings: Sequence[Finding]) -> list[Check]:
     """One check of findings for each part of the recordings."""
     _, data, held = folds_of(fitter.data)
     arguments = [(replace(fitter, data=data), begin, tuple(f.term for f in findings), one) for one in held]
-    return parallel.ordered(_check, arguments, jobs if findings else 1)
+    return _each(_check, arguments, bool(findings))
 
 
 def _check(fitter: Fitter, begin: Fitted, terms: tuple[Term, ...], held: list[int]) -> Check:
@@ -259,7 +264,7 @@ def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
     return {"value": value, "interval": [number(found.low), number(found.high)]}
 
 
-def in_closed_loop(diagnosis: "Diagnosis", jobs: int = -1) -> dict[str, Any]:
+def in_closed_loop(diagnosis: "Diagnosis") -> dict[str, Any]:
     """NRMSE of `prediction_error.SIGNALS` while the MuJoCo model tracks the recordings, before and after, by joint and signal.
 
     Each recording is tracked by the models found without it; a single recording by the models found on it.
@@ -276,7 +281,7 @@ def in_closed_loop(diagnosis: "Diagnosis", jobs: int = -1) -> dict[str, Any]:
     sets = [replace(diagnosis.recordings, recordings=some) for *_, some in parts]
     extended = [k for k, (plain, model, _) in enumerate(parts) if len(model.terms) > len(plain.terms)]
     wanted = [(plain, some) for (plain, *_), some in zip(parts, sets, strict=True)] + [(parts[k][1], sets[k]) for k in extended]
-    found = parallel.ordered(_tracked, wanted, jobs)
+    found = parallel.ordered(_tracked, wanted)
     before = found[: len(parts)]
     changed = dict(zip(extended, found[len(parts) :], strict=True))
     after = [changed.get(k, one) for k, one in enumerate(before)]

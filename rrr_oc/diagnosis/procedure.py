@@ -110,13 +110,12 @@ class Shares:
 
 
 def diagnose(
-    recordings: RecordingSet, report: Callable[[str], None] = lambda _: None, jobs: int = -1, priors: Priors | None = None
+    recordings: RecordingSet, report: Callable[[str], None] = lambda _: None, priors: Priors | None = None
 ) -> Diagnosis:
     """Diagnose a recording set.
 
     Args:
         report: Receives one line of progress at a time.
-        jobs: Processes for the held-out fits (-1: one per core).
         priors: What is believed of effects; what they declare by default.
 
     Raises:
@@ -131,7 +130,7 @@ def diagnose(
     findings, possible = found(search, at)
     if findings:
         report("repeating the search without the recordings that are held out")
-    way, parts, searched = repeated(search, begin, bool(findings), jobs)
+    way, parts, searched = repeated(search, begin, bool(findings))
     most, out = stable(findings, parts, searched)
     refuted: list[Finding] = []
     while True:
@@ -143,8 +142,8 @@ def diagnose(
             at = search.run(at.fitted)
             findings, possible = found(search, at)
         report("predicting held-out recordings")
-        checks = checked(fitter, begin, findings, jobs)
-        folds = with_claims(fitter, begin, searched, findings, jobs)
+        checks = checked(fitter, begin, findings)
+        folds = with_claims(fitter, begin, searched, findings)
         out = unconfirmed(findings, checks) or worse(findings, parts, folds)
         if not out:
             break

@@ -1,6 +1,7 @@
 """D-optimal motions: Fourier series of greatest information within an arm's limits, by IPOPT from random starts."""
 
 import math
+import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,9 +12,10 @@ import numpy as np
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.fourier_series import Series
 from rrr_oc.excitation.information import Information
-from rrr_oc.excitation.limits import UNITS, PathLimits, Rig, states_within
+from rrr_oc.excitation.limits import UNITS, PathLimits, Rig, signals, states_within
 from rrr_oc.excitation.sweeps import STEP, times
 from rrr_oc.model.motion import Motion
+from rrr_oc.parallel import once_per_process, unordered
 
 
 @dataclass(frozen=True)
@@ -76,24 +78,33 @@ def excite(
     Args:
         report: Is told how many starts are done and the least cost so far, infinite where none keeps the limits yet.
     """
-    rig, problem = information.rig, _Problem(information, Series(search.duration, search.harmonics), search)
+    rig, problem = information.rig, _problem(information, search)
     starts, drawn = problem.starts()
-    runs: list[_Run] = []
+    runs: dict[int, _Run] = {}
     report(0, math.inf)
-    for x in starts:
-        runs.append(problem.solve(x))
-        report(len(runs), min(run.value for run in runs))
-    best = min(runs, key=lambda run: run.value)
+    key = uuid.uuid4().hex
+    for index, run in unordered(_solved, [(key, information, search, index, x) for index, x in enumerate(starts)]):
+        runs[index] = run
+        report(len(runs), min(run.value for run in runs.values()))
+    best = min((runs[index] for index in range(len(starts))), key=lambda run: run.value)
     if not math.isfinite(best.value):
-        worst = min(runs, key=lambda run: run.violation)
+        worst = min(runs.values(), key=lambda run: run.violation)
         raise UserError(
             f"no motion found that keeps the limits: at best the {worst.violated} is broken by {worst.violation:.3g} "
             f"[{UNITS[worst.violated]}] ({worst.status} after {worst.iterations} iterations); loosen it or give more starts"
         )
     t = times(search.duration, search.step)
     motion = Motion(t, *problem.series.motion(best.x, rig.limits, t), np.full(len(t), rig.payload))
-    solved = np.array([run.value for run in runs])
+    solved = np.array([runs[index].value for index in range(len(starts))])
     return Excitation(motion, information.log_det(motion), drawn, solved, best.status)
+
+
+def _solved(key: str, information: Information, search: Search, index: int, x: np.ndarray) -> tuple[int, "_Run"]:
+    return index, once_per_process(key, lambda: _problem(information, search)).solve(x)
+
+
+def _problem(information: Information, search: Search) -> "_Problem":
+    return _Problem(information, Series(search.duration, search.harmonics), search)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,26 +160,53 @@ class _Problem:
         return self.rig.path.near(states_within(self.rig.limits, 400, 0))
 
     @cached_property
-    def constraints(self) -> tuple[ca.Function, np.ndarray, np.ndarray]:
-        """x -> (linear rows, path rows), with the bounds of the first; those of the second are the rig's."""
-        x, full, rows = self._symbols
+    def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, low and high with low ≤ A vec(x) ≤ high: ranges, speeds and accelerations on the grid."""
         limits, moving, m = self.rig.limits, self.rig.limits.moving, len(self.series.grid)
         middle, half = (limits.upper + limits.lower)[moving] / 2, (limits.upper - limits.lower)[moving] / 2
+        rows, centres, rooms = [], [], []
         sizes = half, limits.speed[moving], limits.acceleration[moving]
-        linear, low, high = [], [], []
-        for row, size, centre in zip(rows, sizes, (middle, 0 * middle, 0 * middle), strict=True):
-            for j in np.flatnonzero(np.isfinite(size)):
-                linear.append(row[int(j), :].T)
-                low.append(np.full(m, centre[j] - self.series.margin * size[j]))
-                high.append(np.full(m, centre[j] + self.series.margin * size[j]))
-        outputs = [ca.vertcat(*linear), ca.vec(self.path.function.map(m)(*full))]
-        return ca.Function("constraints", [ca.vec(x)], outputs), np.concatenate(low), np.concatenate(high)
+        for basis, size, centre in zip(
+            self.series.basis(self.series.grid), sizes, (middle, 0 * middle, 0 * middle), strict=True
+        ):
+            bounded = np.flatnonzero(np.isfinite(size))
+            rows.append(np.kron(np.eye(moving.size)[bounded], basis))
+            centres.append(np.repeat(centre[bounded], m))
+            rooms.append(np.repeat(self.series.margin * size[bounded], m))
+        centre, room = np.concatenate(centres), np.concatenate(rooms)
+        return np.vstack(rows), centre - room, centre + room
+
+    @cached_property
+    def constraints(self) -> tuple[ca.Function, ca.Function]:
+        """vec(x) -> the linear rows and, for each of the rig's path limits, its values on the grid; and vec(x) -> these and their
+        Jacobian, by the chain rule through the motion: what colouring finds by a sweep a coefficient costs six times as much.
+        """
+        x, full, _ = self._symbols
+        n, moving, m, values = self.rig.limits.lower.size, self.rig.limits.moving, len(self.series.grid), self.path.function
+        matrix = ca.sparsify(ca.DM(self.linear[0]))
+        stacked = ca.vertcat(matrix @ ca.vec(x), ca.vec(values.map(m)(*full).T))
+        motion = signals(n)
+        local = ca.jacobian(values(*motion), ca.vertcat(*motion))[:, [k * n + int(j) for k in range(3) for j in moving]]
+        slopes = ca.reshape(ca.Function("slopes", [*motion], [ca.densify(local)]).map(m)(*full), -1, m).T
+        bases, r, blocks = [ca.DM(basis) for basis in self.series.basis(self.series.grid)], len(self.path.names), []
+        for i in range(r):
+            column = [[slopes[:, (k * moving.size + j) * r + i] for k in range(3)] for j in range(moving.size)]
+            blocks.append(
+                ca.horzcat(*[sum(ca.repmat(s, 1, b.shape[1]) * b for s, b in zip(c, bases, strict=True)) for c in column])
+            )
+        jacobian = ca.vertcat(matrix, *blocks)
+        unused = ca.MX.sym("p", 0)
+        return (
+            ca.Function("constraints", [ca.vec(x)], [stacked]),
+            ca.Function("jac_g", [ca.vec(x), unused], [stacked, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+        )
 
     @cached_property
     def solver(self) -> ca.Function:
         x = ca.MX.sym("x", self.criterion.size1_in(0))
         options = {
             "print_time": False,
+            "jac_g": self.constraints[1],
             "ipopt": {
                 "print_level": 0,
                 "sb": "yes",
@@ -181,9 +219,7 @@ class _Problem:
                 "max_iter": self.search.iterations,
             },
         }
-        return ca.nlpsol(
-            "excitation", "ipopt", {"x": x, "f": self.criterion(x), "g": ca.vertcat(*self.constraints[0](x))}, options
-        )
+        return ca.nlpsol("excitation", "ipopt", {"x": x, "f": self.criterion(x), "g": self.constraints[0](x)}, options)
 
     def starts(self) -> tuple[list[np.ndarray], np.ndarray]:
         """The best random motion of each group of draws, those within torque limits and floor first; and the costs of all draws."""
@@ -208,9 +244,9 @@ class _Problem:
         return run
 
     def _run(self, x: np.ndarray, margin: np.ndarray) -> _Run:
-        _, low, high = self.constraints
+        _, low, high = self.linear
         path, m = self.path, len(self.series.grid)
-        low, high = np.append(low, np.tile(path.low + margin, m)), np.append(high, np.tile(path.high - margin, m))
+        low, high = np.append(low, np.repeat(path.low + margin, m)), np.append(high, np.repeat(path.high - margin, m))
         end = np.asarray(self.solver(x0=x.ravel("F"), lbg=low, ubg=high)["x"])
         x, stats = end.reshape(x.shape, order="F"), self.solver.stats()
         excess = self.rig.excess(*self._between(x))

@@ -76,9 +76,7 @@ def run_gradient(store: Path, labels: Mapping[str, Any], starts: int, seed: int)
     def show(start: Start) -> None:
         rows.append((time.process_time() - began, start.polished))
 
-    result = solve_multistart(
-        design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed, jobs=1), show
-    ).whole()
+    result = solve_multistart(design, SearchOptions(starts=starts, layers=GRADIENT[labels["way"]], seed=seed), show).whole()
     core_s = time.process_time() - began
     solution = result.best.solution
     motion, engine = sample_motion(design, solution), None
@@ -148,10 +146,8 @@ def run_race(store: Path, labels: Mapping[str, Any], target: float, starts: int,
     if (found := run.found) is not None:
         return labels, found
     task = load_task(labels["preset"])
-    options = SearchOptions(starts=starts, seed=seed, jobs=1)
-    starts_to_reach(
-        experiment(task, labels["experiment"], labels["ends"]), SearchOptions(starts=1, seed=seed + 1, jobs=1), np.inf
-    )
+    options = SearchOptions(starts=starts, seed=seed)
+    starts_to_reach(experiment(task, labels["experiment"], labels["ends"]), SearchOptions(starts=1, seed=seed + 1), np.inf)
     began, wall = time.process_time(), time.perf_counter()
     needed, solution = starts_to_reach(experiment(task, labels["experiment"], labels["ends"]), options, target)
     found = {
