@@ -99,6 +99,21 @@ def test_an_arm_without_masses_gets_a_set_that_identifies_them_and_no_task(tmp_p
     assert "There is no task.json" in (tmp_path / "set" / "README.md").read_text()
 
 
+def test_an_arm_with_a_gripper_needs_its_joints_named(tmp_path):
+    """The fingers branch and slide; without `joints` the error names what is in the way."""
+    arm = an_arm(tmp_path, LIMIT.format(-2.0, 2.5, 2.0))
+    finger = '<link name="f{0}"/><joint name="finger {0}" type="prismatic"><parent link="l3"/><child link="f{0}"/>{1}</joint>'
+    fingers = "".join(finger.format(i, LIMIT.format(0, 0.1, 1)) for i in range(2))
+    arm.write_text(arm.read_text().replace("</robot>", f"{fingers}</robot>"))
+    with pytest.raises(UserError, match="finger 0"):
+        write_example(arm, tmp_path / "without")
+    joints = ["joint 0", "joint 1", "joint 2"]
+    made = write_example(arm, tmp_path / "set", joints)
+    assert list(made.joints) == joints
+    assert load_task(tmp_path / "set" / "task.json").robot.joints == tuple(joints)
+    assert read_header(tmp_path / "set" / "recordings" / "recordings.json").joints == tuple(joints)
+
+
 def test_limits_that_the_urdf_lacks_are_said_by_every_reader(tmp_path, capsys):
     made = write_example(an_arm(tmp_path, '<limit velocity="2" effort="50"/>'), tmp_path / "set")
     (note,) = made.notes

@@ -97,6 +97,8 @@ class TaskFile(Schema, frozen=True):
         floor_m: Height that the tool stays above; by default none.
         springs: Springs that a design may use, each with bounds of its quantities.
         locked_deg: Angles of joints that do not move; 0 for those left out.
+        joints: The arm's joints, in the order of the chain; others stay at zero, whatever their type, such as a gripper's fingers.
+            By default all are the arm's.
     """
 
     format: Literal["rrr_oc-task/1"]
@@ -114,6 +116,7 @@ class TaskFile(Schema, frozen=True):
     floor_m: float = -np.inf
     springs: list[dict[str, Any]] = field(default_factory=list)
     locked_deg: dict[str, float] = field(default_factory=dict)
+    joints: tuple[Text, ...] | None = None
 
     def __post_init__(self) -> None:
         check_interval("duration_s", self.duration_s)
@@ -199,7 +202,7 @@ def load_task(source: str | Path) -> Task:
     where, given = read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile)
     beside = Path(source).parent / given.robot
     own = str(source) not in PRESETS and beside.is_file()
-    robot = load_robot(beside if own else given.robot, gravity=given.gravity)
+    robot = load_robot(beside if own else given.robot, given.joints, gravity=given.gravity)
     moving = tuple(robot.index(j) for j in given.moving)
     if list(moving) != sorted(set(moving)):
         raise UserError(f"{where}: moving: found {', '.join(given.moving)}; different joints, base first, are required")

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Workers
+from rrr_oc.commands.shared import Jobs, Joints, Workers, named
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Excitation, Search
@@ -32,7 +32,7 @@ app = typer.Typer(add_completion=False)
 def excite(
     urdf: Annotated[str, typer.Argument(help=f"path of the robot's URDF, or a bundled model: {', '.join(BUNDLED)}")],
     out: Annotated[Path, typer.Option(help="CSV file of the motion: t, q, dq and ddq of every joint")],
-    joints: Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")] = None,
+    joints: Joints = None,
     duration: Annotated[float, typer.Option(help="of the motion \\[s]")] = 20.0,
     harmonics: Annotated[int, typer.Option(help="of the base frequency 1/duration; more are faster motions")] = 8,
     acceleration: Annotated[float, typer.Option(help="limit of every joint \\[rad/s²]")] = 5.0,
@@ -56,7 +56,7 @@ def excite(
     output = Output(quiet, as_json)
     search = Search(duration, harmonics, starts, seed=seed)
     check_file(out)
-    robot = load_robot(urdf, None if joints is None else [name.strip() for name in joints.split(",")])
+    robot = load_robot(urdf, named(joints))
     rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, -math.inf if floor is None else floor, payload)
     for note in _unlimited(robot, rig):
         output.note(f"Note: {note}.")

@@ -13,6 +13,7 @@ import typer
 
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Joints, named
 from rrr_oc.effects import design_forms, listed_springs
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import FORMAT, HEADER
@@ -27,12 +28,13 @@ app = typer.Typer(add_completion=False)
 def init(
     robot: Annotated[str, typer.Argument(help="path of the arm's URDF, or a bundled model")],
     out: Annotated[Path, typer.Option(help="folder to make")],
+    joints: Joints = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Begin with an arm: write a commented recordings.json, CSV header and task.json for it, and the next commands."""
     output = Output(quiet, as_json)
-    made = write_example(robot, out)
+    made = write_example(robot, out, named(joints))
     files = (
         "recordings/recordings.json, recordings/first.csv with a header, " + "task.json " * bool(made.moving) + "and README.md"
     )
@@ -76,16 +78,16 @@ class Example:
     notes: tuple[str, ...] = ()
 
 
-def write_example(source: str | Path, folder: str | Path) -> Example:
+def write_example(source: str | Path, folder: str | Path, joints: Sequence[str] | None = None) -> Example:
     """Write a new folder with recordings.json, the header of a CSV file, task.json, the URDF and README.md with the next commands.
 
     Raises `UserError` where the arm cannot be read or the folder has something in it.
     """
     folder, bundled, why, exact = Path(folder), str(source) in BUNDLED, "", True
     try:
-        robot = load_robot(source)
+        robot = load_robot(source, joints)
     except UserError as error:  # without masses its kinematics still say what to record
-        robot, why, exact = load_robot(source, inertial=False), str(error), False
+        robot, why, exact = load_robot(source, joints, inertial=False), str(error), False
     name = str(source) if bundled else f"{Path(source).stem}.urdf"
     moving: tuple[str, ...] = ()
     if folder.is_dir() and any(folder.iterdir()):
@@ -267,6 +269,7 @@ def _task(name: str, robot: Robot, joints: tuple, ends: tuple[str, str]) -> str:
   "format": "rrr_oc-task/1",
   "name": "example", // in reports
   "robot": {json.dumps(name)}, // {_where(name)}
+  "joints": {json.dumps(list(robot.joints))}, // of the arm; others, such as a gripper's, stay at zero
   "moving": {json.dumps(names)}, // base first; the others are locked{locked}
   "gravity": {json.dumps(robot.gravity.tolist())}, // in the base frame [m/s²]
   // "tool": {{"link": {json.dumps(robot.tool_link)}, "position_m": [0.0, 0.0, 0.0]}}, // where the payload is held

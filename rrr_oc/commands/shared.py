@@ -18,6 +18,13 @@ Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with re
 Jobs = Annotated[int, typer.Option(help="processes on this machine; -1: one a core")]
 Workers = Annotated[str, typer.Option(help="local, or the address of a Dask scheduler, as tcp://host:8786")]
 
+Joints = Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")]
+
+
+def named(joints: str | None) -> list[str] | None:
+    """Names from a comma-separated list."""
+    return None if joints is None else [name.strip() for name in joints.split(",")]
+
 
 def check_window(window: float) -> None:
     """Raise `UserError` unless a window of smoothing is 0 s or more."""
