@@ -3,7 +3,7 @@
     python studies/stand_in_arm.py arm.urdf --motion motion.csv --out recordings
 
 The motion, as `rrr-oc excite` writes it, is run at several speeds by a computed-torque controller. The arm has friction and
-armature in every joint, which a calibration finds, and hides two things that it cannot find: a mass at the last link that nobody
+armature in every joint, which a calibration finds, and hides two things that it cannot find: a mass at the flange that nobody
 noted, and friction of one joint that grows with its load. Torques and positions have noise. The plant is MuJoCo's own model of the
 URDF and shares no physics with the package.
 """
@@ -49,12 +49,14 @@ def bare(urdf: Path) -> str:
 
 
 def compiled(urdf: Path, mass: float) -> mujoco.MjModel:
-    """The arm of the URDF with a mass in the middle of its last link's frame, without friction and armature."""
+    """The arm of the URDF with a mass at its last frame, which is fixed to the last link, without friction and armature."""
     spec = mujoco.MjSpec.from_string(bare(urdf))
     spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.compiler.fusestatic = False  # which would lose the mass
     if mass:
-        spec.joints[-1].parent.add_body(mass=mass, inertia=[1e-4 * mass] * 3, explicitinertial=True)
+        last = spec.joints[-1].parent
+        flange = (last.find_all("body") or [last])[-1]
+        flange.add_body(mass=mass, inertia=[1e-6 * mass] * 3, explicitinertial=True)
     return spec.compile()
 
 
@@ -120,7 +122,7 @@ def main(
     urdf: Annotated[Path, typer.Argument(help="the arm")],
     motion: Annotated[list[Path], typer.Option(help="CSV file with t and q_<joint>; may be given several times")],
     out: Annotated[Path, typer.Option(help="folder to make, with the recordings and recordings.json")],
-    mass: Annotated[float, typer.Option(min=0, help="that nobody noted, at the last link \\[kg]")] = 1.0,
+    mass: Annotated[float, typer.Option(min=0, help="that nobody noted, at the flange \\[kg]")] = 1.0,
     joint: Annotated[str, typer.Option(help="whose friction grows with its load; default: none")] = "",
     over_load: Annotated[float, typer.Option(min=0, help="this friction over the load torque")] = 0.12,
     speeds: Annotated[str, typer.Option(help="comma-separated, over the motion's own")] = "1,0.7,0.5",

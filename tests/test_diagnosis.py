@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import chains
+import msgspec
 import mujoco
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.commands import app
-from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile, to_json
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import folds_of
 from rrr_oc.diagnosis.procedure import diagnose, ready
@@ -89,7 +90,9 @@ def diagnosed(case: Path) -> dict:
     page = (out / "report.html").read_text()
     assert page.count("<img src='data:image/png;base64,") >= 3  # a page that can be sent alone
     assert "<img src='residual" not in page
-    return json.loads((out / "diagnosis.json").read_text())
+    text = (out / "diagnosis.json").read_text()
+    assert msgspec.json.decode(text, type=DiagnosisFile).held_out in ("recordings", "blocks")  # as its reference describes it
+    return json.loads(text)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,10 @@
 """The diagnosis as data: what `diagnosis.json` holds."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.findings import Finding, named
@@ -13,6 +14,344 @@ from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
 FORMAT = "rrr_oc-diagnosis/1"
+Files = Literal["all"] | tuple[str, ...]  # recordings
+Joint = str | tuple[str, ...] | None  # one joint, several, or the arm as a whole
+
+
+class Place(Struct, forbid_unknown_fields=True):
+    """A range of a variable in which the error of the plain model is concentrated.
+
+    Attributes:
+        variable: `q_<joint>`, `dq_<joint>`, `ddq_<joint>`, `load_torque`, `time`, `payload` or `spring_torque`.
+        range: Least and greatest value, in `unit`.
+        unit: Unit of the variable.
+        share_of_error: Of the joint's squared error [1].
+        share_of_time: Of the time in which the joint moves [1].
+    """
+
+    variable: str
+    range: tuple[float, float]
+    unit: str
+    share_of_error: float
+    share_of_time: float
+
+
+class Errors(Struct, forbid_unknown_fields=True):
+    """Error of a joint's torque over the recorded one's standard deviation, by the plain model.
+
+    Attributes:
+        calibration: On the recordings that it was calibrated on [1].
+        held_out: On recordings that took no part [1].
+    """
+
+    calibration: float | None
+    held_out: float | None
+
+
+class Mismatch(Struct, forbid_unknown_fields=True):
+    """How the plain model fails on a joint.
+
+    Attributes:
+        joint: The joint.
+        significant: Whether it fails by more than the noise.
+        p_value: Probability of such a failure by chance.
+        nrmse: How large the error is.
+        where: Up to three ranges in which it is concentrated.
+        recordings: Recordings in which it fails.
+    """
+
+    joint: str
+    significant: bool
+    p_value: float
+    nrmse: Errors
+    where: tuple[Place, ...]
+    recordings: tuple[str, ...]
+
+
+class Estimate(Struct, forbid_unknown_fields=True):
+    """An estimated parameter, or an option that the effect was found with.
+
+    Attributes:
+        value: The estimate, in `unit`; of a vector or a matrix a list.
+        std: Its standard error, in the same shape; null for options, and where the recordings do not determine it.
+        unit: Its unit; "1" or nothing for none.
+        interval: 95 % interval; null as well.
+    """
+
+    value: Any
+    std: Any
+    unit: str
+    interval: tuple[float, float] | None = None
+
+
+class HeldOut(Struct, forbid_unknown_fields=True):
+    """Error of the torque of the joints that an effect acts on, on held-out recordings.
+
+    Attributes:
+        held_out_before: Without it [1].
+        held_out_after: With it, beside the effects above it [1].
+    """
+
+    held_out_before: float | None
+    held_out_after: float | None
+
+
+class Named(Struct, forbid_unknown_fields=True):
+    """An effect on its joints.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
+    """
+
+    effect: str
+    joint: Joint
+
+
+class Claim(Struct, forbid_unknown_fields=True):
+    """An effect that the tool adds to the model.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
+        recordings: Recordings that have it.
+        equation: Its law.
+        parameters: Estimates by parameter.
+        share_of_error: By how much the held-out squared error falls with it, as a share of what it was without any effect [1].
+        p_value: Probability of such a gain by chance.
+        probability: Of the effect or one of its rivals, from all models compared.
+        probability_of_itself: Of the effect alone.
+        nrmse: Held-out error without and with it.
+        held_out_gain_nats: Gain of the logarithmic probability density of held-out recordings [nat].
+        indistinguishable_from: Names of the effects that explain these recordings as well.
+        rivals: The same with their joints.
+    """
+
+    effect: str
+    joint: Joint
+    recordings: Files
+    equation: str
+    parameters: dict[str, Estimate]
+    share_of_error: float
+    p_value: float
+    probability: float
+    probability_of_itself: float
+    nrmse: HeldOut
+    held_out_gain_nats: float | None
+    indistinguishable_from: tuple[str, ...]
+    rivals: tuple[Named, ...]
+
+
+class Possible(Named):
+    """An effect that is less probable than a claim needs.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
+        recordings: Recordings that may have it.
+        probability: Of the effect.
+    """
+
+    recordings: Files
+    probability: float
+
+
+class Refuted(Named):
+    """An effect that all recordings together make probable, and that held-out recordings do not confirm.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
+        probability: Of the effect, on all recordings.
+    """
+
+    probability: float
+
+
+class Valid(Struct, forbid_unknown_fields=True):
+    """Where an empirical torque holds.
+
+    Attributes:
+        variable: As in `where` of `mismatch`.
+        range: Least and greatest value that was recorded.
+    """
+
+    variable: str
+    range: tuple[float, float]
+
+
+class Unexplained(Struct, forbid_unknown_fields=True):
+    """A torque that no effect of the catalogue explains; the model carries it as an empirical term.
+
+    Attributes:
+        joint: The joint it acts on.
+        depends_on: Variables that it depends on, also `sign(dq_<joint>)`.
+        recordings: Recordings that have it.
+        share_of_error: As of an effect [1].
+        p_value: As of an effect.
+        probability: As of an effect.
+        validity: Where it holds.
+        description: A sentence.
+    """
+
+    joint: str
+    depends_on: tuple[str, ...]
+    recordings: Files
+    share_of_error: float
+    p_value: float
+    probability: float
+    validity: tuple[Valid, ...]
+    description: str
+
+
+class Size(Struct, forbid_unknown_fields=True):
+    """Typical size of a parameter.
+
+    Attributes:
+        value: The size, in `unit`.
+        unit: Its unit, or what it is relative to.
+    """
+
+    value: float
+    unit: str
+
+
+class Believed(Named):
+    """What was believed of a claimed effect before.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
+        probability: Of the effect on one joint of an arm.
+        typical: Typical sizes by parameter.
+        source: Where these are from.
+        claim_rests_on_prior: Whether it would not be claimed with a probability ten times smaller.
+    """
+
+    probability: float
+    typical: dict[str, Size]
+    source: str
+    claim_rests_on_prior: bool
+
+
+class Suggested(Struct, forbid_unknown_fields=True):
+    """A motion to record.
+
+    Attributes:
+        why: What it would tell.
+        separates: Effects that it would tell apart.
+        trajectory: CSV file beside this one, with `t` in s and `q_<joint>` in rad.
+    """
+
+    why: str
+    separates: tuple[str, ...]
+    trajectory: str
+
+
+class BeforeAfter(Struct, forbid_unknown_fields=True):
+    """Numbers of the plain and of the extended model.
+
+    Attributes:
+        before: Of the plain model, by joint.
+        after: With what was found, by joint.
+    """
+
+    before: dict[str, float | None]
+    after: dict[str, float | None]
+
+
+class Nrmse(Struct, forbid_unknown_fields=True):
+    """Errors of the predicted torque over the recorded one's standard deviation.
+
+    Attributes:
+        calibration: On the recordings that the models were fitted to [1].
+        held_out: On recordings that took part in no fit and no choice [1].
+    """
+
+    calibration: BeforeAfter
+    held_out: BeforeAfter
+
+
+class Mean(Struct, forbid_unknown_fields=True):
+    """A mean over recordings.
+
+    Attributes:
+        value: The mean [1].
+        interval: 95 % interval from the variation between recordings; null with fewer than three.
+    """
+
+    value: float | None
+    interval: tuple[float | None, float | None] | None
+
+
+class Bootstrap(Struct, forbid_unknown_fields=True):
+    """Held-out errors of a joint with their intervals.
+
+    Attributes:
+        before: Of the plain model.
+        after: With what was found.
+        ratio: After over before.
+    """
+
+    before: Mean
+    after: Mean
+    ratio: Mean
+
+
+class Simulated(Struct, forbid_unknown_fields=True):
+    """Errors while the MuJoCo model tracks the recordings with its controllers.
+
+    Attributes:
+        held_out: Whether the recordings took no part in the fits.
+        before: Of the plain model by joint and signal, or `why_not`, the reason why it was not simulated.
+        after: With what was found.
+    """
+
+    held_out: bool
+    before: dict[str, Any]
+    after: dict[str, Any]
+
+
+class DiagnosisFile(Struct, forbid_unknown_fields=True):
+    """The content of `diagnosis.json`.
+
+    Attributes:
+        format: What the file is.
+        verdict: Whether physics is missing; it cannot be told where there is a mismatch that no effect explains.
+        held_out: What took no part in fits and choices: whole recordings, or blocks of the only one.
+        mismatch: Where the plain model fails, a joint each.
+        left_over: Joints whose error exceeds the noise with all effects, by how many times [1].
+        effects: What the tool adds to the model, most important first.
+        possible: What is less probable than a claim needs.
+        not_confirmed: What held-out recordings do not confirm.
+        unexplained: Torques that no effect of the catalogue explains.
+        priors_file: File that was given by `--priors`.
+        priors: What was believed of the claimed effects before.
+        suggested_recordings: Motions to record.
+        nrmse: Errors of the models.
+        versions: Of the programs that made it.
+        bootstrap: Held-out errors with intervals, by joint.
+        alone: Held-out recordings whose set-up no other recording has.
+        simulated: Errors in closed loop.
+    """
+
+    format: Literal["rrr_oc-diagnosis/1"]
+    verdict: Literal["missing_physics", "nothing_missing", "cannot_tell"]
+    held_out: Literal["recordings", "blocks"]
+    mismatch: tuple[Mismatch, ...]
+    left_over: dict[str, float]
+    effects: tuple[Claim, ...]
+    possible: tuple[Possible, ...]
+    not_confirmed: tuple[Refuted, ...]
+    unexplained: tuple[Unexplained, ...]
+    priors_file: str | None
+    priors: tuple[Believed, ...]
+    suggested_recordings: tuple[Suggested, ...]
+    nrmse: Nrmse
+    versions: dict[str, str]
+    bootstrap: dict[str, Bootstrap]
+    alone: tuple[str, ...]
+    simulated: Simulated | None = None
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import msgspec
 from rrr_oc.calibration.model_file import ModelFile
 from rrr_oc.codesign.catalogue import catalogue_schema
 from rrr_oc.codesign.task import TaskFile
+from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.priors import Context, Given
 from rrr_oc.effects.words import words
@@ -130,6 +131,11 @@ def _described() -> dict[str, Page]:
             "not known are ignored, so that files of later versions can be read.",
             {"model.json": ModelFile},
         ),
+        "diagnosis": Page(
+            "diagnosis.json",
+            "What a diagnosis found; `rrr-oc diagnose` writes it. Probabilities and p values are from 0 to 1.",
+            {"diagnosis.json": DiagnosisFile},
+        ),
     }
 
 
@@ -167,11 +173,12 @@ def _shop_notes() -> str:
 
 def _page(page: Page) -> str:
     parts = [f"# {page.title}", page.what.strip()]
-    seen: dict[str, Any] = {}
+    seen: dict[Any, list[str]] = {}
     for heading, schema in page.structures.items():
         for name, structure in _structures(heading, schema):
-            seen.setdefault(name, structure)
-    for heading, structure in seen.items():
+            seen[structure] = list(dict.fromkeys([*seen.get(structure, []), name]))
+    for structure, headings in seen.items():
+        heading = ", ".join(headings)
         parts += [f"## {heading[:1].upper() + heading[1:] if '.' not in heading else heading}", _table(structure)]
     if page.notes:
         parts.append(page.notes)
@@ -181,12 +188,13 @@ def _page(page: Page) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _structures(heading: str, schema: Any) -> Iterator[tuple[str, Any]]:
+def _structures(heading: str, schema: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
     """A structure and all that stand inside it, each with a heading: the keys that lead there."""
     yield heading, schema
     for one in msgspec.structs.fields(schema):
         for inner in _inside(one.type):
-            yield from _structures(f"`{one.encode_name}`", inner)
+            there = *keys, one.encode_name
+            yield from _structures(f"`{'.'.join(there)}`", inner, there)
 
 
 def _inside(kind: Any) -> Iterator[Any]:
@@ -284,13 +292,13 @@ class _Allowed:
             return cls("text" if isinstance(arguments[0], str) else "number", _values(arguments))
         if origin is dict:
             inner = cls.of(arguments[1])
-            return cls(f"object: {inner.kind} by name", inner.values)
+            return cls("object" if inner.kind == "anything" else f"object: {inner.kind} by name", inner.values)
         if origin is tuple and arguments[1:] != (...,):
             return cls(f"list of {len(arguments)} {cls.of(arguments[0]).kind}s", cls.of(arguments[0]).values)
         if origin in (list, tuple):
             inner = cls.of(arguments[0])
             return cls(f"list of {inner.kind}s", inner.values)
-        known = {str: "text", float: "number", int: "whole number", bool: "true or false"}
+        known = {str: "text", float: "number", int: "whole number", bool: "true or false", Any: "anything"}
         return cls(known.get(kind, "object"))
 
 
