@@ -46,7 +46,7 @@ from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import sentence
-from rrr_oc.robot.robot import ToolPoint
+from rrr_oc.robot.robot import ToolPoint, load_robot
 from rrr_oc.simulation.replay import pieces
 from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
@@ -722,6 +722,17 @@ def test_a_mismatch_that_nothing_explains_is_said_to_be_one(planar, tmp_path):
     assert "these recordings do not decide what" in (tmp_path / "report.html").read_text()
     (suggested,) = content["suggested_recordings"]
     assert (tmp_path / suggested["trajectory"]).exists()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_payload_that_errors_of_the_links_could_replace_is_claimed(seed):
+    """They predict held-out recordings as well, but only at many times the size that a URDF's errors have."""
+    plant, rng = Plant("rrr", np.array([1.0, 2.0, 1.0]), np.full(3, 2.0), np.full(3, 0.3)), np.random.default_rng(seed)
+    tool = load_robot("rrr").tool.position
+    made = [record(plant, f"{i}.csv", rng, 8.0, 0.003, payload=1.0, tool=tool) for i in range(4)]
+    (found,) = diagnose(as_set(plant, [replace(r, payload=0 * r.t) for r in made])).findings
+    assert found.term.effect.name == "payload_mass"
+    assert found.term.values == pytest.approx([1.0], abs=0.01)
 
 
 def test_a_payload_that_runs_through_many_values_costs_no_more(planar):

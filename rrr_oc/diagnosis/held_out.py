@@ -17,6 +17,7 @@ from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.evidence import Joint, Posterior
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.knobs import ABSORBED
 from rrr_oc.diagnosis.search import Search
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -62,7 +63,7 @@ class Check:
 
     Attributes:
         gains: Fall of the negative log predictive density with the effect, beside all others [nats]; NaN where the held-out
-            recordings or the rest lack it.
+            recordings or the rest lack it, or where the model without it predicts nearly the same.
         falls: Fall of each joint's squared residual over what remains with all effects, likewise, (effects, n); NaN where it does
             not act.
         again: Whether the rest alone supports it (its posterior odds are above 1); NaN where the rest lacks it.
@@ -181,12 +182,21 @@ def _check(fitter: Fitter, begin: Fitted, terms: tuple[Term, ...], held: list[in
     for k in every:
         less = fit(tuple(i for i in every if i != k))
         again[k] = search.scored(full).score > search.scored(less).score
-        if any(there[k]):
+        own = acts_on(terms[k], test.n)
+        if any(there[k]) and not _absorbed(test, full, less, every.index(k), weights[:, None]):
             gains[k] = density(test, full.model, full.posterior) - density(test, less.model, full.posterior)
-            own = acts_on(terms[k], test.n)
             falls[k, own] = (weights * (_squares(test, less.model) - _squares(test, full.model)))[own]
     squares = np.array([weights * _squares(test, f.model) for f in nested])
     return Check(gains, falls, again, squares, np.array([nrmse(test, f.model) for f in nested]))
+
+
+def _absorbed(test: Data, full: Fitted, less: Fitted, extra: int, weights: np.ndarray) -> bool:
+    """Whether the model without an extra effect, fitted anew, predicts nearly the same as the full one, as errors of the links can do
+    in the place of a payload. Then only the probabilities of both models can tell."""
+    terms = full.model.terms
+    bare = replace(full.model, terms=terms[: full.base + extra] + terms[full.base + extra + 1 :])
+    between, whole = (_residual(test, model) - _residual(test, full.model) for model in (less.model, bare))
+    return float(np.sum(weights * between**2)) < ABSORBED * float(np.sum(weights * whole**2))
 
 
 def acts_on(term: Term, n: int) -> list[int]:
