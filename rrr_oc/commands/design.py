@@ -58,6 +58,8 @@ def design(
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, catalogue_search, model, repaired)
     study = prepared(request, published_springs if request.bundled else None, output)
+    for note in study.task.robot.notes:
+        output.note(f"Note: {note}.")
     found: dict[str, Any] = {}
     try:
         for name, result in study.results():
