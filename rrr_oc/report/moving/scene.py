@@ -1,6 +1,5 @@
 """What is shown of a motion, and its shapes in space: the arm, the payload and the springs, all as capsules."""
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ THICKNESS = 0.08  # radius of a link, as a share of the arm's mean link; doubled
 ARM, JOINT, HELD = (0.72, 0.76, 0.82, 1.0), (0.24, 0.31, 0.41, 1.0), (0.77, 0.35, 0.07, 1.0)  # colours, and their opacity
 TENSION = np.array([[0.62, 0.62, 0.62], [0.98, 0.78, 0.25], [0.78, 0.07, 0.07]])  # colours of a spring: slack, half, most
 HEAVY = 0.045  # [m] radius of a payload of 1 kg, which grows with the cube root of the mass: a ball of 2.6 kg a litre
-COIL = 64  # points along a coil; doubled, smoother ones
+COIL = 97  # points along a coil; doubled, smoother ones
 
 
 @dataclass(frozen=True)
@@ -100,15 +99,34 @@ def thickness(robot: Robot, tool: ToolPoint) -> float:
     return THICKNESS * float(np.mean(lengths[lengths > 0])) if np.any(lengths > 0) else THICKNESS
 
 
+@dataclass(frozen=True)
+class Rod:
+    """A part of the arm: a rod that moves with a joint (-1: the base); its ends in that joint's frame [m], (2, 3)."""
+
+    joint: int
+    ends: np.ndarray
+    radius: float
+    colour: tuple[float, float, float, float]
+
+
+def rods(robot: Robot, tool: ToolPoint) -> list[Rod]:
+    """The arm: a rod from joint to joint and to the tool, and a thicker one along each joint's axis."""
+    r, at = thickness(robot, tool), robot.placements[:, :3, 3]
+    ways = [*((i - 1, place) for i, place in enumerate(at)), (tool.joint, tool.position)]
+    links = [Rod(joint, np.array([np.zeros(3), end]), r, ARM) for joint, end in ways if np.linalg.norm(end) > 1e-9]
+    return links + [Rod(i, r * np.array([-axis, axis]), 1.3 * r, JOINT) for i, axis in enumerate(robot.axes)]
+
+
 def arm_shapes(robot: Robot, tool: ToolPoint, q: np.ndarray) -> Capsules:
-    """The arm at positions (n,): a rod from joint to joint and to the tool, and a thicker one along each joint's axis."""
-    r, placed = thickness(robot, tool), poses(robot, q)
-    points = chain(robot, tool, q)
-    links = [pair for pair in itertools.pairwise(points) if np.linalg.norm(pair[1] - pair[0]) > 1e-9]
-    along = [(pose[:3, 3], r * pose[:3, :3] @ axis) for pose, axis in zip(placed, robot.axes, strict=True)]
-    drives = [(at - half, at + half) for at, half in along]
-    sizes = [*[r] * len(links), *[1.3 * r] * len(drives)]
-    return Capsules(np.array([*links, *drives]), np.array(sizes), np.array([*[ARM] * len(links), *[JOINT] * len(drives)]))
+    """The arm at positions (n,)."""
+    parts, placed = rods(robot, tool), [np.eye(4), *poses(robot, q)]
+    ends = [rod.ends @ placed[rod.joint + 1][:3, :3].T + placed[rod.joint + 1][:3, 3] for rod in parts]
+    return Capsules(np.array(ends), np.array([rod.radius for rod in parts]), np.array([rod.colour for rod in parts]))
+
+
+def payload_radius(scene: Scene, k: int) -> float:
+    """Radius of the ball that is held at the instant with index `k` [m]."""
+    return max(float(HEAVY * np.cbrt(scene.payload[k])), 1.2 * thickness(scene.robot, scene.tool))
 
 
 def shapes(scene: Scene, k: int) -> Capsules:
@@ -116,8 +134,7 @@ def shapes(scene: Scene, k: int) -> Capsules:
     parts = [arm_shapes(scene.robot, scene.tool, scene.q[:, k]), *(spring_shapes(scene, spring, k) for spring in scene.springs)]
     if scene.payload[k] > 0:
         at = chain(scene.robot, scene.tool, scene.q[:, k])[-1]
-        size = max(HEAVY * np.cbrt(scene.payload[k]), 1.2 * thickness(scene.robot, scene.tool))
-        parts.append(Capsules(np.array([[at, at]]), np.array([size]), np.array([HELD])))
+        parts.append(Capsules(np.array([[at, at]]), np.array([payload_radius(scene, k)]), np.array([HELD])))
     return Capsules(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("ends", "radius", "colour")))
 
 
