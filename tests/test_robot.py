@@ -178,7 +178,9 @@ def test_names_and_points_that_are_not_there(load):
 
 
 def test_missing_and_unreadable_files(tmp_path):
-    with pytest.raises(UserError, match=r"no robot at .*nothing\.urdf.*give the path of a URDF or one of rrr, rrr_prototype"):
+    with pytest.raises(
+        UserError, match=r"no robot at .*nothing\.urdf.*give the path of a URDF or MJCF, or one of rrr, rrr_prototype"
+    ):
         load_robot(tmp_path / "nothing.urdf")
     with pytest.raises(UserError, match="no robot at"):
         load_robot(tmp_path)  # a folder

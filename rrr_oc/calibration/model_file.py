@@ -29,7 +29,7 @@ class RobotEntry(msgspec.Struct):
     Attributes:
         name: Its name.
         source: Where the URDF was read from.
-        urdf: The text of the URDF.
+        urdf: The text of the URDF; of an MJCF, what it was made into.
         inertial: By link the ten inertial parameters in use.
         inertial_order: The order of these, with units.
     """

@@ -83,7 +83,7 @@ class TaskFile(Schema, frozen=True):
 
     Attributes:
         format: What the file is.
-        robot: A bundled model or the path of a URDF, relative to this file.
+        robot: A bundled model or the path of a URDF or MJCF, relative to this file.
         moving: The joints that move, base first; the others are locked.
         start: Where the arm takes the payload.
         release: Where it lets it go; it comes back without it.
@@ -91,7 +91,7 @@ class TaskFile(Schema, frozen=True):
         duration_s: Least and greatest duration of each way, above 0.
         limits: Limits by moving joint.
         name: Name in reports; by default the file's.
-        gravity: Acceleration of gravity in the base frame [m/s²].
+        gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where the payload is held; by default the last link's tool frame.
         path_margin: If given, the joints' ranges become the way between both ends, widened on each side by this share of it [1].
         floor_m: Height that the tool stays above; by default none.
@@ -110,7 +110,7 @@ class TaskFile(Schema, frozen=True):
     duration_s: Interval
     limits: dict[str, Limits]
     name: Text | None = None
-    gravity: Vector = (0.0, 0.0, -9.81)
+    gravity: Vector | None = None
     tool: Tool | None = None
     path_margin: NonNegative | None = None
     floor_m: float = -np.inf

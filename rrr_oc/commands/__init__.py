@@ -24,7 +24,8 @@ COMMANDS = {
     "simulate": ("simulate", "A model in MuJoCo tracks recordings; what it does is written and compared."),
     "excite": ("excite", "A motion to record, which determines friction and inertia of an arm within its limits."),
     "export": ("export", "A model for other programs: MJCF for plain MuJoCo, and URDF with identified inertias."),
-    "animate": ("animate", "A design or a recording as a moving picture."),
+    "animate": ("moving.animate", "A design or a recording as a moving picture."),
+    "view": ("moving.view", "A task, a design or recordings in the browser, beside the model's simulation."),
     "effects": ("effects", "The catalogue of effects: laws, parameters and units."),
     "import": ("importers", "Recordings in other layouts, made into a recording set."),
 }

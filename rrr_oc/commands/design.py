@@ -67,6 +67,8 @@ def design(
 def _run(study: Study, output: Output) -> None:
     """Solve, write and show a study."""
     began, found = time.perf_counter(), dict[str, Any]()
+    for note in study.task.robot.notes:
+        output.note(f"Note: {note}.")
     try:
         for name, result in study.results():
             found[name] = result

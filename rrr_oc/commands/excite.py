@@ -30,7 +30,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def excite(
-    urdf: Annotated[str, typer.Argument(help=f"path of the robot's URDF, or a bundled model: {', '.join(BUNDLED)}")],
+    urdf: Annotated[str, typer.Argument(help=f"path of the robot's URDF or MJCF, or a bundled model: {', '.join(BUNDLED)}")],
     out: Annotated[Path, typer.Option(help="CSV file of the motion: t, q, dq and ddq of every joint")],
     joints: Joints = None,
     duration: Annotated[float, typer.Option(help="of the motion \\[s]")] = 20.0,
@@ -58,7 +58,7 @@ def excite(
     check_file(out)
     robot = load_robot(urdf, named(joints))
     rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, -math.inf if floor is None else floor, payload)
-    for note in _unlimited(robot, rig):
+    for note in (*robot.notes, *_unlimited(robot, rig)):
         output.note(f"Note: {note}.")
     with output.steps("stating the problem"):
         known = model_sensitivity(rig)

@@ -24,7 +24,7 @@ def export(
     out: Annotated[Path, typer.Option(help="folder for arm.xml and arm.urdf")],
     model: Annotated[
         Path | None,
-        typer.Argument(help="model.json that calibrate or diagnose wrote; left out: the arm of --task as its URDF has it"),
+        typer.Argument(help="model.json that calibrate or diagnose wrote; left out: the arm of --task as its file has it"),
     ] = None,
     design: Annotated[Path | None, typer.Option(help="summary.json of a design, whose springs are mounted")] = None,
     configuration: Annotated[str | None, typer.Option(help="of --design: which one, such as PEA")] = None,

@@ -34,7 +34,7 @@ def prototype(
 @app.command()
 def mcap(
     files: Annotated[list[Path], typer.Argument(help="MCAP files with sensor_msgs/JointState, each one recording")],
-    robot: Annotated[str, typer.Option(help="path of the robot's URDF, or a bundled model")],
+    robot: Annotated[str, typer.Option(help="path of the robot's URDF or MJCF, or a bundled model")],
     out: Annotated[Path, typer.Option(help="folder to make")],
     joints: Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")] = None,
     topic: Annotated[str | None, typer.Option(help="of the joint states; default: the only one there is")] = None,
@@ -54,7 +54,7 @@ def mcap(
 def from_csv(
     files: Annotated[list[Path], typer.Argument(help="CSV files with columns of any names and units, each one recording")],
     mapping: Annotated[Path, typer.Option("--map", help="TOML file that says which column is what, and in which unit")],
-    robot: Annotated[str, typer.Option(help="path of the robot's URDF, or a bundled model")],
+    robot: Annotated[str, typer.Option(help="path of the robot's URDF or MJCF, or a bundled model")],
     out: Annotated[Path, typer.Option(help="folder to make")],
     quiet: Quiet = False,
     as_json: Json = False,

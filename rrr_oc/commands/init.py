@@ -2,7 +2,6 @@
 
 import json
 import shlex
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from rrr_oc.effects import design_forms, listed_springs
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import FORMAT, HEADER
 from rrr_oc.robot.rigid_body import rigid_body, upwards
-from rrr_oc.robot.robot import BUNDLED, Robot, load_robot
+from rrr_oc.robot.robot import BUNDLED, Robot, load_robot, urdf_text
 from rrr_oc.storage import new_folder, write_text
 
 app = typer.Typer(add_completion=False)
@@ -26,7 +25,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def init(
-    robot: Annotated[str, typer.Argument(help="path of the arm's URDF, or a bundled model")],
+    robot: Annotated[str, typer.Argument(help="path of the arm's URDF or MJCF, or a bundled model")],
     out: Annotated[Path, typer.Option(help="folder to make")],
     joints: Joints = None,
     quiet: Quiet = False,
@@ -68,7 +67,7 @@ class Example:
         joints: The arm's joints.
         moving: Joints that move in the task; none where there is no task.
         no_task: Why there is no task, "" where there is one.
-        notes: What a user should know of the URDF.
+        notes: What a user should know of the robot file.
     """
 
     folder: Path
@@ -94,7 +93,7 @@ def write_example(source: str | Path, folder: str | Path, joints: Sequence[str] 
         raise UserError(f"{folder}: something is there already; a new or an empty folder is required")
     with new_folder(folder) as temporary:
         if not bundled:
-            shutil.copyfile(source, temporary / name)
+            write_text(temporary / name, urdf_text(source))
         (temporary / SET).mkdir()
         write_text(temporary / SET / HEADER, _header(name if bundled else f"../{name}", robot, exact))
         write_text(temporary / SET / RECORDING, _csv(robot.joints))

@@ -66,12 +66,12 @@ class Header(Schema, frozen=True):
 
     Attributes:
         format: What the file is.
-        robot: A bundled model or the path of a URDF, relative to this file.
+        robot: A bundled model or the path of a URDF or MJCF, relative to this file.
         joints: The recorded joints, in the order of the chain; all others stay at zero.
         recordings: The recordings.
         torque: What the effort columns hold: motor or load torque [Nm], or current [A] with a `torque_constant` in `actuators`.
         inertial: Whether the URDF's masses and inertias are used ("nominal") or estimated ("identify").
-        gravity: Acceleration of gravity in the base frame [m/s²].
+        gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where a payload is held; by default the last link's tool frame.
         actuators: Drives by joint.
     """
@@ -82,7 +82,7 @@ class Header(Schema, frozen=True):
     recordings: Annotated[tuple[Entry, ...], Meta(min_length=1)]
     torque: Literal["motor", "load", "current"] = "motor"
     inertial: Literal["nominal", "identify"] = "nominal"
-    gravity: Vector = (0.0, 0.0, -9.81)
+    gravity: Vector | None = None
     tool: Tool | None = None
     actuators: dict[str, Actuator] = field(default_factory=dict)
 

@@ -24,7 +24,7 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
 
     Args:
         path: The folder, or its `recordings.json`.
-        robot: Bundled model or URDF that takes the place of the one in the file.
+        robot: Bundled model, URDF or MJCF that takes the place of the one in the file.
 
     Raises:
         UserError: Something is missing or wrong; the message names the file, the line or key, what was found and what is allowed.

@@ -52,7 +52,7 @@ class RecordingSet:
 
     Attributes:
         robot: The chain of the joints recorded, under the set's gravity.
-        source: Where the robot comes from: the name of a bundled model or the path of a URDF.
+        source: Where the robot comes from: the name of a bundled model or the path of a URDF or MJCF.
         torque: The signal in `Recording.tau`: "motor" torque at the joint's output k_t I [Nm], "load" torque of Eq. 1 [Nm], or
             motor "current" [A].
         inertial: "nominal": the URDF's inertial parameters are trusted; "identify": only its kinematics are.

@@ -1,6 +1,5 @@
 """Recording sets written as a folder with `recordings.json` and CSV files."""
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +12,8 @@ from rrr_oc.recordings.header import FORMAT, HEADER
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import spring_json
-from rrr_oc.robot.robot import BUNDLED
-from rrr_oc.storage import new_folder, write_csv, write_json
+from rrr_oc.robot.robot import BUNDLED, urdf_text
+from rrr_oc.storage import new_folder, write_csv, write_json, write_text
 
 
 def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
@@ -68,11 +67,11 @@ def constants(torque_constant: Mapping[str, float]) -> dict[str, dict[str, float
 def write_set(
     folder: str | Path, source: str | Path, header: Mapping[str, Any], tables: Mapping[str, Mapping[str, np.ndarray]]
 ) -> RecordingSet:
-    """Write a new set, with a copy of its URDF, and read it again; nothing is written where it could not be read.
+    """Write a new set, with a copy of its URDF, which an MJCF is made into, and read it again; nothing is written where it could not be read.
 
     Args:
         folder: Folder to make.
-        source: Bundled model or path of a URDF.
+        source: Bundled model or path of a URDF or MJCF.
         header: Content of `recordings.json` except its keys `format` and `robot`.
         tables: By file, its columns (K,) by name.
 
@@ -83,12 +82,7 @@ def write_set(
     robot = str(source) if bundled else f"{Path(source).stem}.urdf"  # never a bundled name
     with new_folder(folder) as temporary:
         if not bundled:
-            try:
-                shutil.copyfile(source, temporary / robot)
-            except OSError as error:
-                raise UserError(
-                    f"{source}: cannot be read: {error.strerror}; a URDF or one of {', '.join(BUNDLED)} is needed"
-                ) from None
+            write_text(temporary / robot, urdf_text(source))
         write_json(temporary / HEADER, {"format": FORMAT, "robot": robot, **header})
         for file, columns in tables.items():
             write_csv(temporary / file, columns)

@@ -1,4 +1,4 @@
-"""A robot: a serial chain of revolute joints, read from a URDF and validated."""
+"""A robot: a serial chain of revolute joints, read from a URDF or MJCF and validated."""
 
 import importlib.resources
 import os
@@ -15,13 +15,18 @@ import numpy as np
 import pinocchio as pin
 
 from rrr_oc.errors import UserError
+from rrr_oc.robot.mjcf import ENDLESS, mjcf_as_urdf
 
 # pyright: reportAttributeAccessIssue=false
 # (pin's wheel has no stubs)
 
 BUNDLED = ("rrr", "rrr_prototype")
-_ENDLESS = "1e300"  # the URDF parser refuses "inf"
-_TOOL = re.compile(r"(^|[_/])(tool0?|tcp|ee|end_effector|flange)($|[_/])", re.IGNORECASE)  # usual names of a tool frame
+GRAVITY = (0.0, 0.0, -9.81)  # [m/s²] in the base frame, where nothing says another
+_TOOL = re.compile(  # usual names of a tool frame
+    r"(^|[_/])(tool0?|tcp|ee|end_effector|flange|attachment|attachment_site)($|[_/])", re.IGNORECASE
+)
+
+_MJCF = re.compile(r"(\s|<\?.*?\?>|<!--.*?-->)*<mujoco[\s>]", re.DOTALL)  # how such a file begins
 
 
 @dataclass(frozen=True)
@@ -54,9 +59,11 @@ class Robot:
         effort: Torque limits [Nm], shape (n,).
         tool: Origin of the last link's tool frame: a link fixed to it with a usual name such as tool0, else the last link fixed
             to it, else the link's own frame.
-        frames: For each link of the URDF, the joint that moves it (-1: the base) and its pose in that joint's frame.
+        frames: For each link of the URDF, or body and site of the MJCF, the joint that moves it (-1: the base) and its pose in
+            that joint's frame.
         gravity: Acceleration of gravity in the base frame [m/s²], shape (3,).
-        notes: What a user should know of the URDF, a sentence each: limits that it does not give, of any of its joints.
+        notes: What a user should know of the file, a sentence each: limits that it does not give, of any of its joints, and what
+            it says beyond kinematics, inertia and limits, which is not used.
     """
 
     name: str
@@ -103,23 +110,26 @@ class Robot:
 
 
 def load_robot(
-    source: str | Path, joints: Sequence[str] | None = None, inertial: bool = True, gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    source: str | Path, joints: Sequence[str] | None = None, inertial: bool = True, gravity: Sequence[float] | None = None
 ) -> Robot:
     """Read a robot.
 
     Args:
-        source: Name of a bundled model (`BUNDLED`) or path of a URDF.
+        source: Name of a bundled model (`BUNDLED`) or path of a URDF or MJCF.
         joints: Joints to keep, in the order of the chain; the others, of whatever type, are locked at zero. Default: all.
         inertial: Whether the links' masses are used, and so must be there.
-        gravity: Acceleration of gravity in the base frame [m/s²].
+        gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's, or `GRAVITY`.
 
     Raises:
-        UserError: The file is missing or no URDF; a joint kept is not revolute; the chain branches; a moving link has no mass;
+        UserError: The file is missing or neither URDF nor MJCF; a joint kept is not revolute; the chain branches; a moving link has no mass;
             `joints` names one that is not there or is out of order.
     """
     name = str(source) if str(source) in BUNDLED else Path(source).stem
     root = _root(name, urdf_text(source))
-    notes, masses = _missing_limits(root), _masses(root)
+    notes = (*_missing_limits(root), *(str(note.text) for note in root.findall("note")))
+    masses, own = _masses(root), root.find("gravity")
+    if gravity is None:
+        gravity = GRAVITY if own is None else [float(x) for x in own.get("xyz", "").split()]
     model = _lock_all_but(name, _parse(name, root, joints), joints)
     if model.nq == 0:
         raise UserError(f"robot {name!r} has no revolute joint; at least one is needed")
@@ -148,20 +158,27 @@ def load_robot(
 
 
 def urdf_text(source: str | Path) -> str:
-    """Text of a bundled model's URDF or of a file; raises `UserError` where there is none."""
+    """Text of a bundled model's URDF, of a file, or of the URDF that an MJCF becomes; raises `UserError` where there is none."""
     if str(source) in BUNDLED:
         return importlib.resources.files("rrr_oc.urdf").joinpath(f"{source}.urdf").read_text(encoding="utf-8")
     path = Path(source)
     if not path.is_file():
-        raise UserError(f"no robot at {str(source)!r}; give the path of a URDF or one of {', '.join(BUNDLED)}")
-    data = path.read_bytes()
+        raise UserError(f"no robot at {str(source)!r}; give the path of a URDF or MJCF, or one of {', '.join(BUNDLED)}")
+    try:
+        text = _decoded(path, path.read_bytes())
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}; the path of a URDF or MJCF is needed") from None
+    return mjcf_as_urdf(path) if _MJCF.match(text) else text
+
+
+def _decoded(path: Path, data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         try:  # the XML may declare another encoding
             return ElementTree.tostring(ElementTree.fromstring(data), encoding="unicode")
         except (ElementTree.ParseError, LookupError, ValueError):
-            raise UserError(f"{path}: not a text file, so no URDF ({error.reason})") from None
+            raise UserError(f"{path}: not a text file, so neither URDF nor MJCF ({error.reason})") from None
 
 
 def _root(name: str, text: str) -> ElementTree.Element:
@@ -170,7 +187,7 @@ def _root(name: str, text: str) -> ElementTree.Element:
     except ElementTree.ParseError as error:
         raise UserError(f"robot {name!r}: not well-formed XML: {error}") from None
     if root.tag != "robot":
-        raise UserError(f"robot {name!r}: the outer element is <{root.tag}>; a URDF has <robot>")
+        raise UserError(f"robot {name!r}: the outer element is <{root.tag}>; a URDF has <robot>, and an MJCF <mujoco>")
     return root
 
 
@@ -216,8 +233,8 @@ def _parse(name: str, root: ElementTree.Element, joints: Sequence[str] | None) -
         kind = joint.get("type")
         if kind is None:
             continue  # <joint> of a <transmission>
-        turns, mimic = kind in ("fixed", "revolute", "continuous"), joint.find("mimic")
-        if joints is not None and joint.get("name") not in joints and not (turns and mimic is None):
+        turns, mimic, tied = kind in ("fixed", "revolute", "continuous"), joint.find("mimic"), joint.find("tied")
+        if joints is not None and joint.get("name") not in joints and not (turns and mimic is None and tied is None):
             joint.set("type", "fixed")  # locked at zero, as a gripper's fingers
             joint[:] = [part for part in joint if part.tag in ("parent", "child", "origin")]
             continue
@@ -226,16 +243,17 @@ def _parse(name: str, root: ElementTree.Element, joints: Sequence[str] | None) -
                 f"robot {name!r}: joint {joint.get('name')!r} is {kind}; allowed are revolute, continuous and fixed"
                 f"{'' if joints else ', and any type of joints that are not listed'}"
             )
-        if mimic is not None:
-            raise UserError(f"robot {name!r}: joint {joint.get('name')!r} mimics another; every joint must move on its own")
+        if mimic is not None or tied is not None:
+            how = "mimics another" if tied is None else f"is tied to others by the {tied.get('by')}"
+            raise UserError(f"robot {name!r}: joint {joint.get('name')!r} {how}; every joint must move on its own")
         if kind != "fixed":
             _check_axis(name, joint)
         if kind == "continuous":  # an angle without end is still one coordinate here
             joint.set("type", "revolute")
             limit = joint.find("limit")
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
-            unlimited = dict.fromkeys(("effort", "velocity"), _ENDLESS)
-            limit.attrib = {**unlimited, **limit.attrib, "lower": f"-{_ENDLESS}", "upper": _ENDLESS}
+            unlimited = dict.fromkeys(("effort", "velocity"), ENDLESS)
+            limit.attrib = {**unlimited, **limit.attrib, "lower": f"-{ENDLESS}", "upper": ENDLESS}
         elif kind == "revolute" and joint.find("limit") is None:
             raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
     said: list[str] = []
@@ -290,7 +308,8 @@ def _lock_all_but(name: str, model: pin.Model, joints: Sequence[str] | None) -> 
         if model.parents[i] != i - 1:
             raise UserError(
                 f"robot {name!r} is no serial chain: joint {model.names[i]!r} is attached to "
-                f"{repr(model.names[model.parents[i]]) if model.parents[i] else 'the base'}; branches are not supported"
+                f"{repr(model.names[model.parents[i]]) if model.parents[i] else 'the base'}; branches are "
+                "not supported, but those whose joints are not listed are held still"
             )
     if joints is not None and tuple(model.names)[1:] != tuple(joints):
         raise UserError(f"robot {name!r}: joints {', '.join(joints)} are not in the order of the chain: {', '.join(present)}")
@@ -334,7 +353,7 @@ def _tool_link(frames: Mapping[str, tuple[int, np.ndarray]], last: int) -> str:
 
 
 def _with_infinities(values: np.ndarray) -> np.ndarray:
-    return np.where(np.abs(values) >= float(_ENDLESS), np.copysign(np.inf, values), values)
+    return np.where(np.abs(values) >= float(ENDLESS), np.copysign(np.inf, values), values)
 
 
 def _moved_link(model: pin.Model, joint: int) -> str:

@@ -87,7 +87,7 @@ class CsvMapping(Schema, frozen=True):
 
 
 def import_csv(files: Sequence[str | Path], robot: str | Path, out: str | Path, mapping: str | Path) -> RecordingSet:
-    """Write CSV files, each one recording, of a robot (bundled model or URDF) as a new recording set in the folder `out`.
+    """Write CSV files, each one recording, of a robot (bundled model, URDF or MJCF) as a new recording set in the folder `out`.
 
     Time counts from a file's first instant. Columns that the mapping does not name are left out.
 

@@ -37,7 +37,7 @@ class JointStates:
 def import_mcap(
     files: Sequence[str | Path], robot: str | Path, out: str | Path, states: JointStates | None = None
 ) -> RecordingSet:
-    """Write MCAP files, each one recording, of a robot (bundled model or URDF) as a new recording set in the folder `out`.
+    """Write MCAP files, each one recording, of a robot (bundled model, URDF or MJCF) as a new recording set in the folder `out`.
 
     Time is the header's stamp, from the first one on. Joints are found by name; messages with none of them are another
     device's and skipped. Without velocities, speeds are computed when the set is read.

@@ -1,0 +1,1 @@
+"""The commands that show motions, as files and in a browser."""

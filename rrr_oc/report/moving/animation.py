@@ -1,0 +1,155 @@
+"""Motions as files of moving pictures: the arm with its payload and springs, and the torques of its joints beside it."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from importlib.util import find_spec
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+
+from rrr_oc.errors import UserError
+from rrr_oc.report.figures import COLOURS, FOOTER, plt
+from rrr_oc.report.moving.rendering import SIZE, NoRenderer, rendered
+from rrr_oc.report.moving.scene import Scene, tension_colour
+from rrr_oc.storage import new_file
+
+Renderer = Literal["mujoco", "matplotlib"]
+FRAMES_PER_SECOND = 20  # of the picture
+WRITERS = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+HEAVY = 2.0  # [kg] of a payload drawn at the usual size of a joint; its area grows in proportion
+
+
+def animate(scene: Scene, path: Path, renderer: Renderer = "mujoco") -> tuple[Renderer, str]:
+    """Write a scene as GIF or MP4, in real time.
+
+    Args:
+        renderer: "mujoco": solid bodies, where there is OpenGL; "matplotlib": lines.
+
+    Returns:
+        The renderer that was used, and why it is not the one asked for, "" where it is.
+
+    Raises `UserError` for another ending of the name, and where an MP4 is asked for and ffmpeg is missing.
+    """
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise UserError(f"{path}: allowed are names that end in {' or '.join(WRITERS)}")
+    times = np.arange(scene.t[0], scene.t[-1] + 1e-9, 1 / FRAMES_PER_SECOND)
+    at, why = np.searchsorted(scene.t, times).clip(0, len(scene.t) - 1), ""
+    with plt.rc_context(_ffmpeg()), closing(rendered(scene, at)) as solid:
+        if not writer.isAvailable():
+            raise UserError(
+                f"{path}: needs ffmpeg, which is not installed; pip install 'rrr_oc[video]' brings it, "
+                "and a name that ends in .gif does without"
+            )
+        pictures = None
+        if renderer == "mujoco":
+            try:
+                pictures = chain([next(solid)], solid)
+            except NoRenderer as error:
+                renderer, why = "matplotlib", str(error)
+        figure, draw = _drawn(scene, at, pictures)
+        moving = FuncAnimation(figure, draw, frames=len(at), interval=1e3 / FRAMES_PER_SECOND, init_func=lambda: ())
+        with TemporaryDirectory() as folder:  # the writers want a name with its ending, and `new_file` writes under another
+            drawn = Path(folder) / path.name
+            moving.save(drawn, writer=writer(fps=FRAMES_PER_SECOND), dpi=90)
+            with new_file(path) as file:
+                file.write(drawn.read_bytes())
+    plt.close(figure)
+    return renderer, why
+
+
+def _ffmpeg() -> dict[Any, Any]:
+    """Where matplotlib finds ffmpeg: the machine's, else the one that the package imageio-ffmpeg brings."""
+    if shutil.which("ffmpeg") is None and find_spec("imageio_ffmpeg") is not None:
+        from imageio_ffmpeg import get_ffmpeg_exe  # an extra
+
+        return {"animation.ffmpeg_path": get_ffmpeg_exe()}
+    return {}
+
+
+def _drawn(scene: Scene, at: np.ndarray, pictures: Iterator[np.ndarray] | None) -> tuple[Any, Callable[[int], None]]:
+    """The figure, and a function that draws its frame of a number; frames are drawn in turn, from the first."""
+    figure, grid = _page(scene)
+    lines = _torques(scene, figure, grid)
+    show = _lines(scene, at, figure, grid) if pictures is None else _solid(scene, figure, grid, pictures)
+    figure.tight_layout()
+
+    def draw(k: int) -> None:
+        show(k)
+        for line in lines:
+            line.set_xdata([scene.t[at[k]]] * 2)
+
+    return figure, draw
+
+
+def _page(scene: Scene) -> tuple[Any, Any]:
+    """The figure with its title, and its grid: the arm on the left, one plot a joint on the right."""
+    figure = plt.figure(figsize=(10, max(4.8, 1.1 * len(scene.labels))))
+    figure.suptitle(scene.title, fontsize=11)
+    return figure, figure.add_gridspec(max(len(scene.labels), 1), 2, width_ratios=(1, 1.1))
+
+
+def _solid(scene: Scene, figure: Any, grid: Any, pictures: Iterator[np.ndarray]) -> Callable[[int], None]:
+    axis = figure.add_subplot(grid[:, 0])
+    axis.set_axis_off()
+    image = axis.imshow(np.full((SIZE, SIZE, 3), 255, np.uint8))
+    if scene.most > 0:
+        names = ("slack", f"{scene.most / 2:.3g} Nm", f"{scene.most:.3g} Nm")
+        for share, name in zip((0.0, 0.5, 1.0), names, strict=True):
+            axis.plot([], [], lw=4, color=tension_colour(share), label=name)
+        axis.legend(fontsize=7, loc="upper left", title="springs", title_fontsize=7)
+    seen = -1
+
+    def show(k: int) -> None:
+        nonlocal seen
+        if k > seen:  # matplotlib draws the first frame twice
+            image.set_data(next(pictures))
+            seen = k
+
+    return show
+
+
+def _lines(scene: Scene, at: np.ndarray, figure: Any, grid: Any) -> Callable[[int], None]:
+    """The arm as lines in three dimensions."""
+    points = scene.points(at)
+    space = figure.add_subplot(grid[:, 0], projection="3d")
+    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    centre, half = (low + high) / 2, 0.55 * max(float(np.max(high - low)), 1e-3)
+    for name, c in zip("xyz", centre, strict=True):
+        space.set(**{f"{name}lim": (c - half, c + half), f"{name}label": f"{name} [m]"})
+    space.tick_params(labelsize=7)
+    space.set_box_aspect((1, 1, 1))
+    flat = int(np.argmin(high - low))  # seen along the axis in which it moves least
+    space.view_init(elev=18 if flat != 2 else 60, azim=-70 if flat == 1 else -20)
+    (arm,) = space.plot(*points[0].T, "-o", color=COLOURS[0], lw=4, ms=6)
+    (held,) = space.plot(*points[0, -1:].T, "o", color=COLOURS[1])
+
+    def show(k: int) -> None:
+        arm.set_data_3d(*points[k].T)
+        held.set_data_3d(*points[k, -1:].T)
+        held.set_markersize(9 * np.sqrt(scene.payload[at[k]] / HEAVY))
+
+    return show
+
+
+def _torques(scene: Scene, figure: Any, grid: Any) -> list[Any]:
+    """A plot of the torques of each joint; returns the line in each at the present time."""
+    rows = len(scene.labels)
+    lines = []
+    for i, label in enumerate(scene.labels):
+        axis = figure.add_subplot(grid[i, 1])
+        for colour, (name, values) in zip(COLOURS, scene.torques.items(), strict=False):
+            axis.plot(scene.t, values[i], color=colour, lw=1.2, label=name)
+        lines.append(axis.axvline(scene.t[0], color="0.3", lw=1))
+        axis.set_title(f"{label} [Nm]", loc="left", **FOOTER)
+        axis.tick_params(labelsize=7)
+        if i == 0:
+            axis.legend(fontsize=7, loc="upper right")
+        if i == rows - 1:
+            axis.set_xlabel("time [s]", fontsize=8)
+    return lines

@@ -1,0 +1,186 @@
+"""MJCF against MuJoCo: mass matrix, bias forces and positions of the robot that is read, and what cannot be read."""
+
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from rrr_oc.cli import main
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.robot.rigid_body import rigid_body
+from rrr_oc.robot.robot import load_robot
+
+# Bodies that are turned, a joint away from its body's origin, one whose zero is elsewhere (ref), a fixed body with mass, masses
+# from geoms and as tensors, and a mesh that is not there.
+ARM = """<mujoco model="arm">
+  <compiler angle="degree"/>
+  <option gravity="1 -0.5 -9"/>
+  <asset><mesh name="gone" file="gone.stl"/><material name="grey" rgba=".5 .5 .5 1"/></asset>
+  <default><joint armature="0.1" damping="2"/></default>
+  <worldbody>
+    <geom type="mesh" mesh="gone"/>
+    <body name="base" pos="0.1 0.2 0.3" euler="0 90 20">
+      <inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/>
+      <body name="upper" pos="0 0 0.1" euler="10 20 30">
+        <joint name="shoulder" axis="0 1 1" range="-100 120" frictionloss="0.3"/>
+        <inertial pos="0.01 0.02 0.2" mass="4" fullinertia="0.05 0.06 0.03 0.001 0.002 -0.003"/>
+        <geom type="mesh" mesh="gone" material="grey"/>
+        <body name="fore" pos="0 0 0.4" quat="0.8 0.6 0 0">
+          <joint name="elbow" axis="0 1 0" pos="0.03 0 0.02" ref="25" stiffness="3"/>
+          <geom type="box" size="0.03 0.04 0.2" pos="0 0.01 0.2" mass="2"/>
+          <body name="bracket" pos="0 0 0.1" euler="0 0 45"><geom size="0.05" mass="0.5" pos="0.1 0 0"/></body>
+          <body name="hand" pos="0 0.02 0.4">
+            <joint name="wrist" axis="1 0 0"/>
+            <geom type="capsule" size="0.03 0.1" pos="0 0 0.05" mass="0.7"/>
+            <site name="attachment_site" pos="0.01 0.02 0.15"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="servo" joint="shoulder" kp="100" gear="50" forcerange="-2 1.5"/>
+    <motor joint="elbow" gear="-30" ctrlrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+TIP = '<site name="attachment_site" pos="0.01 0.02 0.15"/>'
+
+
+def _written(folder, text=ARM):
+    path = folder / "arm.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _compare(robot, mj, tip, states=20):
+    """Greatest errors of the mass matrix, the bias forces and the position of the tool at random states."""
+    data, body, rng = mujoco.MjData(mj), rigid_body(robot), np.random.default_rng(0)
+    places, dofs = ([getattr(mj.joint(j), name)[0] for j in robot.joints] for name in ("qposadr", "dofadr"))
+    worst = np.zeros(3)
+    for _ in range(states):
+        q, dq = rng.uniform(-2, 2, robot.n), rng.normal(size=robot.n)
+        data.qpos[places], data.qvel[dofs] = q, dq
+        mujoco.mj_forward(mj, data)
+        mass = np.zeros((mj.nv, mj.nv))
+        for i in range(mj.nv):
+            mujoco.mj_mulM(mj, data, mass[i], np.eye(mj.nv)[i])
+
+        def torque(ddq, q=q, dq=dq):
+            return np.array(body.inverse_dynamics(q, dq, ddq, robot.inertial, robot.gravity)).ravel()
+
+        bias = torque(np.zeros(robot.n))
+        own = np.array([torque(one) - bias for one in np.eye(robot.n)])
+        position = np.array(body.tool_position(q, robot.tool.position)).ravel()
+        errors = own - mass[np.ix_(dofs, dofs)], bias - data.qfrc_bias[dofs], position - tip(data)
+        worst = np.maximum(worst, [np.abs(e).max() for e in errors])
+    return worst
+
+
+def test_the_robot_is_mujocos(tmp_path):
+    robot = load_robot(_written(tmp_path))
+    text = ARM.replace('<mesh name="gone" file="gone.stl"/>', "").replace('<geom type="mesh" mesh="gone"/>', "")
+    mj = mujoco.MjModel.from_xml_string(text.replace('<geom type="mesh" mesh="gone" material="grey"/>', ""))
+    mj.dof_armature[:] = 0  # it stands on the drives' side here
+    assert robot.joints == ("shoulder", "elbow", "wrist")
+    assert robot.tool_link == "attachment_site"
+    assert np.all(_compare(robot, mj, lambda data: data.site("attachment_site").xpos) < 1e-9)
+    for link in ("upper", "fore", "bracket", "hand"):  # frames of bodies, also where the joint is elsewhere
+        joint, pose = robot.frames[link]
+        frame = np.linalg.multi_dot([np.eye(4), *robot.placements[: joint + 1], pose])
+        data = mujoco.MjData(mj)
+        data.qpos[:] = 0
+        mujoco.mj_kinematics(mj, data)
+        np.testing.assert_allclose(frame[:3, 3], data.body(link).xpos, atol=1e-12)
+        np.testing.assert_allclose(frame[:3, :3].ravel(), data.body(link).xmat, atol=1e-12)
+
+
+def test_limits_gravity_and_what_is_not_used(tmp_path):
+    robot = load_robot(_written(tmp_path))
+    np.testing.assert_allclose(np.degrees(robot.lower), [-100, -np.inf, -np.inf])
+    np.testing.assert_allclose(np.degrees(robot.upper), [120, np.inf, np.inf])
+    assert robot.effort.tolist() == [75.0, 60.0, np.inf]
+    assert np.all(np.isinf(robot.velocity))
+    assert robot.gravity.tolist() == [1, -0.5, -9]
+    assert load_robot(tmp_path / "arm.xml", gravity=(0, 0, -1)).gravity.tolist() == [0, 0, -1]
+    said = "\n".join(robot.notes)
+    for what in ("armature to shoulder, elbow, wrist", "damping to", "dry friction to shoulder,", "a spring to elbow,"):
+        assert what in said
+    assert "gains of the actuators servo," in said
+    assert "limits the torque of shoulder unevenly" in said
+
+
+FINGERS = """<body name="left"><joint name="left" type="slide" axis="1 0 0"/><geom size="0.01" mass="0.1"/></body>
+<body name="right"><joint name="right" type="slide" axis="1 0 0"/><geom size="0.01" mass="0.1"/></body>"""
+LOOP = '<equality><connect name="loop" body1="{}" body2="{}" anchor="0 0 0"/></equality></mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({TIP: FINGERS}, "joint 'left' is slide; allowed are"),
+        ({'<joint name="wrist" axis="1 0 0"/>': '<joint name="wrist" type="ball"/>'}, "joint 'wrist' is ball"),
+        (
+            {'<body name="base" pos="0.1 0.2 0.3" euler="0 90 20">': '<body name="base"><freejoint name="root"/>'},
+            "'root' is free",
+        ),
+        (
+            {
+                TIP: '<body name="a"><joint name="a"/><geom size="1"/></body><body name="b"><joint name="b"/><geom size="1"/></body>'
+            },
+            "no serial chain: joint 'b' is attached to 'wrist'",
+        ),
+        (
+            {"</worldbody>": '<body name="second"><joint name="second"/><geom size="1"/></body></worldbody>'},
+            "'second' is attached to the base",
+        ),
+        ({"</mujoco>": LOOP.format("world", "hand")}, "'shoulder' is tied to others by the equality 'loop'"),
+        (
+            {"</mujoco>": '<tendon><fixed name="belt"><joint joint="elbow" coef="1"/></fixed></tendon></mujoco>'},
+            "'elbow' is tied to others by the tendon 'belt'",
+        ),
+        ({"<inertial": "<inertia"}, "arm.xml: MuJoCo refuses it"),
+        ({'mass="2"': 'mass="0"', 'mass="0.5"': 'mass="0"'}, "MuJoCo refuses it"),
+    ],
+)
+def test_what_is_no_arm_is_named(tmp_path, change, told):
+    text = ARM
+    for old, new in change.items():
+        assert old in text
+        text = text.replace(old, new)
+    with pytest.raises(UserError) as error:
+        load_robot(_written(tmp_path, text))
+    assert told in str(error.value)
+
+
+def test_a_gripper_is_held_still_where_its_joints_are_not_listed(tmp_path):
+    joints = ("shoulder", "elbow", "wrist")
+    text = ARM.replace(TIP, FINGERS).replace("</mujoco>", LOOP.format("left", "right"))
+    robot = load_robot(_written(tmp_path, text), joints)
+    alone = load_robot(_written(tmp_path), joints)
+    assert robot.joints == joints
+    assert robot.inertial[0, 2] == pytest.approx(alone.inertial[0, 2] + 0.2, abs=1e-12)
+
+
+def test_commands_read_mjcf_and_sets_hold_it_as_urdf(tmp_path, capfd, monkeypatch):
+    path = _written(tmp_path, ARM.replace("1 -0.5 -9", "0 0 -9.81"))
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", "init", str(path), "--out", str(tmp_path / "set")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert "gives armature to" in capfd.readouterr().err
+    assert (tmp_path / "set" / "arm.urdf").is_file()
+    header = tmp_path / "set" / "recordings" / "recordings.json"
+    header.write_text(header.read_text().replace("../arm.urdf", "../../arm.xml"))
+    rows = "\n".join(",".join([f"{0.01 * k}", *["0.1"] * 6]) for k in range(20))
+    names = ("shoulder", "elbow", "wrist")
+    head = ",".join(["t", *(f"q_{j}" for j in names), *(f"tau_{j}" for j in names)])
+    (header.parent / "first.csv").write_text(f"{head}\n{rows}\n")
+    read = load_recordings(header.parent)
+    own, copy = read.robot, load_robot(tmp_path / "set" / "arm.urdf")
+    np.testing.assert_array_equal(own.inertial, copy.inertial)
+    np.testing.assert_array_equal(own.placements, copy.placements)
+    assert own.notes == copy.notes
+    assert any("armature" in note for note in read.notes)
