@@ -14,6 +14,7 @@ from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Request, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import command_line
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
 from rrr_oc.report.study_files import write_study
@@ -24,6 +25,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def design(
+    context: typer.Context,
     task: Annotated[str, typer.Argument(help=f"a task file, or a bundled task: {', '.join(PRESETS)}")],
     out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
     configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
@@ -51,7 +53,7 @@ def design(
 ) -> None:
     """Springs in parallel with joints (PEA), across two of them (BPEA) or both, and the motion of least cost for each.
 
-    Writes tables, figures, summary.json and one npz a configuration.
+    Writes report.html, tables, figures, summary.json and one npz a configuration.
     """
     began, output = time.perf_counter(), Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, jobs=jobs, hops=hops, refinement=Refinement(tolerance))
@@ -64,7 +66,7 @@ def design(
             found[name] = result
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            summary, text = write_study(study, found, time.perf_counter() - began)
+            summary, text = write_study(study, found, time.perf_counter() - began, command_line(context))
             output.result(summary)
             output.show(Markdown(text.split("## Certificates")[0]))
-            output.show(f"Everything is in {out}: report.md, summary.json, figures, one npz a configuration.")
+            output.show(f"Everything is in {out}: report.html, report.md, summary.json, figures, one npz a configuration.")

@@ -1,5 +1,6 @@
-"""What several commands need: the data set that they read, and what they refuse to overwrite."""
+"""What several commands need: the data set that they read, what they refuse to overwrite, and the line that runs them again."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,6 +15,22 @@ from rrr_oc.recordings.recording import RecordingSet
 
 Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
+
+
+def command_line(context: typer.Context) -> str:
+    """The command that is running with the arguments and options that were given, but those that only change what is printed."""
+    words = ["rrr-oc", str(context.command.name)]
+    for parameter in context.command.params:
+        value, source = context.params.get(parameter.name or ""), context.get_parameter_source(parameter.name or "")
+        if source is None or source.name != "COMMANDLINE" or parameter.name in ("quiet", "as_json"):
+            continue
+        if parameter.param_type_name == "argument":
+            words.append(str(value))
+        elif isinstance(value, bool):
+            words.append((parameter.opts if value else parameter.secondary_opts)[0])
+        else:
+            words += [parameter.opts[0], str(value)]
+    return shlex.join(words)
 
 
 def check_window(window: float) -> None:
