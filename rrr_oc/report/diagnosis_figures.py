@@ -69,6 +69,6 @@ def draw_prediction(curves: Curves) -> Any:
         axis.set_ylabel(f"{joint_words(joints[j])} [Nm]")
         axis.grid(alpha=0.3)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="outside upper right")
-    axes[0, 0].set_title(str(curves["files"][k]).replace("$", r"\$"), fontsize=10, loc="left")
+    axes[0, 0].set_title(str(curves["files"][k]), fontsize=10, loc="left")
     axes[-1, 0].set_xlabel("time [s]")
     return figure

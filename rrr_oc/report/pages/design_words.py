@@ -37,8 +37,8 @@ def verdict(summary: Summary) -> str:
         return f"{name} costs {quantity.name} = {_cost(c, quantity)}; {some}."
     parts = [f"{best} is best: {_gain(found, best, quantity)}."]
     if bought is not None:
-        same = "" if bought == best else f", with {_gain(found, bought, quantity)}"
-        parts.append(f"To buy for {bought}: {hardware(found[bought], summary['joints'])}{same}.")
+        parts.append(f"To buy for {bought}: {hardware(found[bought], summary['joints'])}.")
+        parts += [f"Then {_gain(found, bought, quantity)}."] * (bought != best)
     else:
         tried = any("not_bought" in c for c in found.values())
         why = "no choice of the catalogue could be solved" if tried else "no catalogue of springs to buy was searched"
@@ -60,11 +60,20 @@ def _gain(found: Mapping[str, Any], name: str, quantity: Quantity) -> str:
 
 def hardware(c: Mapping[str, Any], joints: Sequence[str]) -> str:
     """The springs of a design, in a designer's units."""
-    shown = []
-    for name, value in c["springs"].items():
-        _, factor, unit = spring_unit(name)
-        shown.append(f"{of_joint(name, joints)} = {value * factor:.4g}{'' if unit == '°' else ' '}{unit}")
-    return listed(shown)
+    left, said = dict(c["springs"]), []
+    for n, joint in enumerate(joints, 1):
+        if f"k_p{n}" in left and f"q_eq{n}" in left:
+            stiffness, slack = _number("k_p", left.pop(f"k_p{n}")), _number("q_eq", left.pop(f"q_eq{n}"))
+            said.append(f"a spring of {stiffness} on {joint}, slack at {slack}")
+    if "k_b" in left:
+        said.append(f"a spring of {_number('k_b', left.pop('k_b'))} across two joints")
+    shown = ", ".join(f"{of_joint(name, joints)} = {_number(name, value)}" for name, value in left.items())
+    return listed(said) + f" with {shown}" * bool(said and shown) + shown * (not said)
+
+
+def _number(name: str, value: float) -> str:
+    _, factor, unit = spring_unit(name)
+    return f"{value * factor:.4g}{'' if unit == '°' else ' '}{unit}"
 
 
 def placed(label: str) -> str:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
         "diagnosis.html",
         figures,
         data,
-        found={"alone": [], "simulated": None, **found},
+        found={"alone": [], "simulated": None, "priors_file": None, **found},
         subject=str(curves["subject"]),
         command=str(curves["command"]),
         verdict=say.sentence(found),
@@ -109,7 +110,9 @@ def _errors(found: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[F
     if simulated is not None and any("why_not" not in simulated[k] for k in MODELS):
         panels += [(s, f"In closed loop: {SIGNAL_NAMES[s]}", s) for s in ("tau_motor", "tau_load")]
     for name, title, signal in panels:
-        table: dict[str, list[Any]] = {"joint": [joint_words(joint) for joint in joints]}
+        table: dict[str, list[Any]] = {
+            "joint": [escape(joint_words(joint), quote=False) for joint in joints]
+        }  # plotly reads tags
         for k in MODELS:
             entries = [found["bootstrap"][joint][k] for joint in joints]
             if signal is not None:
