@@ -9,9 +9,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from rrr_oc.effects.words import joint_words
 from rrr_oc.report.figures import plt
 from rrr_oc.report.pages.diagnosis_curves import PREDICTED, Curves
-from rrr_oc.report.pages.diagnosis_page import MODELS, SIGNAL_NAMES
+from rrr_oc.report.pages.diagnosis_page import MODELS, SIGNAL_NAMES, WIDE
 
-WIDE = 30.0  # ratio of an axis' ends from which only powers of ten are labelled
 COLOURS = {"before": "#c55a11", "after": "#1f6fb4"}
 
 

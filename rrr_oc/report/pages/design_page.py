@@ -24,8 +24,8 @@ QUANTITIES = {
     "tau_load": "torque_Nm",
 }  # rows of an npz with their limits in the summary
 RELEASE = Curve("release", "{}_span", "limit", "payload released", dash="dot", width=1.5)
-SIDES = {"lower": "limits", "upper": ""}  # of a limit, with their names in the legend
-LIMITS = tuple(Curve("ends", f"{{}}_{side}", "limit", name, dash="dash", width=1.5) for side, name in SIDES.items())
+SIDES = ("lower", "upper")  # of a limit
+LIMITS = tuple(Curve("ends", f"{{}}_{side}", "limit", "limit", dash="dash", width=1.5) for side in SIDES)
 Arrays = Mapping[str, np.ndarray]
 
 
@@ -74,6 +74,7 @@ def design_page(summary: Mapping[str, Any], motions: Mapping[str, Arrays], pictu
         symbols=say.symbols(found),
         certificates={name: _certificate(c, quantity) for name, c in found.items()},
         twin=tell.transfer_table(found),
+        in_twin=say.in_twin(found, best),
         told={"twin": tell.TRANSFERRED, "optima": tell.LOCAL_OPTIMA, "layers": tell.LAYERS},
         pictures=pictures,
     )

@@ -71,6 +71,20 @@ def hardware(c: Mapping[str, Any], joints: Sequence[str]) -> str:
     return listed(said) + f" with {shown}" * bool(said and shown) + shown * (not said)
 
 
+def in_twin(found: Mapping[str, Any], best: str) -> str:
+    """What the best design needs in the calibrated twin, beside what was planned; "" without a twin."""
+    twin = found[best].get("calibrated")
+    if twin is None:
+        return ""
+    needed, stiff = twin["engine"]["E1"], (found.get("SA", {}).get("calibrated") or {}).get("engine")
+    less = (
+        ""
+        if stiff is None or best == "SA"
+        else f", {100 * decrease(needed, stiff['E1']):.1f} % less than stiff actuation there"
+    )
+    return f"In the twin {best} needs E1 = {needed:.4g} N²m²s{less}; {found[best]['E1']:.4g} N²m²s were planned."
+
+
 def _number(name: str, value: float) -> str:
     _, factor, unit = spring_unit(name)
     return f"{value * factor:.4g}{'' if unit == '°' else ' '}{unit}"
@@ -108,10 +122,14 @@ def cautions(summary: Summary) -> list[str]:
     found = summary["configurations"]
     said = [sentence for name, c in found.items() for sentence in _cautions(name, c)]
     best = best_of(found)
-    few = None if best is None else found[best]["certificate"]["share"] * summary["starts"]
-    if best is not None and few is not None and not found[best].get("catalogue") and few < 1.5:
-        reached = "no start" if few < 0.5 else f"only one of {summary['starts']} starts"
-        said.append(f"{best}: {reached} ended in this optimum; more starts may find a better one.")
+    if best is None or "catalogue" in found[best]:
+        return said
+    reached, starts = round(found[best]["certificate"]["share"] * summary["starts"]), summary["starts"]
+    if starts == 1:
+        said.append(f"{best}: a single start was made; more may find a better optimum.")
+    elif reached < 2:
+        some = "only one" if reached else "none"
+        said.append(f"{best}: {some} of {starts} starts ended in this optimum; more starts may find a better one.")
     return said
 
 

@@ -1,6 +1,7 @@
 """The page of a diagnosis, made from its saved files alone: diagnosis.json, and the data of its figures."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -17,6 +18,7 @@ from rrr_oc.storage import write_text
 
 SIGNAL_NAMES = dict(zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True))
 FIGURES = "figures.npz"  # what `diagnosis_curves.curves` returns, with "subject" and "command"
+WIDE = 30.0  # ratio of errors from which only powers of ten are on the axis
 MODELS = {"before": "plain model", "after": "extended model"}
 BY = ("recording", "joint")
 PATCHES = "Patches of one colour are torque that the model does not explain; an even mixture of pale colours is noise."
@@ -127,7 +129,7 @@ def _errors(found: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[F
             Curve(k, "joint", k, words, "markers", 10, bars=(f"{k}_below", f"{k}_above")) for k, words in MODELS.items()
         )
         layout = {
-            "xaxis": {"type": "log", "dtick": "D2" if _narrow(table) else 1, "exponentformat": "none"},
+            "xaxis": {"type": "log", "tickvals": _ticks(table), "ticktext": [f"{x:g}" for x in _ticks(table)]},
             "yaxis": {"type": "category", "autorange": "reversed"},
             "height": 130 + 34 * len(joints),
         }
@@ -139,10 +141,11 @@ def _errors(found: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[F
     return data, figures
 
 
-def _narrow(table: Mapping[str, Sequence[Any]]) -> bool:
-    """Whether errors span less than a factor of 30, so that an axis needs more labels than powers of ten."""
-    values = [v for k in MODELS for v in table[k] if v]
-    return not values or max(values) < 30 * min(values)
+def _ticks(table: Mapping[str, Sequence[Any]]) -> list[float]:
+    """Where an axis of these errors has numbers: at powers of ten, and at 2 and 5 times these unless the errors are far apart."""
+    values = [v for k in MODELS for v in table[k] if v] or [1.0]
+    decades = range(math.floor(math.log10(min(values))) - 1, math.ceil(math.log10(max(values))) + 2)
+    return [float(f"{m}e{d}") for d in decades for m in ((1, 2, 5) if max(values) < WIDE * min(values) else (1,))]
 
 
 def _in_closed_loop(signal: str) -> str:

@@ -20,7 +20,7 @@ class Curve:
     Attributes:
         x, y: Names of columns of the data; where one is missing, the curve is not drawn.
         role: Name of the style sheet's colour.
-        name: In the legend.
+        name: In the legend, which has curves of one name once.
         mode: "lines" or "markers".
         width: Of lines, or size of markers [px].
         dash: Of lines: "solid", "dash" or "dot".

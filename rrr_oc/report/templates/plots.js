@@ -16,9 +16,9 @@
     return Object.fromEntries(Object.keys(parts[0] || {}).map((name) => [name, parts.flatMap((part) => part[name])]));
   }
 
-  function traceOf(curve, columns) {
+  function traceOf(curve, columns, first) {
     const trace = {
-      type: "scatter", mode: curve.mode, name: curve.name, showlegend: curve.name !== "", x: columns[curve.x], y: columns[curve.y], hoverlabel: { namelength: -1 },
+      type: "scatter", mode: curve.mode, name: curve.name, showlegend: first, x: columns[curve.x], y: columns[curve.y], hoverlabel: { namelength: -1 },
       line: { color: colour(curve.role), width: curve.width, dash: curve.dash },
       marker: { color: colour(curve.role), size: curve.width },
     };
@@ -62,9 +62,10 @@
       const key = figure.by.map((name) => choices[name]).join(page.separator);
       const columns = columnsOf(page.data[figure.data], key);
       const curves = figure.curves.filter((curve) => columns[curve.x] && columns[curve.y]);
+      const names = curves.map((curve) => curve.name); // in the legend, each once
       const layout = layoutOf(figure, columns, curves.length > 1);
       place.closest("figure").querySelector("figcaption").textContent = figure.captions[key] || "";
-      window.Plotly.react(place, curves.map((curve) => traceOf(curve, columns)), layout, config);
+      window.Plotly.react(place, curves.map((curve, i) => traceOf(curve, columns, names.indexOf(curve.name) === i)), layout, config);
     }
     for (const part of document.querySelectorAll("[data-of]")) {
       part.hidden = part.dataset.of !== choices[part.dataset.choice];
