@@ -191,6 +191,14 @@ def test_a_page_holds_the_extremes_of_a_long_recording(diagnosis):
     assert found["worst"] == 1
 
 
+def test_a_diagnosis_that_adds_nothing_shows_each_map_once(diagnosis, tmp_path):
+    folds = tuple(replace(f, model=f.plain) for f in diagnosis.folds)
+    write_diagnosis(replace(diagnosis, model=diagnosis.plain, folds=folds), tmp_path)
+    text = text_of(tmp_path)
+    assert sorted(payload(text)["figures"]) == ["errors", "load_before", "position_before", "prediction", "time_before"]
+    assert re.search(r"Both models are the same here; they miss the torque by \d+(\.\d+)? Nm rms\.", text)
+
+
 def test_thinned_samples_have_the_extremes_and_are_no_more_than_asked_for():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(3, 10_000))

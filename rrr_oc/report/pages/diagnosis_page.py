@@ -172,7 +172,7 @@ def _missed(before: float, after: float) -> str:
 
 
 def _maps(remains: np.ndarray, samples: np.ndarray) -> list[Figure]:
-    """What is left of a joint's torque over position, load and time, with the plain and with the extended model.
+    """What is left of a joint's torque over position, load and time, with the plain and, if that is another, with the extended model.
 
     Args:
         remains: Its rms [Nm], (recordings, n, 2).
@@ -180,21 +180,16 @@ def _maps(remains: np.ndarray, samples: np.ndarray) -> list[Figure]:
     """
     figures, (count, n, _) = [], remains.shape
     whole = np.sqrt(np.average(remains**2, axis=0, weights=samples))
-    for i, (model, words) in enumerate(MODELS.items()):
+    different = not np.array_equal(remains[..., 0], remains[..., 1])
+    for i, (model, words) in enumerate(list(MODELS.items())[: 1 + different]):
         residual = f"residual_{model}"
         sizes = {key(k, j): remains[k, j, i] for k in range(count) for j in range(n)}
         sizes |= {key(ALL, j): whole[j, i] for j in range(n)}
         for name, over, axes, curve, see in (
             ("position", "over position and speed", ("position [rad]", "speed [rad/s]"), _cloud("q", residual), PATCHES),
             ("load", "over load and speed", ("load torque [Nm]", "speed [rad/s]"), _cloud(f"load_{model}", residual), PATCHES),
-            (
-                "time",
-                "over time",
-                ("time since start [s]", "residual [Nm]"),
-                Curve("t", residual, model, "", "markers", 3),
-                DRIFT,
-            ),
-        ):
+            ("time", "over time", ("time since start [s]", "residual [Nm]"), Curve("t", residual, model, "", "markers", 3), DRIFT),
+        ):  # fmt: skip
             captions = {k: f"{size:.3g} Nm rms are left. {see}" for k, size in sizes.items()}
             title, limit = f"{words.capitalize()}, {over}", "limit" if curve.colour else ""
             figures.append(Figure(f"{name}_{model}", title, "left", ("shown", "joint"), axes, (curve,), captions, limit=limit))
