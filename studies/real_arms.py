@@ -489,7 +489,7 @@ def totals(results: Sequence[Mapping[str, Any]]) -> dict[str, int]:
 
 def report(results: Sequence[Mapping[str, Any]]) -> str:
     """The table in Markdown, with a legend."""
-    cells = [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for r in results for row in rows(r)]
+    cells = [[cell.replace("\n", " ") for cell in row] for r in results for row in rows(r)]
     for row in cells:
         row[0] = f"**{row[0]}**" if row[0] else ""
     headings = [f"NRMSE {h}" if h in MODELS else h for h in HEADINGS]

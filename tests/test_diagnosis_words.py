@@ -2,11 +2,11 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.words import Number, joint_words, read
-from rrr_oc.report.diagnosis_report import page
 from rrr_oc.report.diagnosis_words import (
     gain,
     not_claimed,
@@ -22,6 +22,7 @@ from rrr_oc.report.diagnosis_words import (
     unexplained,
     variable,
 )
+from rrr_oc.report.pages.diagnosis_page import diagnosis_page
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -246,8 +247,7 @@ def test_the_table_has_words_and_few_digits():
     ]
 
 
-def test_the_page_has_no_raw_names_and_no_sixteen_digits(tmp_path):
-    (tmp_path / "f.png").write_bytes(b"png")
+def test_the_page_has_no_raw_names_and_no_sixteen_digits():
     where = [{"variable": "q_wrist_2_joint", "range": [0.1, 0.2], "unit": "rad", "share_of_error": 0.7, "share_of_time": 0.2}]
     found = {
         "verdict": "missing_physics",
@@ -262,8 +262,13 @@ def test_the_page_has_no_raw_names_and_no_sixteen_digits(tmp_path):
         "suggested_recordings": [{"separates": ["payload_mass", "link_inertial"], "why": "so", "trajectory": "suggested 1.csv"}],
         "versions": {"numpy": "2"},
     }  # fmt: skip
-    figures = dict.fromkeys(("before_after", "prediction", "residual_wrist"), tmp_path / "f.png")
-    text = re.sub(r"<style>.*?</style>|<img[^>]*>", "", page(found, "An arm.", figures), flags=re.S)
+    curves = {"files": ["1.csv"], "joints": ["wrist_2_joint"], "worst": 0, "subject": "An arm.", "command": "", "samples": [3]}
+    curves |= {"missed": np.ones((1, 1, 2)), "remains": np.ones((1, 1, 2))}
+    curves |= {"predicted 0 0": np.full((4, 3), 1 / 3), "left 0 0": np.full((7, 3), 1 / 3)}
+    text = diagnosis_page(found, {name: np.array(value) for name, value in curves.items()})
+    (payload,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
+    assert not re.search(r"\d\.\d{7}", payload)
+    text = re.sub(r"<(style|script)[ >].*?</\1>|<[^>]*>", " ", text, flags=re.S)
     assert "The model has 1.00 kg (95 %: 0.98 to 1.02 kg) less at the tool than the arm." in text
     assert "payload mass, link inertial of wrist 2, link inertial of wrist 3" in text
     assert not re.search(r"\w_\w|\d\.\d{7}", text)

@@ -145,6 +145,7 @@ def test_the_engine_agrees(summary):
 
 def test_report_and_figures_are_there(out, summary):
     text = (out / "report.md").read_text()
+    assert (out / "report.html").is_file()
     assert f"{summary['configurations']['PEA']['E1']:.3f}" in text
     figures = {"torques", "landscape", "trajectory_SA", "trajectory_PEA", "arm_SA", "arm_PEA"}
     assert {f.stem for f in out.glob("*.png")} == figures

@@ -1,6 +1,6 @@
 """Optima in the twin calibrated on recordings, and designs on the arm with the physics that a diagnosis found."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -118,29 +118,3 @@ def _calibrated_arm(design: CoDesign, calibrated: CalibratedModel, theta: np.nda
     own = theta[: sum(len(e.parameters) for e in springs)]
     widths = [e.width.nominal for e in springs if e.width is not None] + [t.width for t in terms if t.width is not None]
     return Physics(model, np.concatenate([own, *(t.values for t in terms)]), np.array(widths), model.robot.inertial)
-
-
-def transfer_table(configurations: Mapping[str, Mapping[str, Any]]) -> str:
-    """E1 in the calibrated twin and its decrease against stiff actuation, by both load torques, in Markdown; "" without a transfer."""
-    known = {name: c["calibrated"] for name, c in configurations.items() if c.get("calibrated")}
-    if not known:
-        return ""
-    stiff = known.get("SA")
-    lines = [
-        "\n## In the twin calibrated on recordings\n",
-        "Each optimum tracked by P-controllers with the model's own torque as feed-forward; E1 [N²m²s], and its decrease against SA, "
-        "of the load torque that the engine gives, and of the one from the motor torque through Eq. 10.\n",
-        "|  | engine | decrease | Eq. 10 | decrease | RMS motor torque [Nm] | tracking [rad] | at its limit |",
-        "| --- " * 8 + "|",
-    ]
-    for name, c in known.items():
-        cells = [name]
-        for route in ("engine", "eq10"):
-            if c[route] is None:  # the drives are unknown
-                cells += ["–", "–"]
-                continue
-            less = "" if stiff is None or name == "SA" else f"{100 * (1 - c[route]['E1'] / stiff[route]['E1']):.1f} %"
-            cells += [f"{c[route]['E1']:.2f}", less]
-        cells += [", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values()), f"{c['tracking_error_rad']:.4f}"]
-        lines.append(f"| {' | '.join(cells)} | {'yes' if c['saturated'] else 'no'} |")
-    return "\n".join(lines) + "\n"

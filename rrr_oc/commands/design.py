@@ -15,7 +15,7 @@ from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Workers
+from rrr_oc.commands.shared import Jobs, Workers, command_line
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
 from rrr_oc.report.study_files import write_study
@@ -26,6 +26,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def design(
+    context: typer.Context,
     task: Annotated[str, typer.Argument(help=f"a task file, or a bundled task: {', '.join(PRESETS)}")],
     out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
     configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
@@ -54,17 +55,17 @@ def design(
 ) -> None:
     """Springs in parallel with joints (PEA), across two of them (BPEA) or both, and the motion of least cost for each.
 
-    Writes tables, figures, summary.json and one npz a configuration.
+    Writes report.html, tables, figures, summary.json and one npz a configuration.
     """
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, hops=hops, refinement=Refinement(tolerance))
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, catalogue_search, model, repaired)
     with parallel.workers(jobs, workers):
-        _run(prepared(request, published_springs if request.bundled else None, output), output)
+        _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
 
 
-def _run(study: Study, output: Output) -> None:
+def _run(study: Study, output: Output, command: str) -> None:
     """Solve, write and show a study."""
     began, found = time.perf_counter(), dict[str, Any]()
     for note in study.task.robot.notes:
@@ -74,7 +75,9 @@ def _run(study: Study, output: Output) -> None:
             found[name] = result
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            summary, text = write_study(study, found, time.perf_counter() - began)
+            summary, text = write_study(study, found, time.perf_counter() - began, command)
             output.result(summary)
             output.show(Markdown(text.split("## Certificates")[0]))
-            output.show(f"Everything is in {study.out}: report.md, summary.json, figures, one npz a configuration.")
+            output.show(
+                f"Everything is in {study.out}: report.html, report.md, summary.json, figures, one npz a configuration."
+            )

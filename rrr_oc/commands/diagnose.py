@@ -8,7 +8,7 @@ from rich.table import Table
 
 from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, loaded, shown
+from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, command_line, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects.priors import load_priors
@@ -22,6 +22,7 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def diagnose(
+    context: typer.Context,
     dataset: Dataset,
     out: Annotated[Path, typer.Option(help="folder for diagnosis.json, model.json, report.html and figures")],
     jobs: Jobs = -1,
@@ -49,7 +50,7 @@ def diagnose(
             step("tracking the recordings in closed loop")
         simulated = in_closed_loop(found) if simulate else None
         step("writing the report")
-        content = write_diagnosis(found, out, simulated)
+        content = write_diagnosis(found, out, simulated, command_line(context))
     output.result(content)
     _show_diagnosis(content, output)
     output.show(f"{out} holds diagnosis.json, model.json and report.html.")

@@ -1,5 +1,6 @@
-"""What several commands need: the data set that they read, and what they refuse to overwrite."""
+"""What several commands need: the data set that they read, what they refuse to overwrite, and the line that runs them again."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +25,22 @@ Joints = Annotated[str | None, typer.Option(help="comma-separated, in the order 
 def named(joints: str | None) -> list[str] | None:
     """Names from a comma-separated list."""
     return None if joints is None else [name.strip() for name in joints.split(",")]
+
+
+def command_line(context: typer.Context) -> str:
+    """The command that is running with the arguments and options that were given, but those that only change what is printed."""
+    words = ["rrr-oc", str(context.command.name)]
+    for parameter in context.command.params:
+        value, source = context.params.get(parameter.name or ""), context.get_parameter_source(parameter.name or "")
+        if source is None or source.name != "COMMANDLINE" or parameter.name in ("quiet", "as_json"):
+            continue
+        if parameter.param_type_name == "argument":
+            words.append(str(value))
+        elif isinstance(value, bool):
+            words.append((parameter.opts if value else parameter.secondary_opts)[0])
+        else:
+            words += [parameter.opts[0], str(value)]
+    return shlex.join(words)
 
 
 def check_window(window: float) -> None:

@@ -98,8 +98,7 @@ def _blocks(data: Data) -> Data:
     (only,) = data.prepared
     r, pieces = only.recording, []
     began = r.t[0] if r.start is None else r.start
-    usable = [np.arange(s.start, s.stop) for s in r.segments if s.stop - s.start > SHORT]
-    for part in np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS):
+    for part in blocks_of(r):
         a, b = int(part[0]), int(part[-1]) + 1
         arrays = {k: getattr(r, k)[..., a:b] for k in ("t", "q", "dq", "ddq", "tau", "payload")}
         inside = [(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments]
@@ -107,6 +106,12 @@ def _blocks(data: Data) -> Data:
         piece = replace(r, **arrays, segments=segments, start=float(began))
         pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
     return Data(tuple(pieces), data.start, data.links, data.free, type(data.signatures)())
+
+
+def blocks_of(r: Recording) -> list[np.ndarray]:
+    """Indices of the samples of each contiguous piece of an only recording."""
+    usable = [np.arange(s.start, s.stop) for s in r.segments if s.stop - s.start > SHORT]
+    return np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS)
 
 
 def repeated(search: Search, begin: Fitted, found: bool) -> tuple[str, list[Recording], list[Fold]]:

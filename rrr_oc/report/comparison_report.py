@@ -117,7 +117,7 @@ def _decreases(rest: Mapping[str, Any]) -> str:
         return ""
     joints = list((best_of(rest["SA"], tuple(WAYS)) or {})["E1_joint"])
     ours = {name: (evolved_of(entry), best_of(entry, FREE_MOTION)) for name, entry in rest.items()}
-    return table_3(ours, joints, "best", digits=0)
+    return markdown(*table_3(ours, joints, "best", digits=0))
 
 
 def _hardware(rest: Mapping[str, Any]) -> str:
@@ -125,7 +125,7 @@ def _hardware(rest: Mapping[str, Any]) -> str:
     for name, entry in rest.items():
         both = evolved_of(entry), best_of(entry, FREE_MOTION)
         ours[name] = [None if e is None else {"springs": e["hardware"], "durations": e["durations"]} for e in both]
-    return table_4(ours, SPRINGS, digits=2, formats=(".4g", ".2f"))
+    return markdown(*table_4(ours, SPRINGS, digits=2, formats=(".4g", ".2f")))
 
 
 def _fixed(fixed: Sequence[Mapping[str, Any]]) -> str:
@@ -226,5 +226,6 @@ def transfer_tables(transfer: Mapping[str, Any]) -> str:
     for words, stage in stages.items():
         if "SA" in stage:
             parts.append(f"Relative decrease against SA on the plant [%], {words} | the paper's real world (Table 3):\n")
-            parts.append(table_3({n: [e] for n, e in stage.items()}, list(stage["SA"]["E1_joint"]), "plant", 0, measured=True))
+            found = {n: [e] for n, e in stage.items()}
+            parts.append(markdown(*table_3(found, list(stage["SA"]["E1_joint"]), "plant", 0, measured=True)))
     return "\n".join(parts)

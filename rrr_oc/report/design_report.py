@@ -1,4 +1,4 @@
-"""The tables of a co-design study as Markdown, made from its summary alone, beside the paper's numbers."""
+"""A co-design study in tables and sentences, made from its summary alone, and its report in Markdown."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -6,7 +6,19 @@ from typing import Any, NamedTuple
 from rrr_oc.codesign.study import does_nothing
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.model.metrics import decrease
-from rrr_oc.report.tables import SPRINGS, markdown, table_3, table_4
+from rrr_oc.report.tables import NONE, SPRINGS, Table, markdown, table_3, table_4
+
+SECOND_ORDER = {
+    "strict": "The second-order condition is strict, which is sufficient for a local optimum.",
+    "weak": "The second-order condition is weak: some bound is touched with next to no multiplier, and a local optimum is not proved.",
+    "violated": "The second-order condition is violated: some small change lowers the cost, so this is no local optimum.",
+}
+TRANSFERRED = (
+    "Each optimum tracked by P-controllers with the model's own torque as feed-forward; E1 [N²m²s], and its decrease against SA, of the "
+    "load torque that the engine gives, and of the one from the motor torque through Eq. 10."
+)
+LOCAL_OPTIMA = "Distinct local optima (those not refined carry the error of their mesh)"
+LAYERS = "What each layer contributed (coarse mesh)"
 
 
 class Quantity(NamedTuple):
@@ -29,29 +41,26 @@ class Quantity(NamedTuple):
 def report(summary: dict[str, Any]) -> str:
     """The whole report in Markdown: results, Table 3, Table 4, certificates, optima, what each search layer contributed."""
     found, quantity = summary["configurations"], Quantity(*summary["quantity"])
-    published = "`published springs`: Table 4's hardware, its motion re-optimised on this model. " if summary["paper"] else ""
     parts = [
         f"# Co-design of springs and motion, preset `{summary['preset']}`\n",
         f"Cost: {summary['cost']}. Seed {summary['seed']}, {summary['starts']} starts a configuration, "
         f"{summary['wall_s']:.0f} s.\n",
         "## Optima\n",
-        _optima_table(found, quantity, summary["paper"]),
+        markdown(*optima_table(found, quantity, summary["paper"])),
         *_idle(found),
-        f"{published}`engine`: {quantity.engine}re-simulated in MuJoCo with "
-        "feed-forward and the paper's P-controllers, load torque read from the engine. `mesh error`: between the nodes, "
-        "relative. `over limits`: the largest excess of a limit between the nodes, relative to its scale (the mesh is not "
-        "refined for it). `smoothing`: exact, non-smooth springs on the same motion against the smoothed ones. `2nd order`: "
-        "strict is sufficient for a local optimum; weak is less, some bound is touched with next to no multiplier.\n",
+        " ".join(f"`{name}`: {words}" for name, words in columns_in_words(quantity, summary["paper"]).items()) + "\n",
     ]
     beside = summary["paper"]
     if "SA" in found:
         title = "## Relative decrease against stiff actuation" + (
             " (Table 3, simulation columns): ours | paper\n" if beside else "\n"
         )
-        parts += [title, _decreases(found, beside)]
+        parts += [title, "In percent.\n\n" + markdown(*decrease_table(found, beside))]
     parts += ["## Hardware and durations" + (" (Table 4): ours | paper\n" if beside else "\n")]
-    parts += [_hardware(found, beside, summary["joints"])]
+    parts += [markdown(*hardware_table(found, beside, summary["joints"]))]
     parts += ["## Certificates\n", *[_certificate(name, c, quantity) for name, c in found.items()]]
+    if (transferred := transfer_table(found)) is not None:
+        parts += ["\n## In the twin calibrated on recordings\n", f"{TRANSFERRED}\n", markdown(*transferred)]
     return "\n".join(parts)
 
 
@@ -64,20 +73,10 @@ def _idle(found: dict) -> list[str]:
     ]
 
 
-def _optima_table(found: dict, quantity: Quantity, beside: bool) -> str:
-    header = [
-        "",
-        quantity.title,
-        "decrease",
-        *(["published springs"] if beside else []),
-        "engine",
-        "energy balance",
-        "mesh error",
-        "over limits",
-        "smoothing",
-        "2nd order",
-        "wall [s]",
-    ]
+def optima_table(found: dict, quantity: Quantity, beside: bool) -> Table:
+    """A row for each configuration; `beside` adds the cost with the springs that the paper published."""
+    header = ["", quantity.title, "decrease", *(["published springs"] if beside else []), "engine", "energy balance"]
+    header += ["mesh error", "over limits", "smoothing", "2nd order", "wall [s]"]
     stiff = found.get("SA", {}).get("cost")
     rows = []
     for name, c in found.items():
@@ -100,16 +99,30 @@ def _optima_table(found: dict, quantity: Quantity, beside: bool) -> str:
                 f"{c['wall_s']:.0f}",
             ]
         )
-    return markdown(header, rows)
+    return header, rows
+
+
+def columns_in_words(quantity: Quantity, beside: bool) -> dict[str, str]:
+    """What the columns of `optima_table` show, a sentence or two each."""
+    published = {"published springs": "Table 4's hardware, its motion re-optimised on this model."} if beside else {}
+    return published | {
+        "engine": f"{quantity.engine}re-simulated in MuJoCo with feed-forward and the paper's P-controllers, load torque read from "
+        "the engine.",
+        "mesh error": "between the nodes, relative.",
+        "over limits": "the largest excess of a limit between the nodes, relative to its scale (the mesh is not refined for it).",
+        "smoothing": "exact, non-smooth springs on the same motion against the smoothed ones.",
+        "2nd order": "strict is sufficient for a local optimum; weak is less, some bound is touched with next to no multiplier.",
+    }
 
 
 def _published(c: dict) -> str:
     return "" if c.get("published_springs_E1") is None else f"{c['published_springs_E1']:.2f}"
 
 
-def _decreases(found: dict, beside: bool) -> str:
+def decrease_table(found: dict, beside: bool) -> Table:
+    """Relative decreases against stiff actuation [%], which must be among the configurations; `beside`: with the paper's."""
     ours, joints = {n: [c] for n, c in found.items()}, list(found["SA"]["E1_joint"])
-    return "In percent.\n\n" + table_3(ours, joints, "E1", digits=1, beside=beside)
+    return table_3(ours, joints, "E1", digits=1, beside=beside)
 
 
 def of_joint(name: str, joints: Sequence[str]) -> str:
@@ -119,7 +132,8 @@ def of_joint(name: str, joints: Sequence[str]) -> str:
     return f"{symbol} of {joints[int(number) - 1]}" if number and not symbol.endswith("_") else name
 
 
-def _hardware(found: dict, beside: bool, joints: Sequence[str]) -> str:
+def hardware_table(found: dict, beside: bool, joints: Sequence[str]) -> Table:
+    """Springs and durations of each configuration; `beside`: with the paper's, by the paper's names."""
     used = {n for c in found.values() for n in c["springs"]}
     names = [n for n in SPRINGS if n in used] + sorted(used - set(SPRINGS))
     ours = {n: [{"springs": c["springs"], "durations": [c["durations"][p] for p in PHASES]}] for n, c in found.items()}
@@ -128,48 +142,87 @@ def _hardware(found: dict, beside: bool, joints: Sequence[str]) -> str:
     return table_4(ours, names, 3, None, {name: of_joint(name, joints) for name in names})
 
 
+def transfer_table(found: dict) -> Table | None:
+    """E1 in the calibrated twin and its decrease against stiff actuation, by both load torques; None without a twin."""
+    known = {name: c["calibrated"] for name, c in found.items() if c.get("calibrated")}
+    if not known:
+        return None
+    stiff, rows = known.get("SA"), []
+    for name, c in known.items():
+        cells = [name]
+        for route in ("engine", "eq10"):
+            if c[route] is None:  # the drives are unknown
+                cells += [NONE, NONE]
+                continue
+            less = "" if stiff is None or name == "SA" else f"{100 * decrease(c[route]['E1'], stiff[route]['E1']):.1f} %"
+            cells += [f"{c[route]['E1']:.2f}", less]
+        cells += [", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values()), f"{c['tracking_error_rad']:.4f}"]
+        rows.append([*cells, "yes" if c["saturated"] else "no"])
+    header = ["", "engine", "decrease", "Eq. 10", "decrease", "RMS motor torque [Nm]", "tracking [rad]", "at its limit"]
+    return header, rows
+
+
 def _certificate(name: str, c: dict, quantity: Quantity) -> str:
-    k = c["certificate"]
-    lines = [
-        f"### {name}\n",
-        f"Residuals: primal {k['primal']:.1e}, dual {k['dual']:.1e}, complementarity {k['complementarity']:.1e} (scaled). "
-        f"Second-order condition: {k['second_order']}, smallest curvature {k['curvature']:.1e} along "
-        f"{', '.join(k['flattest'])}. Error between the nodes {k['mesh']['error']:.1e}"
-        f"{'' if k['mesh']['converged'] else ' (tolerance not met)'}, limits exceeded between the nodes by at most "
-        f"{k['violation']:.1e} of their scale. Exact springs on this motion: {quantity.name} = {k['exact_cost']:.4f} {quantity.unit}. "
-        "An adaptive integrator run with these controls "
-        f"ends {k['reintegration']['state']:.1e} away with a cost that differs by {k['reintegration']['cost']:.1e}. "
-        f"The tool comes down to {c['lowest_tool_m']:.3f} m above the base. "
-        f"{_origin(c)} One more kg of payload: {100 * k['sensitivity']:+.1f} % of {quantity.name}.\n",
-    ]
-    lines += [f"- {bound['sentence']}" for bound in k["active"]]
+    lines = [f"### {name}\n", " ".join(certificate_sentences(c, quantity)) + "\n"]
+    lines += [f"- {bound['sentence']}" for bound in c["certificate"]["active"]]
     if "not_bought" in c:
         lines.append(f"\nNo choice of the catalogue could be solved: {c['not_bought']}")
     if "catalogue" in c:
-        cover = c["catalogue"]
-        lines.append(f"\n{_coverage(cover)}")
+        lines.append(f"\n{coverage(c['catalogue'])}")
     if c.get("optima"):
-        header = [quantity.title, "reached", "t_go [s]", "t_return [s]", "refined", "hardware"]
-        rows = [
-            [
-                f"{o['cost']:.3f}",
-                str(o["reached"] or "by hopping"),
-                f"{o['durations']['go']:.3f}",
-                f"{o['durations']['return']:.3f}",
-                "yes" if o["refined"] else "no",
-                ", ".join(f"{key} {value:.4g}" for key, value in o["springs"].items()),
-            ]
-            for o in c["optima"]
-        ]
-        lines.append("\nDistinct local optima (those not refined carry the error of their mesh):\n\n" + markdown(header, rows))
+        lines.append(f"\n{LOCAL_OPTIMA}:\n\n" + markdown(*local_optima_table(c, quantity)))
     if c.get("layers"):
-        header = ["layer", "starts", "failed", "best proposal", "best after IPOPT", "median after IPOPT"]
-        rows = [
-            [layer, str(v["starts"]), str(v["failed"]), f"{v['best_proposal']:.1f}", f"{v['best']:.3f}", f"{v['median']:.3f}"]
-            for layer, v in c["layers"].items()
-        ]
-        lines.append("\nWhat each layer contributed (coarse mesh):\n\n" + markdown(header, rows))
+        lines.append(f"\n{LAYERS}:\n\n" + markdown(*layers_table(c)))
     return "\n".join(lines) + "\n"
+
+
+def certificate_sentences(c: dict, quantity: Quantity) -> list[str]:
+    """What is known of an optimum, a sentence or two on each subject."""
+    k, error = c["certificate"], c["mujoco"]
+    worst = max(k["primal"], k["dual"], k["complementarity"])
+    met = "within the tolerance" if k["mesh"]["converged"] else "more than the tolerance, which was not met"
+    return [
+        f"The first-order conditions of an optimum hold to {worst:.1e} (the largest of the primal, dual and complementarity "
+        f"residuals, scaled).",
+        f"{SECOND_ORDER[k['second_order']]} The cost is flattest along {' and '.join(k['flattest'])}, with a curvature of "
+        f"{k['curvature']:.1e}.",
+        f"Between the nodes of the mesh the motion misses the dynamics by at most {k['mesh']['error']:.1e} (relative), {met}, and "
+        f"exceeds limits by at most {k['violation']:.1e} of their scale.",
+        f"With exact springs in the place of smoothed ones, {quantity.name} of this motion is {k['exact_cost']:.4f} {quantity.unit}, "
+        f"{k['smoothing']:.1e} away (relative).",
+        f"An adaptive integrator run with the same controls ends {k['reintegration']['state']:.1e} away from the planned end, with a "
+        f"cost that differs by {k['reintegration']['cost']:.1e}.",
+        f"MuJoCo, which simulates the motion with the same springs and the paper's P-controllers, finds E1 = {error['E1']:.4f} N²m²s, "
+        f"and follows the motion to {error['tracking_error_rad']:.1e} rad.",
+        f"The lowest point of the tool is {abs(c['lowest_tool_m']):.3f} m {'below' if c['lowest_tool_m'] < 0 else 'above'} the base.",
+        _origin(c),
+        f"One more kg of payload changes {quantity.name} by {100 * k['sensitivity']:+.1f} %.",
+    ]
+
+
+def local_optima_table(c: dict, quantity: Quantity) -> Table:
+    """The distinct local optima that a search found."""
+    rows = [
+        [
+            f"{o['cost']:.3f}",
+            str(o["reached"] or "by hopping"),
+            f"{o['durations']['go']:.3f}",
+            f"{o['durations']['return']:.3f}",
+            "yes" if o["refined"] else "no",
+            ", ".join(f"{key} {value:.4g}" for key, value in o["springs"].items()),
+        ]
+        for o in c["optima"]
+    ]
+    return [quantity.title, "reached", "t_go [s]", "t_return [s]", "refined", "hardware"], rows
+
+
+def layers_table(c: dict) -> Table:
+    """What each layer of a search contributed."""
+    rows = [
+        [layer, str(v["starts"]), str(v["failed"]), f"{v['best_proposal']:.1f}", f"{v['best']:.3f}", f"{v['median']:.3f}"]
+        for layer, v in c["layers"].items()
+    ]
+    return ["layer", "starts", "failed", "best proposal", "best after IPOPT", "median after IPOPT"], rows
 
 
 def _origin(c: dict) -> str:
@@ -181,7 +234,7 @@ def _origin(c: dict) -> str:
     return f"{100 * c['certificate']['share']:.0f} % of the starts reached it."
 
 
-def _coverage(cover: dict) -> str:
+def coverage(cover: dict) -> str:
     """What of a catalogue was searched, and what was not."""
     text = f"Catalogue: {cover['combinations']} combinations, {cover['distinct']} distinct; {cover['solved']} solved with the "
     text += f"hardware held, {cover['relaxed']} more with free stiffnesses to screen, {cover['failed']} failed. "

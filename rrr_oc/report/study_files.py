@@ -1,4 +1,4 @@
-"""The files of a study: its summary as JSON, its report in Markdown, and its figures."""
+"""The files of a study: its summary as JSON, its report in Markdown and as a page, and its figures."""
 
 import platform
 from collections.abc import Mapping
@@ -10,9 +10,10 @@ from rrr_oc import __version__
 from rrr_oc.codesign.design_problem import COST_UNITS
 from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Study
-from rrr_oc.codesign.transfer import transfer_table
+from rrr_oc.codesign.task import Task
 from rrr_oc.report.design_figures import draw_all
 from rrr_oc.report.design_report import report
+from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.storage import plain, write_json, write_text
 
 COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}  # in the summary
@@ -20,8 +21,13 @@ QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # na
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
 
 
-def write_study(study: Study, found: Mapping[str, Any], wall_s: float) -> tuple[dict[str, Any], str]:
-    """Write summary.json, report.md and the figures of the results found; returns the first two's content."""
+def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: str) -> tuple[dict[str, Any], str]:
+    """Write summary.json, report.md, the figures and report.html of the results found; returns the first two's content.
+
+    Args:
+        wall_s: How long it took [s].
+        command: What makes the study again.
+    """
     names = sorted(found, key=lambda name: (name.endswith("*"), list(CONFIGURATIONS).index(name.rstrip("*"))))
     cost = study.asked["cost"]
     summary = {
@@ -30,6 +36,8 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float) -> tuple[
         "quantity": [QUANTITIES[cost], COST_UNITS[cost]],
         "paper": study.published is not None,
         "joints": list(study.task.robot.joints),
+        "limits": plain(limits(study.task)),
+        "command": command,
         "seed": study.options.seed,
         "starts": study.options.starts,
         "wall_s": wall_s,
@@ -38,7 +46,15 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float) -> tuple[
         "configurations": {name: found[name] for name in names},
     }
     write_json(study.out / "summary.json", summary)
-    text = report(summary) + transfer_table(summary["configurations"])
+    text = report(summary)
     write_text(study.out / "report.md", text)
     draw_all(study.out, study.task)
+    write_design_page(study.out)
     return summary, text
+
+
+def limits(task: Task) -> dict[str, dict[str, Any]]:
+    """Limits of the moving joints by name, in SI units; infinite where there is none."""
+    rows = zip(task.joints, task.lower, task.upper, task.speed, task.acceleration, task.torque, strict=True)
+    keys = ("range_rad", "speed_rad_per_s", "acceleration_rad_per_s2", "torque_Nm")
+    return {joint: dict(zip(keys, ([low, high], *others), strict=True)) for joint, low, high, *others in rows}

@@ -1,4 +1,4 @@
-"""Markdown tables, and our results in the form of the paper's Tables 3 and 4 beside the printed numbers."""
+"""Tables, as Markdown or as rows, and our results in the form of the paper's Tables 3 and 4 beside the printed numbers."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,18 +12,21 @@ from rrr_oc.paper.published import published
 SPRINGS = ("k_p2", "q_eq2", "k_p3", "q_eq3", "k_b", "q_0", "r_1", "r_2", "r_3")  # in the order of Table 4
 NONE = "–"
 Result = Mapping[str, Any]
+Table = tuple[list[str], list[list[str]]]  # header and rows
 Results = Mapping[
     str, Sequence[Result | None]
 ]  # by configuration, of each way that stands in a column; None where it has no result
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    """A Markdown table; bars within cells are escaped."""
+    first, *others = [[cell.replace("|", "\\|") for cell in line] for line in (header, *rows)]
+    return "".join(f"| {' | '.join(line)} |\n" for line in (first, ["---"] * len(header), *others))
 
 
-def table_3(ours: Results, joints: Sequence[str], total: str, digits: int, measured: bool = False, beside: bool = True) -> str:
+def table_3(
+    ours: Results, joints: Sequence[str], total: str, digits: int, measured: bool = False, beside: bool = True
+) -> Table:
     """Relative decrease of E1, RMS and peak load torque against stiff actuation [%], ours beside the paper's.
 
     Args:
@@ -48,7 +51,7 @@ def table_3(ours: Results, joints: Sequence[str], total: str, digits: int, measu
         falls = _decreases(results, ours["SA"], digits, lambda r: r[total])
         row.append(_beside(falls, None if measured or not beside else str(printed.get("E1_total", NONE))))
         rows.append(row)
-    return markdown(["", *[f"{what} {joint}" for what in ("E1", "RMS", "peak") for joint in joints], "E1 total"], rows)
+    return ["", *[f"{what} {joint}" for what in ("E1", "RMS", "peak") for joint in joints], "E1 total"], rows
 
 
 def _decreases(results: Sequence[Result | None], stiff: Sequence[Result | None], digits: int, read) -> list[str]:
@@ -57,7 +60,7 @@ def _decreases(results: Sequence[Result | None], stiff: Sequence[Result | None],
 
 
 def _beside(ours: Sequence[str], paper: str | None) -> str:
-    return " \\| ".join([*ours, *([] if paper is None else [paper])])
+    return " | ".join([*ours, *([] if paper is None else [paper])])
 
 
 def table_4(
@@ -66,7 +69,7 @@ def table_4(
     digits: int,
     formats: tuple[str, str] | None = ("g", "g"),
     titles: Mapping[str, str] | None = None,
-) -> str:
+) -> Table:
     """Hardware and durations, ours beside the paper's.
 
     Args:
@@ -80,7 +83,7 @@ def table_4(
     for name, results in ours.items():
         printed, row = paper.get(name, {}), [name]
         for key in names:
-            suffix, factor, _ = _unit(key)
+            suffix, factor, _ = spring_unit(key)
             numbers = [None if r is None or key not in r["springs"] else r["springs"][key] * factor for r in results]
             row.append(_numbers(numbers, digits, printed.get(key + suffix), formats and formats[0]))
         for i, phase in enumerate(PHASES):
@@ -88,7 +91,7 @@ def table_4(
             row.append(_numbers(numbers, digits, printed.get(f"t_{phase}"), formats and formats[1], always=True))
         rows.append(row)
     called = titles or {}
-    return markdown(["", *[f"{called.get(n, n)} [{_unit(n)[2]}]" for n in names], *[f"t_{p} [s]" for p in PHASES]], rows)
+    return ["", *[f"{called.get(n, n)} [{spring_unit(n)[2]}]" for n in names], *[f"t_{p} [s]" for p in PHASES]], rows
 
 
 def _numbers(ours: Sequence[float | None], digits: int, paper: float | None, form: str | None, always: bool = False) -> str:
@@ -101,7 +104,7 @@ def _numbers(ours: Sequence[float | None], digits: int, paper: float | None, for
     )
 
 
-def _unit(spring: str) -> tuple[str, float, str]:
+def spring_unit(spring: str) -> tuple[str, float, str]:
     """Suffix of a spring's name in the published tables, factor from SI, and the unit to print."""
     if spring.startswith(("q_eq", "q_0")):
         return "_deg", 180 / np.pi, "°"

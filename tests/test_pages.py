@@ -1,0 +1,351 @@
+"""Reports as HTML pages: what they say first, names that are not markup, nothing from a network, and how a browser shows them."""
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pytest
+from chains import arm
+from commands import run
+from plotly.offline import get_plotlyjs
+from recorded import Plant, as_set, record
+from test_held_out import fold
+from test_study import OWN, own_model, own_task, study
+
+from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.diagnosis.held_out import blocks_of
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares
+from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.pages.design_page import write_design_page
+from rrr_oc.report.pages.design_words import bound, cautions, hardware, verdict
+from rrr_oc.report.pages.diagnosis_curves import POINTS, curves, held_out_predictions
+from rrr_oc.report.pages.diagnosis_page import write_diagnosis_page
+from rrr_oc.report.pages.page import thinned
+from rrr_oc.robot.robot import load_robot
+
+MARKUP = "<b>x</b>&\"'"  # a name that is markup where it is not escaped
+FILE = "<i>0</i>&\"'.csv"
+LARGEST = 8_000_000  # bytes of an ordinary page, as one can send it
+SHOWN_AT = [(width, scheme) for width in (1280, 390) for scheme in ("light", "dark")]
+pages = pytest.mark.parametrize("name", ["design", "diagnosis"])
+
+
+def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
+    """Two recordings with an unlisted spring at joint 2, which the extended models have and the plain ones lack."""
+    plant, rng = Plant("rrr", np.full(3, 1.0), np.full(3, 4.0), np.full(3, 0.1)), np.random.default_rng(0)
+    made = [record(plant, file, rng, 25.0, pea={1: (15.0, 1.5)}) for file in (FILE, "1.csv")]
+    recordings = as_set(plant, [replace(r, springs=()) for r in made], robot=replace(load_robot("rrr"), joints=joints))
+    start, truth = plain_model(recordings), [v for _ in joints for v in (1.0, 4.0, 0.1)]
+    terms = tuple(t.with_values(np.array([v])) for t, v in zip(start.terms, truth, strict=True))
+    plain = replace(start, terms=terms, noise=np.ones(3))
+    spring = Term(ParallelSpring((1,)), (Estimate(15.0), Estimate(1.5)), 0.003)
+    model, errors = replace(plain, terms=(*plain.terms, spring)), (np.array([[0.1, 0.4, 0.1]]), np.array([[0.1, 0.1, 0.1]]))
+    folds, none = tuple(fold(k, (plain, model), [(1 + k) * e for e in errors]) for k in range(2)), np.full(3, 0.1)
+    held = (none, none), (none, none)
+    return Diagnosis(recordings, plain, model, (), (), (), Shares(), *held, "recordings", (), (), folds, (0.0,) * 3)
+
+
+@pytest.fixture(scope="module")
+def diagnosis() -> Diagnosis:
+    return made_diagnosis((MARKUP, "elbow_joint", "wrist_joint"))
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory, diagnosis) -> dict[str, Path]:
+    """A study of an arm whose moving joint has markup for its name, with a calibrated model of it, and a diagnosis of such an arm."""
+    folder = tmp_path_factory.mktemp("pages")
+    preset = own_task(folder)
+    (folder / "arm.urdf").write_text(arm(3).replace('"j2"', quoteattr(MARKUP)))
+    Path(preset).write_text(Path(preset).read_text().replace('"j2"', json.dumps(MARKUP)))
+    with pytest.MonkeyPatch.context() as patch:
+        command = [*OWN, "--preset", preset, "--model", own_model(folder), "--out", str(folder / "design")]
+        assert run(study, patch, *command) == 0
+    numbers = {joint: dict.fromkeys(("q", "dq", "ddq", "tau_motor", "tau_load"), 0.25) for joint in diagnosis.model.joints}
+    simulated = {"held_out": True, "before": numbers, "after": {"why_not": "a <gap> moves the link by itself"}}
+    write_diagnosis(diagnosis, folder / "diagnosis", simulated, "rrr-oc diagnose arm --out diagnosis")
+    return {"design": folder / "design", "diagnosis": folder / "diagnosis"}
+
+
+def text_of(folder: Path) -> str:
+    return (folder / "report.html").read_text()
+
+
+def without_plotly(text: str) -> str:
+    assert text.count(get_plotlyjs()) == text.count("plotly.js v") == 1
+    return text.replace(get_plotlyjs(), "")
+
+
+def payload(text: str) -> dict[str, Any]:
+    (found,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text)
+    return json.loads(found)
+
+
+@pages
+def test_a_page_is_whole_in_one_file_and_asks_no_network(folders, name):
+    text = text_of(folders[name])
+    assert len(text.encode()) < LARGEST
+    rest = without_plotly(text)
+    assert '<meta name="viewport" content="width=device-width' in rest
+    assert "prefers-color-scheme: dark" in rest
+    links = re.findall(r'(?:src|href)\s*=\s*["\']?([^"\'> ]*)', rest)
+    assert [link for link in links if not link.startswith("data:image/png;base64,")] == [
+        "https://doi.org/10.1177/17298806241228371"
+    ]
+    assert not re.search(r"<link|@import|url\(|<iframe|fetch\(|XMLHttpRequest", rest)
+
+
+@pages
+def test_the_verdict_stands_before_everything_else(folders, name):
+    text = without_plotly(text_of(folders[name]))
+    first = text.index('<p class="verdict">')
+    assert all(text.index(part) > first for part in ("<h2", "<table", "<figure"))
+    said = re.findall(r'<p class="verdict">(.*?)</p>', text)
+    assert len(said) == 1
+    assert said[0].startswith("PEA is best: E1 is " if name == "design" else "Nothing is missing")
+    assert text.rindex("Sources, and how to make this again") > text.rindex("</figure>")
+    assert "rrr-oc design" in text if name == "design" else "rrr-oc diagnose arm --out diagnosis" in text
+
+
+@pages
+def test_names_are_no_markup(folders, name):
+    text = without_plotly(text_of(folders[name]))
+    names = [MARKUP] if name == "design" else [MARKUP, FILE]
+    for one in names:
+        assert one not in text
+        assert escape(one).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in text  # as Jinja writes quotes
+    assert "<b>" not in text
+    assert "<i>" not in text
+    assert "a &lt;gap&gt; moves" in text or name == "design"
+
+
+@pages
+def test_every_figure_finds_its_data_and_has_a_sentence(folders, name):
+    text = text_of(folders[name])
+    page, rest = payload(text), without_plotly(text)
+    placed = re.findall(r'data-figure="(\w+)"', rest)
+    assert sorted(placed) == sorted(page["figures"])
+    choices = {
+        choice: re.findall(r'<option value="([^"]*)"', options)
+        for choice, options in re.findall(r'<select data-choice="(\w+)">(.*?)</select>', rest)
+    }
+    for figure in page["figures"].values():
+        keys = [""]
+        for i, choice in enumerate(figure["by"]):
+            keys = [key + "|" * bool(i) + value for key in keys for value in choices[choice]]
+        for key in keys:
+            table = page["data"][figure["data"]]
+            parts = table[key].get("joined", [key])
+            assert re.fullmatch(r"[A-Z0-9].*\.", figure["captions"][key])
+            curves_of = [c for c in figure["curves"] if c["x"] in table[parts[0]]]
+            assert curves_of
+            for part in parts:
+                for c in (c for c in curves_of if c["y"] in table[part]):
+                    assert 0 < len(table[part][c["x"]]) == len(table[part][c["y"]]) <= POINTS
+
+
+@pages
+def test_a_page_is_made_again_from_its_files(folders, name):
+    text = text_of(folders[name])
+    write = {"design": write_design_page, "diagnosis": write_diagnosis_page}[name]
+    (folders[name] / "report.html").unlink()
+    assert write(folders[name]) == folders[name] / "report.html"
+    assert text_of(folders[name]) == text
+
+
+def test_the_twin_and_the_units_are_on_the_page_of_a_design(folders):
+    text, page = without_plotly(text_of(folders["design"])), payload(text_of(folders["design"]))
+    assert re.search(
+        r"In the twin PEA needs E1 = [\d.]+ N²m²s, [\d.]+ % less than stiff actuation there; [\d.]+ N²m²s were", text
+    )
+    with np.load(folders["design"] / "PEA.npz") as file:
+        q, load, spring, t = (file[n] for n in ("q", "tau_load", "tau_spring", "t"))
+    shown = page["data"]["motion"]["PEA|0"]
+    assert (min(shown["q"]), max(shown["q"])) == pytest.approx((np.degrees(q).min(), np.degrees(q).max()), rel=1e-4)
+    assert len(t) <= POINTS  # so that all samples are shown, with five digits
+    np.testing.assert_allclose(shown["needed"], (load + spring)[0], rtol=1e-4, atol=1e-9)
+    assert shown["dq_upper"] == [90.0, 90.0]
+
+
+def test_a_page_holds_the_extremes_of_a_long_recording(diagnosis):
+    """25 s at 100 Hz are more samples than a curve may have."""
+    found = curves(diagnosis)
+    recorded = diagnosis.recordings.recordings[0]
+    assert len(recorded.t) > POINTS
+    t, q, dq, *_, after = found["left 0 1"]
+    assert 1000 < len(t) <= POINTS
+    residual = np.abs(after)
+    assert found["remains"][0, 1, 0] > 10 * found["remains"][0, 1, 1]  # the plain model lacks the spring
+    assert residual.max() < 5 * found["remains"][0, 1, 1]
+    np.testing.assert_array_equal(np.isin(q, recorded.q[1]), True)
+    np.testing.assert_array_equal(np.isin(dq, recorded.dq[1]), True)
+    assert found["worst"] == 1
+
+
+def test_a_diagnosis_that_adds_nothing_shows_each_map_once(diagnosis, tmp_path):
+    folds = tuple(replace(f, model=f.plain) for f in diagnosis.folds)
+    write_diagnosis(replace(diagnosis, model=diagnosis.plain, folds=folds), tmp_path)
+    text = text_of(tmp_path)
+    assert sorted(payload(text)["figures"]) == ["errors", "load_before", "position_before", "prediction", "time_before"]
+    assert re.search(r"Both models are the same here; they miss the torque by \d+(\.\d+)? Nm rms\.", text)
+
+
+def test_thinned_samples_have_the_extremes_and_are_no_more_than_asked_for():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(3, 10_000))
+    rows[1, 1234], rows[2, 4321] = 50.0, np.nan
+    index = thinned(rows, 500, (0, 1, 2))
+    assert len(index) <= 500
+    assert np.all(np.diff(index) > 0)
+    assert {0, 9999, 1234} <= set(index.tolist())
+    np.testing.assert_array_equal(np.nanmax(rows[:, index], axis=1), np.nanmax(rows, axis=1))
+    np.testing.assert_array_equal(np.nanmin(rows[:, index], axis=1), np.nanmin(rows, axis=1))
+    np.testing.assert_array_equal(thinned(rows[:, :400], 500, (0,)), np.arange(400))
+
+
+def test_each_block_of_an_only_recording_is_predicted_by_the_models_that_did_not_see_it(diagnosis):
+    (recorded, *_), plain, model = diagnosis.recordings.recordings, diagnosis.plain, diagnosis.model
+    blocks = blocks_of(recorded)
+    even, odd = tuple(range(0, len(blocks), 2)), tuple(range(1, len(blocks), 2))
+    first = replace(diagnosis.folds[0], held=even, plain=plain, model=plain)
+    second = replace(diagnosis.folds[0], held=odd, plain=model, model=model)
+    before, after = held_out_predictions(replace(diagnosis, way="blocks", folds=(first, second)), 0, recorded) or (
+        (),
+        (),
+    )
+    np.testing.assert_array_equal(before, after)
+    for k, block in enumerate(blocks):
+        np.testing.assert_array_equal(before[:, block], (plain, model)[k % 2].predicted_torque(recorded)[:, block])
+
+
+def a_design(cost: float, **changes: Any) -> dict[str, Any]:
+    """The entry of a configuration in summary.json, as far as its words need it."""
+    springs = {"k_p2": 10.0, "q_eq2": np.pi / 2, "k_b": 5.0, "r_1": 0.02}
+    certificate = {"mesh": {"converged": True, "error": 1e-7}, "violation": 0.0, "second_order": "strict", "share": 0.5}
+    found = {"cost": cost, "E1": cost, "springs": springs, "mounted": {"parallel_spring[b]": {}}, "idle": {}}
+    found |= {"certificate": certificate, "mujoco": {"E1": cost}, "calibrated": None}
+    return found | changes
+
+
+def a_summary(**found: Any) -> dict[str, Any]:
+    named = {name.replace("_", "*"): c for name, c in found.items()}
+    return {"configurations": named, "quantity": ["E1", "N²m²s"], "joints": ["a", "b", "c"], "starts": 10}
+
+
+STIFF = a_design(200.0, springs={}, mounted={})
+IDLE = {"parallel_spring[b]": "never taut"}
+
+
+def test_the_verdict_of_a_design_names_the_best_its_gain_and_what_is_bought():
+    said = verdict(a_summary(SA=STIFF, PEA=a_design(50.0), PEA_=a_design(60.0)))
+    assert said.startswith("PEA is best: E1 is 50 N²m²s, 75.0 % less than the 200 N²m²s of stiff actuation. To buy for PEA*: ")
+    springs = "a spring of 10 Nm/rad on b, slack at 90° and a spring of 5 Nm/rad across two joints with r_1 = 20 mm"
+    assert hardware(a_design(1.0), ["a", "b", "c"]) == springs
+    assert said.endswith(f"{springs}. Then E1 is 60 N²m²s, 70.0 % less than the 200 N²m²s of stiff actuation.")
+    assert "no catalogue of springs to buy was searched" in verdict(a_summary(SA=STIFF, PEA=a_design(50.0)))
+    alone = verdict(a_summary(PEA=a_design(50.0, not_bought="none converged")))
+    assert "no choice of the catalogue could be solved" in alone
+    assert "without stiff actuation among the configurations" in alone
+    nothing = verdict(a_summary(SA=STIFF, PEA=a_design(199.0, idle=IDLE)))
+    assert nothing == "PEA costs E1 = 199 N²m²s; no springs help this task."
+
+
+CAUTIONS = {
+    "a spring that is never taut": ({"idle": IDLE}, "the parallel spring of b is never taut"),
+    "a mesh that was not met": ({"mesh": {"converged": False, "error": 1e-3}}, "the tolerance of the mesh was not met"),
+    "an engine that disagrees": ({"mujoco": {"E1": 103.0}}, "MuJoCo finds an E1 that is +3.0 % away"),
+    "a limit that is exceeded": ({"violation": 0.1}, "exceeded between the nodes by 10 % of its scale"),
+    "no local optimum": ({"second_order": "violated"}, "is no local optimum"),
+    "few starts": ({"share": 0.1}, "only one of 10 starts ended in this optimum"),
+    "a search that was interrupted": ({"interrupted": True}, "was interrupted"),
+    "a twin that needs more": (
+        {"calibrated": {"engine": {"E1": 150.0}, "saturated": True, "tracking_error_rad": 0.2}},
+        "in the calibrated twin E1 is +50 % away",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "said"), CAUTIONS.values(), ids=CAUTIONS.keys())
+def test_what_a_reader_should_know_is_said(changes, said):
+    whole = a_design(100.0)
+    of_certificate = {key: value for key, value in changes.items() if key in whole["certificate"]}
+    rest = {key: value for key, value in changes.items() if key not in of_certificate}
+    changed = whole | rest | {"certificate": whole["certificate"] | of_certificate}
+    assert any(said in line for line in cautions(a_summary(SA=STIFF, PEA=changed)))
+    assert cautions(a_summary(SA=STIFF, PEA=whole)) == []
+
+
+def test_a_bound_is_told_in_words():
+    sentence = "moving the upper bound of parallel_spring[b].stiffness (13 Nm/rad) outward would save 12 % of E1"
+    assert (
+        bound(sentence)
+        == "Moving the upper bound of stiffness of the parallel spring of b (13 Nm/rad) outward would save 12 % of E1."
+    )
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A Chromium without a window; skips where there is none."""
+    driver = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra `test`")
+    names = ("chromium", "google-chrome", "chrome-headless-shell")
+    found = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip(f"no browser: none of {', '.join(names)} is on the path, and CHROMIUM names none")
+    with driver.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=found, args=["--no-sandbox"])  # which root in a container needs
+        yield opened
+        opened.close()
+
+
+@pages
+def test_a_browser_shows_a_page_wide_and_narrow_light_and_dark(folders, browser, tmp_path, name):
+    artifacts, said, asked, papers = Path(os.environ.get("RRR_OC_ARTIFACTS", tmp_path)), [], [], {}
+    artifacts.mkdir(parents=True, exist_ok=True)
+    for width, scheme in SHOWN_AT:
+        context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        page = context.new_page()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url.split(":")[0]))
+        page.goto((folders[name] / "report.html").as_uri())
+        drawn = page.eval_on_selector_all(".plot", "plots => plots.map(p => p.querySelectorAll('.main-svg').length > 0)")
+        assert drawn
+        assert all(drawn)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        wide = page.eval_on_selector_all(".plot .main-svg", "plots => plots.map(p => p.getBoundingClientRect().right)")
+        assert max(wide) <= width
+        papers[scheme] = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        inks = page.eval_on_selector_all(".plot .xtick text", "texts => texts.map(text => getComputedStyle(text).fill)")
+        assert set(inks) == {page.evaluate("getComputedStyle(document.body).color")}
+        _every_choice_is_shown(page)
+        page.screenshot(path=artifacts / f"{name}_{width}_{scheme}.png", full_page=True)
+        context.close()
+    assert said == []
+    assert set(asked) <= {"file", "data", "blob"}
+    assert papers["light"] != papers["dark"]
+    assert len(list(artifacts.glob(f"{name}_*.png"))) == len(SHOWN_AT)
+
+
+def _every_choice_is_shown(page: Any) -> None:
+    """Each select, turned to its last option, changes what is shown, and leaves one part of each kind visible."""
+    first = {select.get_attribute("data-choice"): select.input_value() for select in page.query_selector_all("select")}
+    for choice, before in first.items():
+        select = page.locator(f'select[data-choice="{choice}"]')
+        options = select.locator("option").evaluate_all("options => options.map(option => option.value)")
+        others = [option for option in options if option != before]
+        captions = page.locator("figcaption").all_text_contents()
+        for option in others[-1:]:
+            select.select_option(option)
+            assert page.locator("figcaption").all_text_contents() != captions
+            parts = page.locator(f'section[data-choice="{choice}"]')
+            assert parts.count() == 0 or parts.evaluate_all("parts => parts.filter(part => !part.hidden).length") == 1
+        select.select_option(before)
