@@ -150,6 +150,14 @@ def test_the_readme_names_every_page():
     assert not [page.name for page in (ROOT / "docs").glob("*.md") if f"docs/{page.name}" not in text]
 
 
+def test_the_readme_is_read_in_minutes():
+    """With one picture, which is small."""
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 110
+    (picture,) = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+    assert (ROOT / picture).stat().st_size < 150_000
+
+
 def test_the_checks_find_what_is_missing(tmp_path):
     """The tests' own tools, on names that do not exist."""
     assert missing_names("from rrr_oc.errors import UserError, Nothing\nimport rrr_oc.nowhere\n") == [
