@@ -17,6 +17,8 @@ from rrr_oc.report.reference import effects
 ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"(\]\()(?!https?:|mailto:|#)([^)#\s]+)((?:#[^)\s]*)?\))")
 FENCE = re.compile(r"^```.*?^```$|`[^`\n]+`", re.M | re.S)  # code, in which nothing is a link
+BLOCK = re.compile(r"^```.*?^```$", re.M | re.S)
+NESTED = re.compile(r"^  - ", re.M)  # a list within a list, which MkDocs wants four spaces in
 LANGUAGES = {".py": "python", ".json": "json", ".toml": "toml", ".cff": "yaml", ".urdf": "xml"}
 LARGEST = 60_000  # bytes of a file that is shown as a page; a larger one is copied as it is
 OF_EFFECTS = "rrr_oc/effects"  # the folder whose page is the catalogue
@@ -64,11 +66,16 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         there = _site(_repository(page.file.src_uri, match[2]))
         return match[1] + os.path.relpath(there, PurePosixPath(page.file.src_uri).parent) + match[3]
 
+    return _outside(BLOCK, NESTED, "    - ", _outside(FENCE, LINK, within, markdown))
+
+
+def _outside(code: re.Pattern[str], pattern: re.Pattern[str], change: Any, text: str) -> str:
+    """The text with a pattern replaced, but not in code."""
     parts, at = [], 0
-    for code in FENCE.finditer(markdown):
-        parts += [LINK.sub(within, markdown[at : code.start()]), code[0]]
-        at = code.end()
-    return "".join([*parts, LINK.sub(within, markdown[at:])])
+    for found in code.finditer(text):
+        parts += [pattern.sub(change, text[at : found.start()]), found[0]]
+        at = found.end()
+    return "".join([*parts, pattern.sub(change, text[at:])])
 
 
 def _repository(page: str, target: str) -> str:

@@ -1,7 +1,7 @@
 """Every command and every Python example of README and docs runs, with reduced options, or has a reason why it does not.
 
-docs/start.md runs first, in its order, in a folder of its own that holds nothing but the URDF and, later, recordings of a made-up arm.
-The other pages share a second folder.
+docs/start.md runs first, in its order, in a folder that holds nothing but the URDF and, later, recordings of a made-up arm. The other
+pages go on in that folder.
 """
 
 import glob
@@ -107,36 +107,46 @@ def columns(r: Recording) -> dict[str, np.ndarray]:
     return {"t": r.t} | {f"{kind}_{joint}": getattr(r, kind)[j] for j, joint in enumerate(JOINTS) for kind in ("q", "tau")}
 
 
-def test_the_path_of_start(monkeypatch, tmp_path):
-    """In order; recordings come where the page says that they are put into the folder and listed. Nobody lists the spring at joint 2."""
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(URDF / "rrr.urdf", "arm.urdf")
-    done = []
-    for command in commands(START.read_text()):
-        if command.startswith("rrr-oc diagnose"):
-            header, every = Path("arm/recordings/recordings.json"), recorded(2, 5.0, {1: (9.0, 1.2)})
-            for r in every:
-                write_csv(header.parent / r.file, columns(r))
-            content = parsed(str(header), header.read_text()) | {"recordings": [{"file": r.file} for r in every]}
-            header.write_text(json.dumps(content))
-        if why_not(command) is None:
-            run(command, monkeypatch)
-            done.append(command.split()[1])
-        elif "mujoco.viewer" in command:
-            assert mujoco.MjModel.from_xml_path(command.partition("--mjcf=")[2]).nv == 3
-    assert done[:5] == ["init", "design", "animate", "excite", "diagnose"]
-    assert {"design", "export"} <= set(done[5:])
-    found = json.loads(Path("arm/diagnosis/diagnosis.json").read_text())["effects"]
+@pytest.fixture(scope="module")
+def started(tmp_path_factory) -> tuple[Path, list[str]]:
+    """A folder with a URDF in which the commands of docs/start.md ran in their order, and these commands.
+
+    Recordings come where the page says that they are put into the folder and listed. Nobody lists the spring at joint 2.
+    """
+    folder, done = tmp_path_factory.mktemp("pages"), []
+    shutil.copy(URDF / "rrr.urdf", folder / "arm.urdf")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for command in commands(START.read_text()):
+            if command.startswith("rrr-oc diagnose"):
+                header, every = Path("arm/recordings/recordings.json"), recorded(2, 5.0, {1: (9.0, 1.2)})
+                for r in every:
+                    write_csv(header.parent / r.file, columns(r))
+                content = parsed(str(header), header.read_text()) | {"recordings": [{"file": r.file} for r in every]}
+                header.write_text(json.dumps(content))
+            if why_not(command) is None:
+                run(command, patch)
+                done.append(command)
+            elif "mujoco.viewer" in command:
+                assert mujoco.MjModel.from_xml_path(command.partition("--mjcf=")[2]).nv == 3
+    return folder, done
+
+
+def test_the_path_of_start(started):
+    folder, done = started
+    names = [command.split()[1] for command in done]
+    assert names[:5] == ["init", "design", "animate", "excite", "diagnose"]
+    assert {"design", "export"} <= set(names[5:])
+    found = json.loads((folder / "arm/diagnosis/diagnosis.json").read_text())["effects"]
     assert [(e["effect"], e["joint"]) for e in found] in ([("cable_harness", "joint2")], [("parallel_spring", "joint2")])
-    assert json.loads(Path("arm/redesign/summary.json").read_text())["configurations"]["PEA"]["E1"] > 0
-    assert Path("arm/pea.gif").stat().st_size > 10_000
+    assert json.loads((folder / "arm/redesign/summary.json").read_text())["configurations"]["PEA"]["E1"] > 0
+    assert (folder / "arm/pea.gif").stat().st_size > 10_000
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    """What the pages other than docs/start.md take for granted: a URDF, a task, recordings in every layout, files about them."""
-    folder, r = tmp_path_factory.mktemp("pages"), recorded(3, 4.0)
-    shutil.copy(URDF / "rrr.urdf", folder / "arm.urdf")
+def folder(started) -> Path:
+    """The same folder, with what the other pages take for granted: a task, recordings in every layout, files about them."""
+    folder, r = started[0], recorded(3, 4.0)
     task = (ROOT / "rrr_oc" / "data" / "paper.json").read_text()
     (folder / "task.json").write_text(task.replace('"robot": "rrr"', '"robot": "arm.urdf"'))
     (folder / "mapping.toml").write_text("[columns]\n" + "".join(f'{name} = "{name}"\n' for name in columns(r[0])))
@@ -153,10 +163,10 @@ def pages() -> list[Path]:
     return sorted(others, key=lambda page: ORDER.index(page.name) if page.name in ORDER else len(ORDER))
 
 
-def test_the_commands_of_all_other_pages(monkeypatch, folder):
-    """Each once, in the order in which one page builds upon another; those of README that stand in docs/start.md ran there."""
+def test_the_commands_of_all_other_pages(monkeypatch, folder, started):
+    """Each once, in the order in which one page builds upon another; those that stand in docs/start.md as well ran there."""
     monkeypatch.chdir(folder)
-    done = commands(START.read_text())
+    done = list(started[1])
     for page in pages():
         for command in commands(page.read_text()):
             if why_not(command) is None and command not in done and "*.mcap" not in command:
