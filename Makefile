@@ -1,4 +1,4 @@
-# `make study` runs the main job, `make test` the tests; each does all set-up first.
+# `make study` runs the main job, `make test` the tests, `make docs` builds the site; each does all set-up first.
 PYTHON ?= python3
 VENV ?= .venv
 LOWEST ?= .venv-lowest
@@ -11,7 +11,7 @@ SHORT = tests/test_akima.py tests/test_robot.py tests/test_rigid_body.py tests/t
   tests/test_recordings.py tests/test_importers.py tests/test_cli.py tests/test_metrics.py tests/test_solver.py \
   tests/test_rollout.py tests/test_evolution.py
 
-.PHONY: study test test-lowest lint
+.PHONY: study test test-lowest docs lint
 study: $(VENV)/installed
 	$(VENV)/bin/python studies/pea_bpea.py $(ARGS)
 
@@ -21,6 +21,9 @@ test: $(VENV)/installed
 # The lowest versions warn of each other's deprecations, which is no fault of ours: warnings stay warnings here.
 test-lowest: $(LOWEST)/installed
 	$(LOWEST)/bin/python -m pytest -q -W default --disable-warnings --benchmark-skip $(SHORT) $(ARGS)
+
+docs: $(VENV)/installed
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict $(ARGS)
 
 lint: $(VENV)/installed
 	$(VENV)/bin/ruff check .

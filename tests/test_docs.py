@@ -2,13 +2,20 @@
 
 import ast
 import importlib
+import os
 import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from importlib.util import find_spec
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 import typer
 
 from rrr_oc.commands import COMMANDS, app, load
+from rrr_oc.effects import CATALOGUE
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -146,6 +153,14 @@ def test_the_readme_names_every_page():
     assert not [page.name for page in (ROOT / "docs").glob("*.md") if f"docs/{page.name}" not in text]
 
 
+def test_the_readme_is_read_in_minutes():
+    """With one picture, which is small."""
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 110
+    (picture,) = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+    assert (ROOT / picture).stat().st_size < 150_000
+
+
 def test_the_checks_find_what_is_missing(tmp_path):
     """The tests' own tools, on names that do not exist."""
     assert missing_names("from rrr_oc.errors import UserError, Nothing\nimport rrr_oc.nowhere\n") == [
@@ -164,3 +179,68 @@ def test_the_checks_find_what_is_missing(tmp_path):
     assert unknown_options("rrr-oc fly") == ["rrr-oc fly"]
     assert unknown_options("python studies/pea_bpea.py --starts 6") == []
     assert unknown_options("python studies/pea_bpea.py --magic 6") == ["--magic"]
+
+
+class Links(HTMLParser):
+    """Links of a page, and what the page itself loads."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.loaded: list[str] = []
+        self.places: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {name: value or "" for name, value in attrs}
+        self.places |= {given[name] for name in ("id", "name") if name in given}
+        if tag == "a":
+            self.links.append(given.get("href", ""))
+        elif tag in ("script", "img", "source") or (tag == "link" and given.get("rel") != "canonical"):
+            self.loaded.append(given.get("src", given.get("href", "")))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> dict[Path, Links]:
+    """The pages of the site, built as `make docs` builds it."""
+    if find_spec("mkdocs") is None or find_spec("material") is None:
+        pytest.skip("mkdocs-material is not installed; the extra 'docs' has it")
+    out = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(out)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_MKDOCS_2_WARNING": "1", "MPLBACKEND": "Agg"}
+    built = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert built.returncode == 0, built.stdout + built.stderr
+    pages = {}
+    for path in out.rglob("*.html"):
+        pages[path] = Links()
+        pages[path].feed(path.read_text(encoding="utf-8"))
+    return pages
+
+
+def test_links_of_the_site_lead_to_pages_files_and_headings(site):
+    broken = []
+    for page, found in site.items():
+        for link in found.links if page.name != "404.html" else ():
+            target, _, place = unquote(link).partition("#")
+            there = (page.parent / target).resolve() if target else page
+            if not target.startswith(("http:", "https:")):
+                known = there.is_file() and (not place or there not in site or place in site[there].places)
+                broken += [] if known or place.startswith("__") else [f"{page.name}: {link}"]
+    assert not broken
+
+
+def test_the_site_loads_nothing_from_elsewhere(site):
+    assert not {one for found in site.values() for one in found.loaded if one.startswith(("http:", "https:", "//"))}
+
+
+def test_files_outside_the_pages_are_shown_in_the_site(site):
+    texts = {"/".join(p.parts[p.parts.index("source") :]): p.read_text() for p in site if "source" in p.parts}
+    assert "payload_kg" in texts["source/rrr_oc/data/paper.json.html"]
+    assert "class Stribeck" in re.sub("<[^>]*>", "", texts["source/rrr_oc/effects/friction/stribeck.py.html"])
+
+
+def test_the_table_of_contents_has_every_page_of_the_folder_and_every_effect(site):
+    index = min((p for p in site if p.name == "index.html"), key=lambda p: len(p.parts))
+    listed = {str((index.parent / link.partition("#")[0]).resolve()) for link in site[index].links}
+    wanted = [p.relative_to(ROOT / "docs").with_suffix(".html") for p in (ROOT / "docs").rglob("*.md")]
+    wanted += [Path("effects") / f"{name}.html" for name in ("index", *CATALOGUE)]
+    assert not [str(path) for path in wanted if str(index.parent.resolve() / path) not in listed]

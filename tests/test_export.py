@@ -1,6 +1,7 @@
 """Exported files, read again by the programs that they are for."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from rrr_oc import cli
 from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
 from rrr_oc.calibration.model_file import save_model
+from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.friction.dry_friction import DryFriction
@@ -184,3 +186,27 @@ def test_effects_of_the_arm_that_a_repaired_design_was_made_for_are_named(monkey
     assert run(monkeypatch, *options) == 0
     left_out = json.loads(capsys.readouterr().out)["not_in_mjcf"]
     assert "payload_com[joint3]: the design was made for an arm that has it; give its model.json" in left_out
+
+
+PAGE = (Path(__file__).resolve().parents[1] / "docs" / "export.md").read_text()
+TOLD_IN = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.*?) \|", PAGE.split("## What is in")[1], re.M))))
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_the_documentation_says_which_effects_are_in_the_file(name):
+    """Its table has those that are; the list below it those that are not."""
+    kind, robot = CATALOGUE[name], load_robot("rrr")
+    effect = kind({"arm": (), "pair": (1, 2)}.get(kind.placement, (1,)))
+    effects = (ParallelSpring((1,)), effect) if "springs" in effect.inputs else (effect,)
+    values = [[0.1 if q.name == "gap" else q.nominal for q in e.parameters] for e in effects]
+    made = mjcf(Model(robot, robot.tool, effects), np.concatenate(values))
+    assert (made.left_out == ()) is (name in TOLD_IN)
+    assert f"`{name}`" in PAGE.split("## What is not")[name not in TOLD_IN]
+
+
+def test_springs_beside_an_elastic_gear_are_left_out_as_the_documentation_says():
+    robot = load_robot("rrr")
+    for gives in ("joint_elasticity", "backlash"):
+        gear, spring = CATALOGUE[gives]((2,)), ParallelSpring((1,))
+        theta = [*(0.1 if q.name == "gap" else q.nominal for q in gear.parameters), 5.0, 1.0]
+        assert len(mjcf(Model(robot, robot.tool, (gear, spring)), theta).left_out) == 1

@@ -1,0 +1,222 @@
+"""Every command and every Python example of README and docs runs, with reduced options, or has a reason why it does not.
+
+docs/start.md runs first, in its order, in a folder that holds nothing but the URDF and, later, recordings of a made-up arm. The other
+pages go on in that folder.
+"""
+
+import glob
+import json
+import re
+import shlex
+import shutil
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from recorded import URDF, Plant, as_set, record
+from test_docs import CURRENT, ROOT, blocks, code
+from test_importers import JOINTS, write_prototype
+
+from rrr_oc import cli
+from rrr_oc.commands import COMMANDS
+from rrr_oc.recordings.recording import Recording
+from rrr_oc.recordings.writer import save_recordings
+from rrr_oc.schema import parsed
+from rrr_oc.storage import write_csv
+
+START = ROOT / "docs" / "start.md"
+# Later pages use what earlier ones write
+ORDER = ("recordings.md", "calibration.md", "diagnosis.md", "priors.md", "codesign.md", "export.md", "README.md")
+TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])  # friction and armature of the made-up arm
+# Options behind a documented command; of one that is given twice the last one counts
+REDUCED = {
+    "design": ["--configurations", "PEA", "--starts", "1", "--hops", "0", "--tolerance", "1e-2", "--jobs", "1"],
+    "diagnose": ["--no-simulate", "--jobs", "1"],
+    "excite": ["--starts", "1", "--harmonics", "4", "--duration", "8"],
+}
+STIFF = {**REDUCED, "design": [*REDUCED["design"], "--configurations", "SA"]}  # where nothing is made of the design
+STARTS = ("starts=8", "starts=1")  # of Python examples
+# Commands that are not run, by how they begin, with the reason and the test of the same code in a reduced form
+NOT_RUN = {
+    "make": ("it sets up an environment; .ci/run runs it", ".ci/run"),
+    "pip install": ("it would change the environment of the tests", "pyproject.toml"),
+    "python -m http.server": ("it serves until it is stopped", "tests/test_docs.py"),
+    "python -m mujoco.viewer": (
+        "it opens a window; the model that it shows is loaded here",
+        "tests/test_documented_commands.py",
+    ),
+    "python -m pytest tests/benchmarks": ("benchmarks, for idle machines", "tests/benchmarks"),
+    "studies/pea_bpea.py": ("minutes", "tests/test_study.py"),
+    "studies/calibration.py": ("needs the authors' recordings", "tests/test_calibration_study.py"),
+    "studies/concealed_physics.py": ("hours", "tests/test_concealed_study.py"),
+    "studies/prototype_recordings.py": (
+        "needs the authors' recordings; the same as a part of real_arms",
+        "studies/real_arms.py",
+    ),
+    "studies/real_arms.py": ("needs recordings of real arms", "tests/test_real_arms_study.py"),
+    "studies/gradient_vs_evolution.py": ("minutes to hours", "tests/test_comparison_study.py"),
+    "studies/transfer.py": ("an hour", "tests/test_transfer_study.py"),
+    "validation/concealed/make_cases.py": ("minutes to hours", "tests/test_concealed_study.py"),
+    "validation/optimal_control.py": ("minutes", "tests/test_transcription.py"),
+    "validation/scaling.py": ("minutes", "tests/benchmarks/bench_codesign.py"),
+    "validation/analytic_vs_mujoco.py": ("minutes", "tests/test_tracking.py"),
+    "validation/calibration_coverage.py": ("hours", "tests/test_calibration.py"),
+    "validation/calibration_ways.py": ("minutes", "tests/test_calibration.py"),
+    "validation/engine_plants.py": ("minutes to hours", "tests/test_diagnosis.py"),
+}
+
+
+def commands(text: str) -> list[str]:
+    """Commands with their arguments, in the order of the page; a bare name such as `rrr-oc design` is none, nor is one with "…"."""
+    beginning = r"(?:rrr-oc \w|(?:\.venv/bin/)?python -?\w|make \w|make$|pip install|(?:studies|validation)/[\w/]+\.py )"
+    found = [command for command in code(text) if re.match(beginning, command) and not re.search(r"[A-Z]+ ?…|… |\[--", command)]
+    return [
+        c
+        for c in dict.fromkeys(found)
+        if not re.fullmatch(r"rrr-oc [\w-]+(?: (?:[a-z]+|--?\w+ FILE.*|.*[A-Z]{4,} --out DIR))?", c)
+    ]
+
+
+def plain(command: str) -> str:
+    """Without the interpreter, where a script is named."""
+    return re.sub(r"^(?:\.venv/bin/)?python (?=studies|validation)", "", command.removeprefix(".venv/bin/"))
+
+
+def why_not(command: str) -> tuple[str, str] | None:
+    return next((reason for begin, reason in NOT_RUN.items() if plain(command).startswith(begin)), None)
+
+
+def run(command: str, monkeypatch: pytest.MonkeyPatch, reduced: dict[str, list[str]] = REDUCED) -> None:
+    """Run a command of `rrr-oc` in the present folder, reduced."""
+    words = [name for word in shlex.split(command)[1:] for name in (sorted(glob.glob(word)) if "*" in word else [word])]
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", *words, *reduced.get(words[0], [])])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code in (0, None), command
+
+
+def recorded(count: int, seconds: float, pea: dict | None = None) -> list[Recording]:
+    """Recordings of a plain arm, or of one with a spring."""
+    plant, rng = Plant("rrr", *TRUTH), np.random.default_rng(0)
+    return [record(plant, f"{i}.csv", rng, seconds, pea=pea) for i in range(count)]
+
+
+def columns(r: Recording) -> dict[str, np.ndarray]:
+    return {"t": r.t} | {f"{kind}_{joint}": getattr(r, kind)[j] for j, joint in enumerate(JOINTS) for kind in ("q", "tau")}
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory) -> tuple[Path, list[str]]:
+    """A folder with a URDF in which the commands of docs/start.md ran in their order, and these commands.
+
+    Recordings come where the page says that they are put into the folder and listed. Nobody lists the spring at joint 2.
+    """
+    folder, done = tmp_path_factory.mktemp("pages"), []
+    shutil.copy(URDF / "rrr.urdf", folder / "arm.urdf")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for command in commands(START.read_text()):
+            if command.startswith("rrr-oc diagnose"):
+                header, every = Path("arm/recordings/recordings.json"), recorded(2, 5.0, {1: (9.0, 1.2)})
+                for r in every:
+                    write_csv(header.parent / r.file, columns(r))
+                content = parsed(str(header), header.read_text()) | {"recordings": [{"file": r.file} for r in every]}
+                header.write_text(json.dumps(content))
+            if why_not(command) is None:
+                run(command, patch)
+                done.append(command)
+            elif "mujoco.viewer" in command:
+                assert mujoco.MjModel.from_xml_path(command.partition("--mjcf=")[2]).nv == 3
+    return folder, done
+
+
+def test_the_path_of_start(started):
+    folder, done = started
+    names = [command.split()[1] for command in done]
+    assert names[:5] == ["init", "design", "animate", "excite", "diagnose"]
+    assert {"design", "export"} <= set(names[5:])
+    found = json.loads((folder / "arm/diagnosis/diagnosis.json").read_text())["effects"]
+    assert [(e["effect"], e["joint"]) for e in found] in ([("cable_harness", "joint2")], [("parallel_spring", "joint2")])
+    assert json.loads((folder / "arm/redesign/summary.json").read_text())["configurations"]["PEA"]["E1"] > 0
+    assert (folder / "arm/pea.gif").stat().st_size > 10_000
+
+
+@pytest.fixture(scope="module")
+def folder(started) -> Path:
+    """The same folder, with what the other pages take for granted: a task, recordings in every layout, files about them."""
+    folder, r = started[0], recorded(3, 4.0)
+    task = (ROOT / "rrr_oc" / "data" / "paper.json").read_text()
+    (folder / "task.json").write_text(task.replace('"robot": "rrr"', '"robot": "arm.urdf"'))
+    (folder / "mapping.toml").write_text("[columns]\n" + "".join(f'{name} = "{name}"\n' for name in columns(r[0])))
+    for one in r[:2]:
+        write_csv(folder / one.file, columns(one))
+    save_recordings(as_set(Plant("rrr", *TRUTH), r[2:]), folder / "recordings" / "other")
+    write_prototype(folder / "FOLDER", [3, 4], rows=400)
+    (folder / "priors.toml").write_text(dict(blocks((ROOT / "docs" / "priors.md").read_text()))["toml"])
+    return folder
+
+
+def pages() -> list[Path]:
+    others = [page for page in (*CURRENT, *sorted((ROOT / "docs" / "reference").glob("*.md"))) if page != START]
+    return sorted(others, key=lambda page: ORDER.index(page.name) if page.name in ORDER else len(ORDER))
+
+
+def test_the_commands_of_all_other_pages(monkeypatch, folder, started):
+    """Each once, in the order in which one page builds upon another; those that stand in docs/start.md as well ran there."""
+    monkeypatch.chdir(folder)
+    done = list(started[1])
+    for page in pages():
+        for command in commands(page.read_text()):
+            if why_not(command) is None and command not in done and "*.mcap" not in command:
+                run(command, monkeypatch, STIFF)
+                done.append(command)
+    assert {command.split()[1] for command in done} >= set(COMMANDS) - {"effects"}
+
+
+def test_the_command_for_bags(monkeypatch, tmp_path):
+    """Two bags that a ROS 2 writer made."""
+    from test_importers import states, write_mcap
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(URDF / "rrr.urdf", "arm.urdf")
+    for name in ("a", "b"):
+        write_mcap(tmp_path / f"{name}.mcap", states())
+    (command,) = [c for page in pages() for c in commands(page.read_text()) if "*.mcap" in c]
+    run(command, monkeypatch)
+    assert len(list(tmp_path.glob("recordings/*/*.csv"))) == 2
+
+
+def test_python_examples_run(monkeypatch, folder, capsys):
+    monkeypatch.chdir(folder)
+    seen = 0
+    for page in CURRENT:
+        for language, content in blocks(page.read_text()):
+            if language == "python":
+                exec(compile(content.replace(*STARTS), str(page), "exec"), {"__name__": "__main__"})
+                seen += 1
+    assert seen >= 3
+    cost = float(capsys.readouterr().out.split()[0])
+    assert 60 < cost < 600  # PEA of the paper's task: of the best start of one
+
+
+def test_what_is_not_run_has_a_reason_and_a_test():
+    every = [command for page in (START, *pages()) for command in commands(page.read_text())]
+    skipped = {command for command in every if not command.startswith("rrr-oc ")}
+    assert not [command for command in skipped if why_not(command) is None]
+    assert not [begin for begin in NOT_RUN if not any(plain(command).startswith(begin) for command in skipped)]
+    for begin, (reason, where) in NOT_RUN.items():
+        assert reason
+        assert (ROOT / where).exists(), begin
+        if begin.startswith("studies/"):
+            assert Path(begin).stem in (ROOT / where).read_text(), f"{where} does not run {begin}"
+
+
+def test_the_reader_of_commands():
+    """The test's own tool."""
+    names = "`rrr-oc` `rrr-oc design` `rrr-oc import csv` `rrr-oc diagnose --priors FILE` `make` `studies/x.py … --y`"
+    text = f"{names}\n```\nrrr-oc init a --out b\n```\n"
+    assert commands(text) == ["rrr-oc init a --out b", "make"]
+    assert why_not(".venv/bin/python studies/transfer.py --arms a") == NOT_RUN["studies/transfer.py"]
+    assert why_not("rrr-oc init a --out b") is None
