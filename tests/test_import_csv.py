@@ -10,7 +10,7 @@ import pytest
 from rrr_oc import cli
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.importers import import_csv
-from rrr_oc.recordings.importers.csv import QUANTITIES, UNITS
+from rrr_oc.recordings.importers.column_mapping import QUANTITIES, UNITS
 from rrr_oc.recordings.reader import load_recordings
 
 START = 1_700_000_000_000.0  # [ms] since 1970

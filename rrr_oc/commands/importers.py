@@ -8,7 +8,7 @@ from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.importers import JointStates, import_csv, import_mcap, import_prototype
+from rrr_oc.recordings.importers import JointStates, import_csv, import_lerobot, import_mcap, import_prototype
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.recording import RecordingSet
 
@@ -61,6 +61,22 @@ def from_csv(
 ) -> None:
     """CSV files with columns and units of one's own."""
     _show_set(import_csv(files, robot, out, mapping), Output(quiet, as_json))
+
+
+@app.command()
+def lerobot(
+    folder: Annotated[Path, typer.Argument(help="a data set of LeRobot on this machine: a folder with meta/info.json")],
+    robot: Annotated[str, typer.Option(help="path of the robot's URDF or MJCF, or a bundled model")],
+    out: Annotated[Path, typer.Option(help="folder to make")],
+    mapping: Annotated[
+        Path | None, typer.Option("--map", help="TOML file that says which column is what; default: as their names say")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="of positions without --map: rad or deg; speeds are per second")] = "rad",
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Data sets of LeRobot with torques or currents, versions 2 and 3."""
+    _show_set(import_lerobot(folder, robot, out, mapping, unit), Output(quiet, as_json))
 
 
 def _constants(text: str | None) -> dict[str, float]:

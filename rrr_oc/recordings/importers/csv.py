@@ -1,89 +1,16 @@
 """CSV files with columns and units of one's own, turned into a recording set by a mapping in a TOML file."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-from msgspec import field
 
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.csv_table import Table, read_table
+from rrr_oc.recordings.csv_table import read_table
+from rrr_oc.recordings.importers.column_mapping import ColumnMapping, understood
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.recordings.writer import constants, write_files
-from rrr_oc.robot.robot import load_robot
-from rrr_oc.schema import Payload, Schema, Text, check_names, read_toml, spellings, validated
-
-TURN = 2 * math.pi  # [rad] of a revolution
-# Units of one's own that are read, by quantity, the SI unit first, each with its size in that unit
-UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
-    "position": {"rad": 1.0, "mrad": 1e-3, "deg": TURN / 360, "°": TURN / 360, "rev": TURN, "turn": TURN},
-    "speed": {
-        "rad/s": 1.0, "mrad/s": 1e-3, "deg/s": TURN / 360, "°/s": TURN / 360, "rev/s": TURN, "rpm": TURN / 60, "rev/min": TURN / 60
-    },
-    "acceleration": {
-        "rad/s²": 1.0, "rad/s^2": 1.0, "deg/s²": TURN / 360, "deg/s^2": TURN / 360, "rev/s²": TURN, "rev/s^2": TURN, "rpm/s": TURN / 60
-    },
-    "torque": {"Nm": 1.0, "kNm": 1e3, "Ncm": 1e-2, "Nmm": 1e-3, "mNm": 1e-3},
-    "current": {"A": 1.0, "mA": 1e-3},
-    "mass": {"kg": 1.0, "g": 1e-3},
-}  # fmt: skip
-QUANTITIES = {  # by what a column's name begins with
-    "t": "time",
-    "q": "position",
-    "dq": "speed",
-    "ddq": "acceleration",
-    "tau": "torque",
-    "current": "current",
-    "payload": "mass",
-}
-
-
-class Column(Schema, frozen=True):
-    """Where a column of the set comes from: its value is factor (cell − zero), in the unit given.
-
-    Attributes:
-        column: Name of the column in your files.
-        unit: Unit of its cells; by default the SI unit.
-        factor: Multiplies the cells, such as -1 for a joint that turns the other way, or 1/gear ratio for an angle of the motor.
-        zero: What your column reads where the URDF has zero, in the unit of the cells.
-    """
-
-    column: Text
-    unit: Text | None = None
-    factor: float = 1.0
-    zero: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0 < abs(self.factor) < math.inf:
-            raise ValueError(f"factor: found {self.factor:g}; a finite number other than 0 is required")
-        if not math.isfinite(self.zero):
-            raise ValueError(f"zero: found {self.zero:g}; a finite number is required")
-
-
-class CsvMapping(Schema, frozen=True):
-    """How CSV files are to be understood.
-
-    Attributes:
-        columns: By name of the set's column, yours: its name alone where the unit is SI's, else with its unit.
-        joints: Joints recorded, in the order of the chain; by default all of the robot's.
-        torque: What the effort columns hold: motor or load torque, or current.
-        inertial: Whether the URDF's masses and inertias are used ("nominal") or estimated ("identify").
-        torque_constant: By joint, for currents [Nm/A].
-    """
-
-    columns: dict[str, str | Column]
-    joints: tuple[Text, ...] | None = None
-    torque: Literal["motor", "load", "current"] = "motor"
-    inertial: Literal["nominal", "identify"] = "nominal"
-    torque_constant: dict[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for joint, constant in self.torque_constant.items():
-            if not math.isfinite(constant):
-                raise ValueError(f"torque_constant: found {constant:g} for {joint!r}; a finite number of Nm/A is required")
+from rrr_oc.recordings.writer import write_files
+from rrr_oc.schema import read_toml, validated
 
 
 def import_csv(files: Sequence[str | Path], robot: str | Path, out: str | Path, mapping: str | Path) -> RecordingSet:
@@ -92,7 +19,7 @@ def import_csv(files: Sequence[str | Path], robot: str | Path, out: str | Path, 
     Time counts from a file's first instant. Columns that the mapping does not name are left out.
 
     Args:
-        mapping: TOML file as `CsvMapping` describes it.
+        mapping: TOML file as `ColumnMapping` describes it.
 
     Raises:
         UserError: The mapping names a column, a unit or a joint that there is not, or leaves out one that is required; a file
@@ -100,67 +27,10 @@ def import_csv(files: Sequence[str | Path], robot: str | Path, out: str | Path, 
     """
     if not files:
         raise UserError("no CSV file given; at least one is required")
-    understood = validated(mapping, read_toml(mapping), CsvMapping)
-    joints = load_robot(robot, understood.joints, understood.inertial == "nominal").joints
-    sources = _sources(mapping, understood, joints)
-    check_names(understood.torque_constant, joints, f"{mapping}: torque_constant", "joint")
-    header = {
-        "joints": list(joints),
-        "torque": understood.torque,
-        "inertial": understood.inertial,
-        "actuators": constants(understood.torque_constant),
-    }
-    return write_files(out, robot, header, files, lambda file: _columns(read_table(file), sources, mapping))
+    known = understood(mapping, validated(mapping, read_toml(mapping), ColumnMapping), robot)
 
+    def read(file: Path) -> dict[str, np.ndarray]:
+        table = read_table(file)
+        return known.columns(f"{table.path}, line {table.header_line}", table.names, lambda names: list(table.columns(names)))
 
-def _sources(path: str | Path, mapping: CsvMapping, joints: Sequence[str]) -> dict[str, tuple[Column, float]]:
-    """Source and size of its unit in SI's, by column of the set; raises `UserError` for a mapping that makes no set."""
-    effort = "current" if mapping.torque == "current" else "tau"
-    required = ["t", *(f"{kind}_{joint}" for kind in ("q", effort) for joint in joints)]
-    optional = [*(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in joints), *spellings(Payload)]
-    check_names(mapping.columns, [*required, *optional], f"{path}: columns", "column of a set")
-    missing = [name for name in required if name not in mapping.columns]
-    if missing:
-        raise UserError(f"{path}: columns: {missing[0]!r} is missing; required are {', '.join(required)}")
-    found = {}
-    for name, given in mapping.columns.items():
-        source = Column(given) if isinstance(given, str) else given
-        found[name] = source, _size(f"{path}: columns.{name}.unit", source.unit, QUANTITIES[name.split("_")[0]])
-    return found
-
-
-def _size(where: str, unit: str | None, quantity: str) -> float:
-    """Size of a unit of a quantity in SI's; raises `UserError` that lists the units known."""
-    known = UNITS[quantity]
-    if unit is None:
-        return 1.0
-    if unit not in known:
-        other = next((name for name, units in UNITS.items() if unit in units), None)
-        found = f"{unit!r} is a unit of {other}" if other else f"unit {unit!r} is not known"
-        raise UserError(f"{where}: {found}; units of {quantity} are {', '.join(known)}")
-    return known[unit]
-
-
-def _columns(table: Table, sources: Mapping[str, tuple[Column, float]], path: str | Path) -> dict[str, np.ndarray]:
-    """Columns (K,) of a recording in SI units, by the set's names."""
-    for name, (source, _) in sources.items():
-        if source.column not in table.names:
-            there = ", ".join(table.names)
-            raise UserError(
-                f"{table.path}, line {table.header_line}: no column {source.column!r}, which {path} takes for {name!r}; "
-                f"there are {there}"
-            )
-    values = table.columns([source.column for source, _ in sources.values()])
-    columns = {
-        name: source.factor * size * (cells - source.zero)
-        for (name, (source, size)), cells in zip(sources.items(), values, strict=True)
-    }
-    source, size = sources["t"]
-    columns["t"] = source.factor * size * _from_the_first(values[list(sources).index("t")])
-    return columns
-
-
-def _from_the_first(times: np.ndarray) -> np.ndarray:
-    """Times less the first that is a number, before a unit scales them: stamps since 1970 are not rounded once more."""
-    known = times[np.isfinite(times)]
-    return times - known[0] if known.size else times
+    return write_files(out, robot, known.header, files, read)

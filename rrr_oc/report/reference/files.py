@@ -23,7 +23,7 @@ from rrr_oc.effects import design_forms
 from rrr_oc.effects.priors import Context, Given
 from rrr_oc.effects.words import words
 from rrr_oc.recordings.header import Header
-from rrr_oc.recordings.importers.csv import UNITS, CsvMapping
+from rrr_oc.recordings.importers.column_mapping import UNITS, ColumnMapping
 from rrr_oc.recordings.springs import springs_schema
 from rrr_oc.robot.drives import Drive
 from rrr_oc.schema import spellings
@@ -120,8 +120,9 @@ def _described() -> dict[str, Page]:
         ),
         "csv_mapping": Page(
             "mapping.toml",
-            "Which columns of your own CSV files are what, and in which units; you write it, for `rrr-oc import csv`. TOML.",
-            {"mapping.toml": CsvMapping},
+            "Which columns of your own CSV files are what, and in which units; you write it, for `rrr-oc import csv`, and for "
+            "`rrr-oc import lerobot`. TOML.",
+            {"mapping.toml": ColumnMapping},
             "csv_mapping.toml",
             _unit_notes(),
         ),
