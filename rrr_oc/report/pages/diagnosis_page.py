@@ -16,7 +16,9 @@ from rrr_oc.report.pages.diagnosis_curves import LEFT, PREDICTED, Curves
 from rrr_oc.report.pages.page import ALL, Curve, Figure, columns, joined, key, render
 from rrr_oc.storage import write_text
 
-SIGNAL_NAMES: dict[str, str] = dict(zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True))
+SIGNAL_NAMES: dict[str, str] = dict(
+    zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True)
+)
 FIGURES = "figures.npz"  # what `diagnosis_curves.curves` returns, with "subject" and "command"
 WIDE = 30.0  # ratio of errors from which only powers of ten are on the axis
 MODELS = {"before": "plain model", "after": "extended model"}
