@@ -192,11 +192,11 @@ def certificate_sentences(c: dict, quantity: Quantity) -> list[str]:
         f"{k['smoothing']:.1e} away (relative).",
         f"An adaptive integrator run with the same controls ends {k['reintegration']['state']:.1e} away from the planned end, with a "
         f"cost that differs by {k['reintegration']['cost']:.1e}.",
-        f"MuJoCo, which simulates the motion with the same springs and the paper's P-controllers, finds E1 = {error['E1']:.4f} N²m²s, "
+        f"MuJoCo, which simulates the motion with the same springs and the paper's P-controllers, finds an E1 of {error['E1']:.4f} N²m²s, "
         f"and follows the motion to {error['tracking_error_rad']:.1e} rad.",
         f"The lowest point of the tool is {abs(c['lowest_tool_m']):.3f} m {'below' if c['lowest_tool_m'] < 0 else 'above'} the base.",
         _origin(c),
-        f"One more kg of payload changes {quantity.name} by {100 * k['sensitivity']:+.1f} %.",
+        f"One more kg of payload changes the cost by {100 * k['sensitivity']:+.1f} % of {quantity.name}.",
     ]
 
 

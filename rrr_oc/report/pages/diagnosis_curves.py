@@ -15,8 +15,8 @@ from rrr_oc.report.pages.page import thinned
 POINTS = 2000  # of a curve or cloud, at most
 ALL_POINTS = 60_000  # of all curves together, and of all clouds, more or less; doubled, a page grows by 2 MB
 FEWEST = 200  # of a curve or cloud, whatever their number
-PREDICTED = ("t", "recorded", "before", "after")  # rows of "predicted 0 1", of recording 0 and joint 1
-LEFT = ("t", "q", "dq", "load_before", "load_after", "residual_before", "residual_after")  # rows of "left 0 1"
+PREDICTED: tuple[str, ...] = ("t", "recorded", "before", "after")  # rows of "predicted 0 1", of recording 0 and joint 1
+LEFT: tuple[str, ...] = ("t", "q", "dq", "load_before", "load_after", "residual_before", "residual_after")  # rows of "left 0 1"
 Curves = Mapping[str, np.ndarray]
 
 

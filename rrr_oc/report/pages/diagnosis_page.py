@@ -16,7 +16,9 @@ from rrr_oc.report.pages.diagnosis_curves import LEFT, PREDICTED, Curves
 from rrr_oc.report.pages.page import ALL, Curve, Figure, columns, joined, key, render
 from rrr_oc.storage import write_text
 
-SIGNAL_NAMES = dict(zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True))
+SIGNAL_NAMES: dict[str, str] = dict(
+    zip(SIGNALS, ("position", "speed", "acceleration", "motor torque", "load torque"), strict=True)
+)
 FIGURES = "figures.npz"  # what `diagnosis_curves.curves` returns, with "subject" and "command"
 WIDE = 30.0  # ratio of errors from which only powers of ten are on the axis
 MODELS = {"before": "plain model", "after": "extended model"}
@@ -34,10 +36,9 @@ def write_diagnosis_page(folder: Path, found: Mapping[str, Any] | None = None) -
     Raises:
         UserError: The page cannot be written.
     """
-    if found is None:
-        found = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    content = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8")) if found is None else found
     with np.load(folder / FIGURES) as file:
-        write_text(folder / "report.html", diagnosis_page(found, {name: file[name] for name in file.files}))
+        write_text(folder / "report.html", diagnosis_page(content, {name: file[name] for name in file.files}))
     return folder / "report.html"
 
 
