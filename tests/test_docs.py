@@ -249,3 +249,8 @@ def test_the_table_of_contents_has_every_page_of_the_folder_and_every_effect(sit
     wanted = [p.relative_to(ROOT / "docs").with_suffix(".html") for p in (ROOT / "docs").rglob("*.md")]
     wanted += [Path("effects") / f"{name}.html" for name in ("index", *CATALOGUE)]
     assert not [str(path) for path in wanted if str(index.parent.resolve() / path) not in listed]
+
+
+def test_the_gallery_has_every_study():
+    text = (ROOT / "docs" / "gallery.md").read_text()
+    assert not [path.name for path in (ROOT / "studies").glob("*.py") if f"studies/{path.name}" not in text]
