@@ -346,3 +346,21 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
     assert said.strip() == "Interrupted."
     assert process.returncode == 130
     assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        (["d"], {"design", "diagnose"}),
+        (["import", ""], {"prototype", "mcap", "csv"}),
+        (["design", "--cat"], {"--catalogue", "--catalogue-search"}),
+        (["diagnose", "somewhere"], set()),  # which leaves names of files to the shell
+    ],
+)
+def test_the_shell_completes_commands_and_options(typed, offered):
+    """As bash asks, with the script that --show-completion prints."""
+    asked = {"_RRR_OC_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(["rrr-oc", *typed]), "COMP_CWORD": str(len(typed))}
+    start = "import sys; sys.argv[0] = 'rrr-oc'; from rrr_oc.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", start], env={**os.environ, **asked}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert set(done.stdout.split()) == offered

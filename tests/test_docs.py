@@ -16,6 +16,7 @@ import typer
 
 from rrr_oc.commands import COMMANDS, app, load
 from rrr_oc.effects import CATALOGUE
+from rrr_oc.errors import STATUSES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -96,7 +97,8 @@ def unknown_options(command: str) -> list[str]:
                 break
             found = found.commands[word]
         known = {name for parameter in found.params for name in (*parameter.opts, *parameter.secondary_opts)}
-        unknown = [] if not hasattr(found, "commands") or not words[1:] or words[1].startswith("-") else [" ".join(words[:3])]
+        named = not hasattr(found, "commands") or not words[1:] or words[1].startswith("-")
+        unknown = [] if named or (len(words) == 2 and words[1] in COMMANDS) else [" ".join(words[:3])]
         return unknown + [option for option in options if option not in known]
     scripts = [word for word in words if re.fullmatch(r"(studies|validation)/[\w/]+\.py", word)]
     known = (ROOT / scripts[0]).read_text() if scripts else ""
@@ -151,6 +153,12 @@ def test_commands_and_options_exist(page):
 def test_the_readme_names_every_page():
     text = (ROOT / "README.md").read_text()
     assert not [page.name for page in (ROOT / "docs").glob("*.md") if f"docs/{page.name}" not in text]
+
+
+def test_the_start_has_every_command_and_exit_status():
+    text = (ROOT / "docs" / "start.md").read_text()
+    assert set(re.findall(r"^\| `rrr-oc (\w+)` \|", text, re.M)) == set(COMMANDS)
+    assert "; ".join(f"{status}: {meaning}" for status, meaning in STATUSES.items()) in " ".join(text.split())
 
 
 def test_the_readme_is_read_in_minutes():
@@ -244,3 +252,8 @@ def test_the_table_of_contents_has_every_page_of_the_folder_and_every_effect(sit
     wanted = [p.relative_to(ROOT / "docs").with_suffix(".html") for p in (ROOT / "docs").rglob("*.md")]
     wanted += [Path("effects") / f"{name}.html" for name in ("index", *CATALOGUE)]
     assert not [str(path) for path in wanted if str(index.parent.resolve() / path) not in listed]
+
+
+def test_the_gallery_has_every_study():
+    text = (ROOT / "docs" / "gallery.md").read_text()
+    assert not [path.name for path in (ROOT / "studies").glob("*.py") if f"studies/{path.name}" not in text]
