@@ -181,7 +181,9 @@ def _prior(kind: type[Effect]) -> str:
     parts = [
         f"The probability that it is present at one place of an arm is taken as {p.probability:g} before any recording is seen."
     ]
-    parts += [f"The typical {words(name)} is {_typical(*size)}." for name, size in other.items()]
+    parts += [
+        f"The typical {words(name)} is {_typical(*size)}{'' if size[1] else ' in SI units'}." for name, size in other.items()
+    ]
     if p.where_springs != 1:
         parts.append(f"On arms that carry springs its odds are {p.where_springs:g} times as large.")
     if p.where_exact != 1:
