@@ -352,7 +352,7 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
     ("typed", "offered"),
     [
         (["d"], {"design", "diagnose"}),
-        (["import", ""], {"prototype", "mcap", "csv"}),
+        (["import", ""], {"prototype", "mcap", "csv", "lerobot"}),
         (["design", "--cat"], {"--catalogue", "--catalogue-search"}),
         (["diagnose", "somewhere"], set()),  # which leaves names of files to the shell
     ],

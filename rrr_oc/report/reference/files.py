@@ -29,6 +29,7 @@ from rrr_oc.robot.drives import Drive
 from rrr_oc.schema import spellings
 from rrr_oc.storage import write_text
 
+DIAGNOSIS = "What a diagnosis found; `rrr-oc diagnose` writes it. Probabilities and p values are from 0 to 1."
 COLUMNS = ("key", "type", "unit", "default", "allowed", "meaning")
 # Units by the ending of a key, the longest ending first
 ENDINGS = {
@@ -132,11 +133,7 @@ def _described() -> dict[str, Page]:
             "not known are ignored, so that files of later versions can be read.",
             {"model.json": ModelFile},
         ),
-        "diagnosis": Page(
-            "diagnosis.json",
-            "What a diagnosis found; `rrr-oc diagnose` writes it. Probabilities and p values are from 0 to 1.",
-            {"diagnosis.json": DiagnosisFile},
-        ),
+        "diagnosis": Page("diagnosis.json", DIAGNOSIS, {"diagnosis.json": DiagnosisFile}),
     }
 
 
