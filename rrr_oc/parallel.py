@@ -17,9 +17,7 @@ from rrr_oc.errors import UserError
 _T = TypeVar("_T")
 LOCAL = "local"
 SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error; doubled, a wrong address takes longer
-DEATHS = (
-    3  # of worker processes in a row, without any call done between them, after which a call is taken to be what kills them
-)
+DEATHS = 3  # of worker processes with no call done between them, from which on a call is taken to be what kills them
 _made: dict[str, Any] = {}  # the one value of this process that `once_per_process` keeps
 
 

@@ -52,6 +52,7 @@ def compiled(urdf: Path, mass: float) -> mujoco.MjModel:
     """The arm of the URDF with a mass at its last frame, which is fixed to the last link, without friction and armature."""
     spec = mujoco.MjSpec.from_string(bare(urdf))
     spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT  # stops at the ends of ranges would push
     spec.compiler.fusestatic = False  # which would lose the mass
     if mass:
         last = spec.joints[-1].parent
@@ -129,13 +130,19 @@ def main(
     seed: Annotated[int, typer.Option(min=0, help="of friction, armature and noise")] = 0,
 ) -> None:
     """Run motions on the stand-in arm and record them."""
+    try:
+        shares = [float(s) for s in speeds.split(",")]
+    except ValueError:
+        shares = []
+    if not shares or not all(0 < s < np.inf for s in shares):
+        raise UserError(f"--speeds is {speeds!r}; numbers above 0, separated by commas, are required")
     arm = Plant(urdf, mass, joint, over_load, seed)
     motions = [read_motion(file, arm.joints) for file in motion]
     arm.fit_to(motions[0])
     with new_folder(out) as folder:
         files = []
         for number, path in enumerate(motions):
-            for speed in (float(s) for s in speeds.split(",")):
+            for speed in shares:
                 files.append(f"motion{number + 1}_speed{speed:g}.csv")
                 write_csv(folder / files[-1], arm.run(path, speed))
         header = {"format": "rrr_oc-recordings/1", "robot": str(urdf.resolve()), "joints": arm.joints}

@@ -108,12 +108,10 @@ class Named(Struct, forbid_unknown_fields=True):
     joint: Joint
 
 
-class Claim(Struct, forbid_unknown_fields=True):
+class Claim(Named):
     """An effect that the tool adds to the model.
 
     Attributes:
-        effect: Name of the effect.
-        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
         recordings: Recordings that have it.
         equation: Its law.
         parameters: Estimates by parameter.
@@ -127,8 +125,6 @@ class Claim(Struct, forbid_unknown_fields=True):
         rivals: The same with their joints.
     """
 
-    effect: str
-    joint: Joint
     recordings: Files
     equation: str
     parameters: dict[str, Estimate]
@@ -146,8 +142,6 @@ class Possible(Named):
     """An effect that is less probable than a claim needs.
 
     Attributes:
-        effect: Name of the effect.
-        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
         recordings: Recordings that may have it.
         probability: Of the effect.
     """
@@ -160,8 +154,6 @@ class Refuted(Named):
     """An effect that all recordings together make probable, and that held-out recordings do not confirm.
 
     Attributes:
-        effect: Name of the effect.
-        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
         probability: Of the effect, on all recordings.
     """
 
@@ -220,8 +212,6 @@ class Believed(Named):
     """What was believed of a claimed effect before.
 
     Attributes:
-        effect: Name of the effect.
-        joint: The joint it acts on; a list of two for a pair, null for the arm as a whole.
         probability: Of the effect on one joint of an arm.
         typical: Typical sizes by parameter.
         source: Where these are from.

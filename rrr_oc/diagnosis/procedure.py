@@ -144,8 +144,8 @@ def diagnose(
         report("predicting held-out recordings")
         checks = checked(fitter, begin, findings)
         folds = with_claims(fitter, begin, searched, findings)
-        foretold = [f for k, f in enumerate(findings) if any(np.isfinite(c.gains[k]) for c in checks)]
-        out = unconfirmed(findings, checks) or worse(foretold, parts, folds)
+        predicted = [f for k, f in enumerate(findings) if any(np.isfinite(c.gains[k]) for c in checks)]
+        out = unconfirmed(findings, checks) or worse(predicted, parts, folds)
         if not out:
             break
         kinds = Counter(kind(f.term.effect) for f in findings if f not in out)

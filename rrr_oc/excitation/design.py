@@ -179,7 +179,7 @@ class _Problem:
     @cached_property
     def constraints(self) -> tuple[ca.Function, ca.Function]:
         """vec(x) -> the linear rows and, for each of the rig's path limits, its values on the grid; and vec(x) -> these and their
-        Jacobian, by the chain rule through the motion: what colouring finds by a sweep a coefficient costs six times as much.
+        Jacobian, by the chain rule through the motion, since CasADi's own needs a sweep for each coefficient.
         """
         x, full, _ = self._symbols
         n, moving, m, values = self.rig.limits.lower.size, self.rig.limits.moving, len(self.series.grid), self.path.function
