@@ -5,7 +5,7 @@ built against the wheel's headers, runs the same algorithms on the same chain.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -65,12 +65,18 @@ class RigidBody:
 
 
 def rigid_body(robot: Robot) -> RigidBody:
-    """The chain's dynamics; inertial parameters, payload and gravity stay inputs of the Functions."""
+    """The chain's dynamics; inertial parameters, payload and gravity stay inputs of the Functions. Made once for each kinematics."""
+    return _of_kinematics(robot.placements.tobytes(), robot.axes.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _of_kinematics(placements: bytes, axes: bytes) -> RigidBody:
+    chain = np.frombuffer(placements).reshape(-1, 4, 4), np.frombuffer(axes).reshape(-1, 3)
     try:
         import pinocchio.casadi as symbolic  # type: ignore[import-not-found]
     except ImportError:
-        return RigidBody(robot.n, **_from_extension(robot))
-    return RigidBody(robot.n, **_from_pinocchio(robot, symbolic))
+        return RigidBody(len(chain[0]), **_from_extension(*chain))
+    return RigidBody(len(chain[0]), **_from_pinocchio(*chain, symbolic))
 
 
 def upwards(gravity: np.ndarray) -> np.ndarray:
@@ -89,24 +95,23 @@ def with_payload(inertial, joint: int, mass, position):
     return ca.horzcat(*[c + mass * point if i == joint else c for i, c in enumerate(columns)])
 
 
-def _from_extension(robot: Robot) -> dict[str, ca.Function]:
+def _from_extension(placements: np.ndarray, axes: np.ndarray) -> dict[str, ca.Function]:
     import rrr_oc.robot._rigid_body as extension
 
-    placements = robot.placements[:, :3, :].reshape(-1).tolist()
-    texts = extension.chain_functions(placements, robot.axes.reshape(-1).tolist())
+    texts = extension.chain_functions(placements[:, :3, :].reshape(-1).tolist(), axes.reshape(-1).tolist())
     return {name: ca.Function.deserialize(text) for name, text in texts.items()}
 
 
-def _from_pinocchio(robot: Robot, symbolic) -> dict[str, ca.Function]:
+def _from_pinocchio(placements: np.ndarray, axes: np.ndarray, symbolic) -> dict[str, ca.Function]:
     """The same Functions from `pinocchio.casadi`, the twin of `_rigid_body.cpp`."""
-    n = robot.n
+    n = len(axes)
     symbols = {name: ca.SX.sym(name, n) for name in ("q", "dq", "ddq", "tau")}
     q, dq, ddq, tau = symbols.values()
     symbols |= {"inertial": ca.SX.sym("inertial", 10, n), "gravity": ca.SX.sym("gravity", 3)}
     model = symbolic.Model()
     for i in range(n):
-        placement = symbolic.SE3(ca.SX(robot.placements[i, :3, :3]), ca.SX(robot.placements[i, :3, 3]))
-        joint = symbolic.JointModelRevoluteUnaligned(ca.SX(robot.axes[i]))
+        placement = symbolic.SE3(ca.SX(placements[i, :3, :3]), ca.SX(placements[i, :3, 3]))
+        joint = symbolic.JointModelRevoluteUnaligned(ca.SX(axes[i]))
         model.addJoint(i, joint, placement, f"joint{i}")
         model.inertias[i + 1] = symbolic.Inertia.FromDynamicParameters(symbols["inertial"][:, i])
     model.gravity.linear = symbols["gravity"]

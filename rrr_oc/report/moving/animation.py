@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+from matplotlib.animation import FFMpegWriter, PillowWriter
 
 from rrr_oc.errors import UserError
 from rrr_oc.report.figures import COLOURS, FOOTER, plt
@@ -21,6 +21,8 @@ from rrr_oc.storage import new_file
 Renderer = Literal["mujoco", "matplotlib"]
 FRAMES_PER_SECOND = 20  # of the picture
 WRITERS = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+DPI = 90  # of the picture
+EMPTY: dict[str, Any] = {"frame_on": False, "xticks": [], "yticks": []}  # axes of which nothing is seen
 HEAVY = 2.0  # [kg] of a payload drawn at the usual size of a joint; its area grows in proportion
 
 
@@ -53,10 +55,12 @@ def animate(scene: Scene, path: Path, renderer: Renderer = "mujoco") -> tuple[Re
             except NoRenderer as error:
                 renderer, why = "matplotlib", str(error)
         figure, draw = _drawn(scene, at, pictures)
-        moving = FuncAnimation(figure, draw, frames=len(at), interval=1e3 / FRAMES_PER_SECOND, init_func=lambda: ())
         with TemporaryDirectory() as folder:  # the writers want a name with its ending, and `new_file` writes under another
-            drawn = Path(folder) / path.name
-            moving.save(drawn, writer=writer(fps=FRAMES_PER_SECOND), dpi=90)
+            drawn, film = Path(folder) / path.name, writer(fps=FRAMES_PER_SECOND)
+            with film.saving(figure, str(drawn), dpi=DPI):
+                for k in range(len(at)):
+                    draw(k)
+                    film.grab_frame()
             with new_file(path) as file:
                 file.write(drawn.read_bytes())
     plt.close(figure)
@@ -75,9 +79,15 @@ def _ffmpeg() -> dict[Any, Any]:
 def _drawn(scene: Scene, at: np.ndarray, pictures: Iterator[np.ndarray] | None) -> tuple[Any, Callable[[int], None]]:
     """The figure, and a function that draws its frame of a number; frames are drawn in turn, from the first."""
     figure, grid = _page(scene)
-    lines = _torques(scene, figure, grid)
-    show = _lines(scene, at, figure, grid) if pictures is None else _solid(scene, figure, grid, pictures)
+    plots = _torques(scene, figure, grid)
+    space = figure.add_subplot(grid[:, 0], **({"projection": "3d"} if pictures is None else EMPTY))
     figure.tight_layout()
+    if pictures is None:
+        show = _lines(scene, at, space)
+    else:
+        figure, plots, space = _as_background(figure, plots, space)
+        show = _solid(scene, space, pictures)
+    lines = [axis.axvline(scene.t[0], color="0.3", lw=1) for axis in plots]
 
     def draw(k: int) -> None:
         show(k)
@@ -89,35 +99,37 @@ def _drawn(scene: Scene, at: np.ndarray, pictures: Iterator[np.ndarray] | None) 
 
 def _page(scene: Scene) -> tuple[Any, Any]:
     """The figure with its title, and its grid: the arm on the left, one plot a joint on the right."""
-    figure = plt.figure(figsize=(10, max(4.8, 1.1 * len(scene.labels))))
+    figure = plt.figure(figsize=(10, max(4.8, 1.1 * len(scene.labels))), dpi=DPI)
     figure.suptitle(scene.title, fontsize=11)
     return figure, figure.add_gridspec(max(len(scene.labels), 1), 2, width_ratios=(1, 1.1))
 
 
-def _solid(scene: Scene, figure: Any, grid: Any, pictures: Iterator[np.ndarray]) -> Callable[[int], None]:
-    axis = figure.add_subplot(grid[:, 0])
-    axis.set_axis_off()
+def _as_background(figure: Any, plots: list[Any], space: Any) -> tuple[Any, list[Any], Any]:
+    """A figure that has another one as a picture, which is then drawn only once, and empty axes in the places of its own."""
+    figure.canvas.draw()
+    drawn = np.asarray(figure.canvas.buffer_rgba()).copy()
+    front = plt.figure(figsize=figure.get_size_inches(), dpi=DPI)
+    front.figimage(drawn, zorder=-1)
+    front_plots = [front.add_axes(axis.get_position(), xlim=axis.get_xlim(), **EMPTY) for axis in plots]
+    front_space = front.add_axes(space.get_position(), **EMPTY)
+    plt.close(figure)
+    return front, front_plots, front_space
+
+
+def _solid(scene: Scene, axis: Any, pictures: Iterator[np.ndarray]) -> Callable[[int], None]:
+    """The arm as MuJoCo draws it."""
     image = axis.imshow(np.full((SIZE, SIZE, 3), 255, np.uint8))
     if scene.most > 0:
         names = ("slack", f"{scene.most / 2:.3g} Nm", f"{scene.most:.3g} Nm")
         for share, name in zip((0.0, 0.5, 1.0), names, strict=True):
             axis.plot([], [], lw=4, color=tension_colour(share), label=name)
         axis.legend(fontsize=7, loc="upper left", title="springs", title_fontsize=7)
-    seen = -1
-
-    def show(k: int) -> None:
-        nonlocal seen
-        if k > seen:  # matplotlib draws the first frame twice
-            image.set_data(next(pictures))
-            seen = k
-
-    return show
+    return lambda k: image.set_data(next(pictures))
 
 
-def _lines(scene: Scene, at: np.ndarray, figure: Any, grid: Any) -> Callable[[int], None]:
+def _lines(scene: Scene, at: np.ndarray, space: Any) -> Callable[[int], None]:
     """The arm as lines in three dimensions."""
     points = scene.points(at)
-    space = figure.add_subplot(grid[:, 0], projection="3d")
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     centre, half = (low + high) / 2, 0.55 * max(float(np.max(high - low)), 1e-3)
     for name, c in zip("xyz", centre, strict=True):
@@ -138,18 +150,18 @@ def _lines(scene: Scene, at: np.ndarray, figure: Any, grid: Any) -> Callable[[in
 
 
 def _torques(scene: Scene, figure: Any, grid: Any) -> list[Any]:
-    """A plot of the torques of each joint; returns the line in each at the present time."""
+    """A plot of the torques of each joint."""
     rows = len(scene.labels)
-    lines = []
+    plots = []
     for i, label in enumerate(scene.labels):
         axis = figure.add_subplot(grid[i, 1])
         for colour, (name, values) in zip(COLOURS, scene.torques.items(), strict=False):
             axis.plot(scene.t, values[i], color=colour, lw=1.2, label=name)
-        lines.append(axis.axvline(scene.t[0], color="0.3", lw=1))
+        plots.append(axis)
         axis.set_title(f"{label} [Nm]", loc="left", **FOOTER)
         axis.tick_params(labelsize=7)
         if i == 0:
             axis.legend(fontsize=7, loc="upper right")
         if i == rows - 1:
             axis.set_xlabel("time [s]", fontsize=8)
-    return lines
+    return plots
