@@ -9,7 +9,9 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
 import sys
+from functools import reduce
 from pathlib import Path
 
 import mujoco
@@ -27,8 +29,18 @@ from rrr_oc.schema import parsed
 from rrr_oc.storage import write_csv
 
 START = ROOT / "docs" / "start.md"
+WORKED = ROOT / "docs" / "worked_example.md"
 # Later pages use what earlier ones write
-ORDER = ("recordings.md", "calibration.md", "diagnosis.md", "priors.md", "codesign.md", "export.md", "README.md")
+ORDER = (
+    "worked_example.md",
+    "recordings.md",
+    "calibration.md",
+    "diagnosis.md",
+    "priors.md",
+    "codesign.md",
+    "export.md",
+    "README.md",
+)
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])  # friction and armature of the made-up arm
 # Options behind a documented command; of one that is given twice the last one counts
 REDUCED = {
@@ -42,6 +54,9 @@ STARTS = ("starts=8", "starts=1")  # of Python examples
 NOT_RUN = {
     "make": ("it sets up an environment; .ci/run runs it", ".ci/run"),
     "pip install": ("it would change the environment of the tests", "pyproject.toml"),
+    "pip download": ("it asks the network", "docs/worked_example.md"),
+    "git clone": ("it asks the network", "docs/worked_example.md"),
+    "python -m zipfile": ("it unpacks what is not there", "docs/worked_example.md"),
     "python -m http.server": ("it serves until it is stopped", "tests/test_docs.py"),
     "python -m mujoco.viewer": (
         "it opens a window; the model that it shows is loaded here",
@@ -72,7 +87,7 @@ NOT_RUN = {
 
 def commands(text: str) -> list[str]:
     """Commands with their arguments, in the order of the page; a bare name such as `rrr-oc design` is none, nor is one with "…"."""
-    beginning = r"(?:rrr-oc \w|(?:\.venv/bin/)?python -?\w|make \w|make$|pip install|(?:studies|validation)/[\w/]+\.py )"
+    beginning = r"(?:rrr-oc \w|(?:\.venv/bin/)?python -?\w|make \w|make$|pip (?:install|download)|git clone|(?:studies|validation)/[\w/]+\.py )"
     found = [command for command in code(text) if re.match(beginning, command) and not re.search(r"[A-Z]+ ?…|… |\[--", command)]
     return [
         c
@@ -91,7 +106,11 @@ def why_not(command: str) -> tuple[str, str] | None:
 
 
 def run(command: str, monkeypatch: pytest.MonkeyPatch, reduced: dict[str, list[str]] = REDUCED) -> None:
-    """Run a command of `rrr-oc` in the present folder, reduced."""
+    """Run a command of `rrr-oc` in the present folder, reduced, or a script."""
+    if plain(command).startswith("studies/"):
+        script, *rest = shlex.split(plain(command))
+        subprocess.run([sys.executable, ROOT / script, *rest, *reduced.get(Path(script).stem, [])], check=True)
+        return
     words = [name for word in shlex.split(command)[1:] for name in (sorted(glob.glob(word)) if "*" in word else [word])]
     monkeypatch.setattr(sys, "argv", ["rrr-oc", *words, *reduced.get(words[0], [])])
     with pytest.raises(SystemExit) as ended:
@@ -155,7 +174,11 @@ def folder(started) -> Path:
     for one in r[:2]:
         write_csv(folder / one.file, columns(one))
     save_recordings(as_set(Plant("rrr", *TRUTH), r[2:]), folder / "recordings" / "other")
-    write_prototype(folder / "FOLDER", [3, 4], rows=400)
+    for layout in ("FOLDER", re.search(r"import prototype (elastic\S+)", WORKED.read_text())[1]):  # type: ignore[index]
+        write_prototype(folder / layout, [3, 4], rows=400)
+    renamed = zip(JOINTS, ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"), strict=True)
+    urdf = reduce(lambda text, names: text.replace(f'"{names[0]}"', f'"{names[1]}"'), renamed, (URDF / "rrr.urdf").read_text())
+    (folder / "ur10.urdf").write_text(urdf)
     (folder / "priors.toml").write_text(dict(blocks((ROOT / "docs" / "priors.md").read_text()))["toml"])
     return folder
 
@@ -172,7 +195,7 @@ def test_the_commands_of_all_other_pages(monkeypatch, folder, started):
     for page in pages():
         for command in commands(page.read_text()):
             if why_not(command) is None and command not in done and "*.mcap" not in command:
-                run(command, monkeypatch, STIFF)
+                run(command, monkeypatch, REDUCED if page == WORKED else STIFF)
                 done.append(command)
     assert {command.split()[1] for command in done} >= set(COMMANDS) - {"effects", "view"}
 
@@ -205,7 +228,8 @@ def test_python_examples_run(monkeypatch, folder, capsys):
 
 def test_what_is_not_run_has_a_reason_and_a_test():
     every = [command for page in (START, *pages()) for command in commands(page.read_text())]
-    skipped = {command for command in every if not command.startswith("rrr-oc ") or why_not(command)}
+    runs = ("rrr-oc ", "studies/stand_in_arm.py ")
+    skipped = {command for command in every if not plain(command).startswith(runs) or why_not(command)}
     assert not [command for command in skipped if why_not(command) is None]
     assert not [begin for begin in NOT_RUN if not any(plain(command).startswith(begin) for command in skipped)]
     for begin, (reason, where) in NOT_RUN.items():

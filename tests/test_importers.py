@@ -18,7 +18,7 @@ JOINTS = ("joint1", "joint2", "joint3")
 
 def write_prototype(folder, experiments, rows=200):
     """Files in the authors' layout; motor M is polled 2 ms after motor M − 1 and follows sines in degrees."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for number in experiments:
         for motor in (1, 2, 3):
             t = 0.006 * np.arange(rows) + 0.002 * motor
