@@ -596,6 +596,18 @@ def test_effects_of_the_body_are_compiled_into_it(name, sign):
         assert differs > 0.05 or (name == "payload_com" and payload == 0)
 
 
+def test_an_arm_may_have_moments_of_inertia_that_no_body_has():
+    """As the calibrated arm of a diagnosis: the moment about the last joint is more than the sum of the other two."""
+    robot = load_robot("rrr")
+    axis, inertial = robot.axes[-1], robot.inertial.copy()
+    inertial[4:, -1] += 5.0 * np.outer(axis, axis)[np.tril_indices(3)]
+    model = Model(replace(robot, inertial=inertial), robot.tool, ())
+    engine = twin(model)
+    for q, dq, ddq in states(3):
+        expected = np.asarray(model.inverse(q, dq, ddq, 0.0, [], [])[0]).ravel()
+        np.testing.assert_allclose(inverse(engine.mj, q, dq, ddq), expected, atol=ROUNDING)
+
+
 def test_payload_that_an_effect_sees_is_the_listed_one():
     robot = load_robot("rrr")
     engine = twin(Model(robot, robot.tool, (CATALOGUE["payload_mass"](()), PayloadFan((1,)))), [1.5])

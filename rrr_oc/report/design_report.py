@@ -1,12 +1,13 @@
 """A co-design study in tables and sentences, made from its summary alone, and its report in Markdown."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from rrr_oc.codesign.study import does_nothing
 from rrr_oc.codesign.task import PHASES
+from rrr_oc.effects.words import joint_words
 from rrr_oc.model.metrics import decrease
-from rrr_oc.report.tables import NONE, SPRINGS, Table, markdown, table_3, table_4
+from rrr_oc.report.tables import NONE, SPRINGS, Table, markdown, spring_unit, table_3, table_4
 
 SECOND_ORDER = {
     "strict": "The second-order condition is strict, which is sufficient for a local optimum.",
@@ -58,7 +59,7 @@ def report(summary: dict[str, Any]) -> str:
         parts += [title, "In percent.\n\n" + markdown(*decrease_table(found, beside))]
     parts += ["## Hardware and durations" + (" (Table 4): ours | paper\n" if beside else "\n")]
     parts += [markdown(*hardware_table(found, beside, summary["joints"]))]
-    parts += ["## Certificates\n", *[_certificate(name, c, quantity) for name, c in found.items()]]
+    parts += ["## Certificates\n", *[_certificate(name, c, quantity, summary["joints"]) for name, c in found.items()]]
     if (transferred := transfer_table(found)) is not None:
         parts += ["\n## In the twin calibrated on recordings\n", f"{TRANSFERRED}\n", markdown(*transferred)]
     return "\n".join(parts)
@@ -129,7 +130,7 @@ def of_joint(name: str, joints: Sequence[str]) -> str:
     """A spring's quantity with the joint's own name in place of its number, as in "k_p of elbow"; one across joints as it is."""
     symbol = name.rstrip("0123456789")
     number = name.removeprefix(symbol)
-    return f"{symbol} of {joints[int(number) - 1]}" if number and not symbol.endswith("_") else name
+    return f"{symbol} of {joint_words(joints[int(number) - 1])}" if number and not symbol.endswith("_") else name
 
 
 def hardware_table(found: dict, beside: bool, joints: Sequence[str]) -> Table:
@@ -162,7 +163,7 @@ def transfer_table(found: dict) -> Table | None:
     return header, rows
 
 
-def _certificate(name: str, c: dict, quantity: Quantity) -> str:
+def _certificate(name: str, c: dict, quantity: Quantity, joints: Sequence[str]) -> str:
     lines = [f"### {name}\n", " ".join(certificate_sentences(c, quantity)) + "\n"]
     lines += [f"- {bound['sentence']}" for bound in c["certificate"]["active"]]
     if "not_bought" in c:
@@ -170,7 +171,7 @@ def _certificate(name: str, c: dict, quantity: Quantity) -> str:
     if "catalogue" in c:
         lines.append(f"\n{coverage(c['catalogue'])}")
     if c.get("optima"):
-        lines.append(f"\n{LOCAL_OPTIMA}:\n\n" + markdown(*local_optima_table(c, quantity)))
+        lines.append(f"\n{LOCAL_OPTIMA}:\n\n" + markdown(*local_optima_table(c, quantity, joints)))
     if c.get("layers"):
         lines.append(f"\n{LAYERS}:\n\n" + markdown(*layers_table(c)))
     return "\n".join(lines) + "\n"
@@ -200,7 +201,13 @@ def certificate_sentences(c: dict, quantity: Quantity) -> list[str]:
     ]
 
 
-def local_optima_table(c: dict, quantity: Quantity) -> Table:
+def spring_words(springs: Mapping[str, float], joints: Sequence[str]) -> str:
+    """Quantities of springs with their joints, in a designer's units."""
+    units = {name: spring_unit(name)[1:] for name in springs}
+    return ", ".join(f"{of_joint(n, joints)} = {value * units[n][0]:.4g} {units[n][1]}" for n, value in springs.items())
+
+
+def local_optima_table(c: dict, quantity: Quantity, joints: Sequence[str]) -> Table:
     """The distinct local optima that a search found."""
     rows = [
         [
@@ -209,7 +216,7 @@ def local_optima_table(c: dict, quantity: Quantity) -> Table:
             f"{o['durations']['go']:.3f}",
             f"{o['durations']['return']:.3f}",
             "yes" if o["refined"] else "no",
-            ", ".join(f"{key} {value:.4g}" for key, value in o["springs"].items()),
+            spring_words(o["springs"], joints),
         ]
         for o in c["optima"]
     ]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.codesign.task import PHASES
+from rrr_oc.effects.words import joint_words
 from rrr_oc.model.metrics import decrease
 from rrr_oc.paper.published import published
 
@@ -51,7 +52,7 @@ def table_3(
         falls = _decreases(results, ours["SA"], digits, lambda r: r[total])
         row.append(_beside(falls, None if measured or not beside else str(printed.get("E1_total", NONE))))
         rows.append(row)
-    return ["", *[f"{what} {joint}" for what in ("E1", "RMS", "peak") for joint in joints], "E1 total"], rows
+    return ["", *[f"{what} {joint_words(joint)}" for what in ("E1", "RMS", "peak") for joint in joints], "E1 total"], rows
 
 
 def _decreases(results: Sequence[Result | None], stiff: Sequence[Result | None], digits: int, read) -> list[str]:

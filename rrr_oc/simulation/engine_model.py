@@ -202,7 +202,7 @@ def twin(
         data = generated_c.values(theta, widths, body.payload, model.robot.inertial)
         spec.add_numeric(name=library.marker, data=data, size=data.size)
     try:
-        mj = _compiled(spec, robot, estimated=not np.array_equal(robot.inertial, model.robot.inertial))
+        mj = _compiled(spec, robot)
     except ValueError as error:
         raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {str(error).strip()}") from None
     engine = Twin(model, theta, widths, mj, library, generated, body.payload)
@@ -296,18 +296,22 @@ def _principal(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return com, axes * np.sign(np.linalg.det(axes)), moments
 
 
-def _compiled(spec: mujoco.MjSpec, robot: Robot, estimated: bool) -> mujoco.MjModel:
-    """The spec compiled; of estimates, the moments of inertia are set after compilation, which refuses those that no body has.
+def _compiled(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjModel:
+    """The spec compiled. Moments of inertia that no body has, and which MuJoCo refuses, are set after compilation.
 
     Recordings determine only some combinations of inertial parameters; the others are arbitrary and affect no motion.
     """
-    if estimated:
-        for link, parameters in zip(robot.links, robot.inertial.T, strict=True):
-            spec.body(link).inertia = np.full(3, max(np.mean(_principal(parameters)[2]), INERTIA_FLOOR))
+    try:
+        return spec.compile()
+    except ValueError as error:
+        if "inertia" not in str(error):
+            raise
+    links = [(link, _principal(parameters)[2]) for link, parameters in zip(robot.links, robot.inertial.T, strict=True)]
+    for link, moments in links:
+        spec.body(link).inertia = np.full(3, max(np.mean(moments), INERTIA_FLOOR))
     mj = spec.compile()
-    if estimated:
-        for link, parameters in zip(robot.links, robot.inertial.T, strict=True):
-            mj.body(link).inertia[:] = _principal(parameters)[2]
+    for link, moments in links:
+        mj.body(link).inertia[:] = moments
     return mj
 
 

@@ -2,7 +2,7 @@
 
 import base64
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ def design_page(summary: Mapping[str, Any], motions: Mapping[str, Arrays], pictu
         decreases=tell.decrease_table(found, beside) if "SA" in found else None,
         hardware=tell.hardware_table(found, beside, summary["joints"]),
         symbols=say.symbols(found),
-        certificates={name: _certificate(c, quantity) for name, c in found.items()},
+        certificates={name: _certificate(c, quantity, summary["joints"]) for name, c in found.items()},
         twin=tell.transfer_table(found),
         in_twin=say.in_twin(found, best),
         told={"twin": tell.TRANSFERRED, "optima": tell.LOCAL_OPTIMA, "layers": tell.LAYERS},
@@ -84,12 +84,12 @@ def _joints(motion: Arrays) -> list[tuple[int, str]]:
     return list(enumerate(motion["joints"].tolist()))
 
 
-def _certificate(c: Mapping[str, Any], quantity: Quantity) -> dict[str, Any]:
+def _certificate(c: Mapping[str, Any], quantity: Quantity, joints: Sequence[str]) -> dict[str, Any]:
     return {
         "sentences": tell.certificate_sentences(dict(c), quantity),
         "bounds": [say.bound(bound["sentence"]) for bound in c["certificate"]["active"]],
         "coverage": tell.coverage(c["catalogue"]) if "catalogue" in c else None,
-        "optima": tell.local_optima_table(dict(c), quantity) if c.get("optima") else None,
+        "optima": tell.local_optima_table(dict(c), quantity, joints) if c.get("optima") else None,
         "layers": tell.layers_table(dict(c)) if c.get("layers") else None,
     }
 

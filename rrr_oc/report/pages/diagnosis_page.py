@@ -14,6 +14,7 @@ from rrr_oc.effects.words import joint_words
 from rrr_oc.report import diagnosis_words as say
 from rrr_oc.report.pages.diagnosis_curves import LEFT, PREDICTED, Curves
 from rrr_oc.report.pages.page import ALL, Curve, Figure, columns, joined, key, render
+from rrr_oc.report.tables import NONE
 from rrr_oc.storage import write_text
 
 SIGNAL_NAMES: dict[str, str] = dict(
@@ -68,10 +69,10 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
         errors=[[joint_words(joint), *(_with_interval(b[k]) for k in ("before", "after", "ratio"))] for joint, b in errors],
         signals=list(SIGNAL_NAMES.values()),
         simulated=_simulated_rows(found.get("simulated")),
-        findings=[(say.plain(e), e["equation"], f"{e['share_of_error']:.0%}") for e in found["effects"]],
+        findings=[(say.plain(e), e["equation"], _share(e["share_of_error"])) for e in found["effects"]],
         effects=say.rows(found),
         unexplained=[
-            (say.unexplained(u), say.percent(u["probability"]), f"{u['share_of_error']:.0%}") for u in found["unexplained"]
+            (say.unexplained(u), say.percent(u["probability"]), _share(u["share_of_error"])) for u in found["unexplained"]
         ],
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
         on_prior=say.on_prior(found),
@@ -228,9 +229,13 @@ def _mismatch_row(m: dict[str, Any]) -> list[str]:
         for w in m["where"]
     )
     return [
-        joint_words(m["joint"]), "yes" if m["significant"] else "no", _chance(m["p_value"]),
+        joint_words(m["joint"]), *(("yes", _chance(m["p_value"])) if m["significant"] else ("no", NONE)),
         _shown(m["nrmse"]["calibration"]), _shown(m["nrmse"]["held_out"]), where, ", ".join(m["recordings"]),
     ]  # fmt: skip
+
+
+def _share(value: float) -> str:
+    return f"{round(value, 2) + 0.0:.0%}"  # never "-0%"
 
 
 def _chance(p: float) -> str:
@@ -238,4 +243,4 @@ def _chance(p: float) -> str:
 
 
 def _shown(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4f}"
+    return NONE if value is None else f"{value:.4f}"
