@@ -623,7 +623,7 @@ def main(
     asked = {"preset": preset, "seconds": seconds, "starts": starts, "tolerance": tolerance, "seed": seed}
     if cached(out / "asked.json", lambda: asked) != asked:
         raise UserError(f"--out {out} holds a run with other options; give another folder or the same options again")
-    options = SearchOptions(starts=starts, seed=seed, kept=3, hops=1, refinement=Refinement(tolerance))
+    options = SearchOptions(starts=starts, seed=seed, kept=3, refinement=Refinement(tolerance))
     motion = replace(PROTOTYPE_SWEEP, duration=seconds)
     with parallel.workers(jobs, workers):
         failed = failure(out, known["drives"], task, motion, options) if "drives" in chosen else None

@@ -208,12 +208,11 @@ def test_a_certificate_is_plain_data(certified, tmp_path):
         assert json.loads((tmp_path / f"{name}.json").read_text())["second_order"] == certificate.second_order
 
 
-def test_share_is_of_the_starts():
+def test_how_often_an_optimum_was_reached_is_said():
     design = design_of("SA")
     solution = solved(design, 8)
     optimum = Optimum(solution, refine(solution, Refinement(rounds=0))[1], 3)
-    starts: Any = (None,) * 4
-    assert certify(SearchResult(design, (optimum,), starts, False), optimum).share == 0.75
+    assert certify(SearchResult(design, (optimum,), (), False), optimum).reached == 3
 
 
 def valley(potential: Callable, lower: float = -2.0, upper: float = 2.0, place: float = 1.0) -> Problem:

@@ -44,7 +44,7 @@ ORDER = (
 TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])  # friction and armature of the made-up arm
 # Options behind a documented command; of one that is given twice the last one counts
 REDUCED = {
-    "design": ["--configurations", "PEA", "--starts", "1", "--hops", "0", "--tolerance", "1e-2", "--jobs", "1"],
+    "design": ["--configurations", "PEA", "--starts", "1", "--motions", "0", "--tolerance", "1e-2", "--jobs", "1"],
     "diagnose": ["--no-simulate", "--jobs", "1"],
     "excite": ["--starts", "1", "--harmonics", "4", "--duration", "8"],
 }

@@ -9,17 +9,22 @@ import pytest
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.local_optima import same_optimum
+from rrr_oc.codesign.motions import MotionSearch
 from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
+from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.proposals import SearchOptions, decode, dimensions, motion_guess
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import once_per_process, workers
 
 TASK = load_task("paper")
-OPTIONS = SearchOptions(starts=6, coarse=8, fine=12, widths=(0.01,), refinement=Refinement(1e-3, rounds=2), within=0.02, hops=0)
+OPTIONS = SearchOptions(
+    starts=6, coarse=8, fine=12, widths=(0.01,), refinement=Refinement(1e-3, rounds=2), within=0.02, motions=0
+)
 
 
 def design_of(configuration: str, task: Task = TASK) -> CoDesign:
@@ -130,12 +135,20 @@ def test_a_design_at_a_recycled_address_is_not_taken_for_the_old_one():
         assert max(s.polished for s in solve_multistart(others[-1], few).starts) < 100  # 72 without payload
 
 
-def test_hopping_over_durations_never_loses():
-    """It starts from the best optimum, and what it leaves is no start's: `reached` counts starts only."""
-    still, hopped = (solve_multistart(PEA, replace(OPTIONS, starts=1, within=0.0, hops=n)) for n in (0, 1))
-    best = {name: min(o.solution.cost for o in result.optima) for name, result in (("still", still), ("hopped", hopped))}
-    assert best["hopped"] <= best["still"] * (1 + 1e-3)  # refined on other meshes, each to 1e-3
-    assert sum(o.reached for o in hopped.optima) <= 1
+def test_the_best_motions_never_lose():
+    """Neither the whole search, nor each phase alone with the springs of an optimum."""
+    without, with_them = (solve_multistart(PEA, replace(OPTIONS, starts=1, within=0.0, motions=n)) for n in (0, 8))
+    assert with_them.best.cost <= without.best.cost * (1 + 1e-3)  # refined on other meshes, each to 1e-3
+    springs = with_them.best.solution.parameters
+    motions = MotionSearch(PEA, replace(OPTIONS, motions=8)).best(springs, skip=0)
+    assert sum(some[0].cost for some in motions) <= with_them.best.cost * (1 + 0.02)  # on the fine mesh of 12 intervals
+    for phase, some in enumerate(motions):
+        costs = [o.cost for o in some]
+        assert costs == sorted(costs)
+        assert 1 <= sum(o.reached for o in some) <= 8
+        np.testing.assert_array_equal(some[0].solution.parameters, springs)
+        ends = some[0].solution.at(0, np.array([0.0, 1.0]))[0][:2].T
+        np.testing.assert_allclose(ends, TASK.ends(phase), atol=1e-9)
 
 
 def test_an_infeasible_task_names_the_constraint():
@@ -208,3 +221,21 @@ def test_a_process_makes_a_value_once_for_each_piece_of_work():
     assert value_of("b") == ["b"]
     assert value_of("a") == ["a"]
     assert made == ["a", "b", "a"]
+
+
+def test_more_springs_are_never_worse():
+    """A design starts from the optimum of one with fewer springs, too: there the others are slack, and the cost is the same."""
+    few = replace(OPTIONS, starts=1, motions=0)
+    inner = design_of("SA")
+    solution = solve_multistart(inner, few).best.solution
+    for name in ("PEA", "PEA+BPEA"):
+        outer = design_of(name)
+        guess = embedded(solution, inner, outer)
+        assert guess is not None
+        start = Transcription(outer.problem, solution.transcription.scheme, solution.transcription.mesh)
+        cost = float(start.functions["nlp"](start.pack(guess), outer.data(few.widths[-1]))[0]) * outer.problem.cost_scale
+        assert cost == pytest.approx(solution.cost, rel=1e-9)
+        found = solve_multistart(outer, few, known=[guess]).best
+        assert found.cost < solution.cost
+        inner, solution = outer, found.solution
+    assert embedded(solution, inner, design_of("PEA")) is None  # it has no spring across the joints

@@ -20,7 +20,7 @@ from rrr_oc.optimal_control.refinement import Refinement
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(
-    starts=2, coarse=10, fine=12, widths=(0.01,), refinement=Refinement(1e-2, rounds=0), kept=2, within=0.0, hops=0
+    starts=2, coarse=10, fine=12, widths=(0.01,), refinement=Refinement(1e-2, rounds=0), kept=2, within=0.0, motions=0
 )
 PARALLEL = {"joint2": (5.0, 13.0), "joint3": (0.3, 1.1)}
 # k_b and r_1² both times four is the same to the arm: four combinations, three distinct ones

@@ -32,7 +32,7 @@ TINY = [
     "SA,PEA",
     "--starts",
     "2",
-    "--hops",
+    "--motions",
     "0",
     "--tolerance",
     "1e-3",
@@ -263,7 +263,7 @@ def own_model(folder: Path) -> str:
     return str(folder / "model.json")
 
 
-OWN = ["--configurations", "SA,PEA", "--starts", "1", "--hops", "0", "--tolerance", "1e-2", "--jobs", "1"]
+OWN = ["--configurations", "SA,PEA", "--starts", "1", "--motions", "0", "--tolerance", "1e-2", "--jobs", "1"]
 
 
 @pytest.fixture(scope="module")

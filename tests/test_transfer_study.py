@@ -115,7 +115,7 @@ def test_the_loop_on_a_model_that_is_known(task, tmp_path, monkeypatch):
     found = {"verdict": "missing_physics", "effects": [], "unexplained": [], "nrmse": {}, "suggested_recordings": []}
     monkeypatch.setattr(study, "diagnosed", lambda *_: (*known(arm, task), found))
     monkeypatch.setattr(study.Prototype, "record", lambda *_: None)
-    options = SearchOptions(starts=2, kept=1, hops=0, coarse=8, fine=16, refinement=Refinement(1e-2))
+    options = SearchOptions(starts=2, kept=1, motions=0, coarse=8, fine=16, refinement=Refinement(1e-2))
     content = study.loop(tmp_path, arm, task, PROTOTYPE_SWEEP, ["SA"], options)
     one, two = (content["designs"]["SA"][kind] for kind in ("labelled", "repaired"))
     assert two["on_arm"]["E1"] < one["steered"]["E1"] * 1.01

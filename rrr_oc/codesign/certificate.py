@@ -59,7 +59,7 @@ class Certificate:
         smoothing: Relative change of the cost with exact, non-smooth springs on the same motion.
         exact_cost: The cost with exact springs.
         reintegration: See `reintegrate`.
-        share: Share of the starts that reached this optimum; 0 where it was found from another one.
+        reached: See `Optimum.reached`.
     """
 
     primal: float
@@ -75,7 +75,7 @@ class Certificate:
     smoothing: float
     exact_cost: float
     reintegration: dict[str, float]
-    share: float
+    reached: int
 
 
 def certify(result: SearchResult, optimum: Optimum) -> Certificate:
@@ -104,7 +104,7 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
         smoothing=abs(exact - solution.cost) / solution.cost,
         exact_cost=exact,
         reintegration=reintegrate(solution),
-        share=optimum.reached / max(len(result.starts), 1),
+        reached=optimum.reached,
     )
 
 

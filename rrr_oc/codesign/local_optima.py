@@ -1,4 +1,4 @@
-"""Local optima of a co-design: followed from the coarse to the fine mesh, compared, refined, and improved by basin hopping."""
+"""Local optima of a co-design: followed from the coarse to the fine mesh, compared, and refined."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -16,8 +16,6 @@ from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import ordered
 
 SOLVED = "Solve_Succeeded"
-STRETCHES = (0.85, 0.92, 1.08, 1.15)  # [1] factors on a duration that a hop tries; with steps twice as large it skips optima
-BARRIERS = (1e-2, 1e-6)  # [1] initial barrier parameters of a hop: far from the bounds, and close to the stretched optimum
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +25,8 @@ class Optimum:
     Attributes:
         solution: On its last mesh, with the smallest smoothing width.
         meshes: One row a mesh, as `refine` returns them; a single row where it was not refined.
-        reached: Number of starts that ended here; 0 where it was found from another optimum (hopping, `continue_from`).
+        reached: Number of starts that led here. Where motions of single phases were put together, the least number that led to any
+            of them. 0 where it was found from another optimum (hops, `continue_from`).
     """
 
     solution: Solution
@@ -52,11 +51,16 @@ def same_optimum(a: Solution, b: Solution) -> bool:
     """
     if abs(a.cost - b.cost) > 2e-3 * abs(b.cost) or np.abs(a.durations - b.durations).max() > 0.03:
         return False
-    if np.any(np.abs(a.parameters - b.parameters) > 0.01 * a.problem.p_scale):
+    if not same_springs(a, b):
         return False
     s = np.linspace(0, 1, 41)
     half = len(a.problem.phases[0].states) // 2
     return all(np.abs(a.at(i, s)[0][:half] - b.at(i, s)[0][:half]).max() < 0.03 for i in range(len(a.durations)))
+
+
+def same_springs(a: Solution, b: Solution, share: float = 0.01) -> bool:
+    """Whether the springs of two solutions are the same, to a share of their range."""
+    return bool(np.all(np.abs(a.parameters - b.parameters) <= share * a.problem.p_scale))
 
 
 def distinct(optima: Iterable[Optimum]) -> list[Optimum]:
@@ -125,30 +129,3 @@ def _refine(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optim
     except SolverFailure:
         return optimum
     return Optimum(solution, rows, optimum.reached)
-
-
-def hopped(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
-    """Basin hopping over the durations, as long as it lowers the cost. Optima of nearly equal cost differ in the number of
-    swings, so the best one is stretched or shortened, phase by phase, and solved again."""
-    for _ in range(options.hops):
-        best = optimum
-        tries = [(design, options, optimum, i, f, barrier) for i in range(2) for f in STRETCHES for barrier in BARRIERS]
-        for found in ordered(_hop, tries):
-            if found is not None and found.cost < best.cost * (1 - 1e-5):
-                best = attached(design, options, found)
-        if best is optimum:
-            break
-        optimum = best
-    return replace(optimum, reached=0)
-
-
-def _hop(
-    design: CoDesign, options: SearchOptions, optimum: Optimum, phase: int, factor: float, barrier: float
-) -> Optimum | None:
-    start = attached(design, options, optimum).solution
-    guess = start.guess()
-    motions = list(guess.phases)
-    motions[phase] = replace(motions[phase], duration=float(np.clip(factor * motions[phase].duration, *design.task.duration)))
-    solver = Solver(transcribed(design, options, options.fine), Options(barrier=barrier, iterations=200))
-    found = solver.solve(Guess(tuple(motions), guess.parameters), start.problem.data, check=False)
-    return Optimum(found, [mesh_row(found)]) if found.status == SOLVED else None

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import Optimum, attached, distinct, follow_to_fine_mesh, hopped, refined, transcribed
+from rrr_oc.codesign.local_optima import Optimum, attached, distinct, follow_to_fine_mesh, refined, same_springs, transcribed
+from rrr_oc.codesign.motions import LEAST_GAIN, MotionSearch, combined
 from rrr_oc.codesign.proposals import (
     LAYERS,
     SearchOptions,
@@ -22,6 +23,11 @@ from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.parallel import once_per_process, ordered, unordered
 
+SPRINGS = 2  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
+APART = (
+    0.1  # [1] of its range by which a parameter differs for springs to be others; halved, more of them that are nearly the same
+)
+FEW = 2  # meshes to which all optima close to the best are refined; more tell them apart better and take longer
 TRIED = 4  # starts for each way to mount the springs; doubled, choosing among them takes twice as long and errs less often
 
 
@@ -118,12 +124,17 @@ class Polisher:
 
 
 def solve_multistart(
-    design: CoDesign, options: SearchOptions | None = None, progress: Callable[[Start], None] | None = None
+    design: CoDesign,
+    options: SearchOptions | None = None,
+    progress: Callable[[Start], None] | None = None,
+    known: Sequence[Guess] = (),
 ) -> SearchResult:
     """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
-    fine one, and the best of them refined. Ctrl-C ends the search early with what has been found.
+    fine one, the best motions for their springs are looked for phase by phase, and the best optima are refined. Ctrl-C ends the
+    search early with what has been found.
 
     Args:
+        known: Further starting points, such as optima of designs with fewer springs; they are solved on the fine mesh.
         progress: Called with every start that has been polished.
 
     Raises:
@@ -142,7 +153,7 @@ def solve_multistart(
         interrupted = True
     if not any(s.w.size for s in starts):
         _raise_failure(design, options, starts)
-    optima = _best_optima(polisher, starts, interrupted)
+    optima = _best_optima(polisher, starts, known, interrupted)
     return SearchResult(design, optima, tuple(starts), interrupted)
 
 
@@ -229,17 +240,53 @@ def _raise_failure(design: CoDesign, options: SearchOptions, starts: list[Start]
     Solver(transcribed(design, options, options.coarse)).solve(middle, design.data(options.width))
 
 
-def _best_optima(polisher: Polisher, starts: list[Start], interrupted: bool) -> tuple[Optimum, ...]:
+def _best_optima(polisher: Polisher, starts: list[Start], known: Sequence[Guess], interrupted: bool) -> tuple[Optimum, ...]:
     """The distinct optima on a fine mesh, the best of them refined; cheapest first."""
     design, options = polisher.design, polisher.options
-    starts = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
-    coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in starts)[: 1 if interrupted else options.kept]
-    followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in coarse])
-    pairs = [(o, f) for o, f in zip(coarse, followed, strict=True) if f is not None]
-    if not pairs:
+    found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
+    coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in found)[: 1 if interrupted else options.kept]
+    guesses = [(o.solution.guess(), o.reached) for o in coarse] + [(guess, 0) for guess in known]
+    optima = _followed(design, options, guesses)
+    if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
-    optima = distinct(replace(attached(design, options, f), reached=o.reached) for o, f in pairs)
-    if not interrupted:
-        optima = distinct([*optima, hopped(design, options, optima[0])])
-    count = sum(o.cost <= optima[0].cost * (1 + options.within) for o in optima)
-    return (*distinct(refined(design, options, optima[:count])), *optima[count:])
+    if not interrupted and options.motions:
+        optima = _with_best_motions(design, options, optima)
+    for rounds, within in ((FEW, options.within), (options.refinement.rounds, options.within / 10)):
+        some = replace(options, refinement=replace(options.refinement, rounds=min(rounds, options.refinement.rounds)))
+        close = sum(o.cost <= optima[0].cost * (1 + within) for o in optima)
+        optima = distinct([*refined(design, some, optima[:close]), *optima[close:]])
+    return tuple(optima)
+
+
+def _followed(design: CoDesign, options: SearchOptions, guesses: list[tuple[Guess, int]]) -> list[Optimum]:
+    """The distinct optima on the fine mesh near guesses, each reached as often as is said beside its guess."""
+    found = ordered(follow_to_fine_mesh, [(design, options, guess) for guess, _ in guesses])
+    pairs = [(o, reached) for o, (_, reached) in zip(found, guesses, strict=True) if o is not None]
+    return distinct(replace(attached(design, options, o), reached=reached) for o, reached in pairs)
+
+
+def _with_best_motions(design: CoDesign, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
+    """Optima, and those to which the best motions for their springs lead; cheapest first.
+
+    Springs and motions are improved in turn: the springs of the best optima get the best motion of each phase, and from these all is
+    solved together. Then new motions are proposed for the best springs, as long as the cost falls.
+    """
+    search, final, motions = MotionSearch(design, options), replace(options, widths=options.widths[-1:]), None
+    for number in range(options.rounds):
+        best = optima[0].cost
+        for o in optima[:1] if number else _with_other_springs(optima)[:SPRINGS]:
+            springs = o.solution.parameters
+            motions = search.best(springs, number * options.motions, motions)
+            optima = distinct([*optima, *_followed(design, final, combined(motions, springs, 1 + 2 * len(motions)))])
+        if number and optima[0].cost > best * (1 - LEAST_GAIN):
+            break
+    return optima
+
+
+def _with_other_springs(optima: list[Optimum]) -> list[Optimum]:
+    """Those of which none before has nearly the same springs."""
+    others: list[Optimum] = []
+    for o in optima:
+        if not any(same_springs(o.solution, other.solution, APART) for other in others):
+            others.append(o)
+    return others

@@ -13,6 +13,7 @@ from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
+from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Solution
 from rrr_oc.simulation.engine_model import Form, Settings, twin
 from rrr_oc.simulation.tracking import Reference, Tracked, track
@@ -132,6 +133,25 @@ def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.n
     transcription = replace(transcribed(design, options, 1), problem=problem, mesh=mesh)
     empty, cost = np.empty(0), float(arrays["cost"])
     return Solution(transcription, arrays["variables"], empty, empty, cost, "", 0, 0.0)
+
+
+def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | None:
+    """An optimum as a starting point for a design with more springs, which do nothing there; None where a spring of `inner` is
+    missing in `outer` or mounted in another way."""
+    left, parameters = list(solution.parameters), []
+    own = {}
+    for spring in inner.springs:
+        size = len(spring.effect.parameters)
+        own[inner.model.label(spring.effect)], left = (spring.effect, left[:size]), left[size:]
+    for spring in outer.springs:
+        effect, values = own.pop(outer.model.label(spring.effect), (spring.effect, None))
+        if any(getattr(effect, key) != getattr(spring.effect, key) for key in effect.options):
+            return None
+        if values is None:
+            middle = zip(effect.parameters, spring.lower, spring.upper, strict=True)
+            values = [low if p.name in effect.amplitudes else (low + high) / 2 for p, low, high in middle]
+        parameters += values
+    return None if own else Guess(solution.guess().phases, np.array(parameters))
 
 
 def check_simulation(design: CoDesign) -> None:

@@ -33,7 +33,8 @@ class SearchOptions:
         widths: Smoothing widths that follow on the fine mesh; the last one is reported [rad].
         kept: Number of distinct optima that are solved on the fine mesh.
         within: Of those, every one within this relative distance of the best is refined to the mesh tolerance.
-        hops: Rounds of basin hopping over the durations, from the best optimum on the fine mesh.
+        motions: Proposed motions of each phase alone, for springs that starts led to; 0 leaves this out.
+        rounds: Largest number of times that motions are searched for the springs found last.
         via: Points of a proposed path, per phase and joint.
         population: Population of CMA-ES.
         sigma: Initial step size of CMA-ES, on variables in [0, 1].
@@ -51,7 +52,8 @@ class SearchOptions:
     widths: tuple[float, ...] = (0.03, 0.01, 0.003)
     kept: int = 6
     within: float = 0.005
-    hops: int = 2
+    motions: int = 48
+    rounds: int = 4
     via: int = 2
     population: int = 8
     sigma: float = 0.3
@@ -79,7 +81,11 @@ def cma_strategy(size: int, options: SearchOptions, left: int) -> cma.CMAEvoluti
 
 def dimensions(design: CoDesign, via: int) -> int:
     """Length of the vectors that `decode` takes."""
-    return len(drawn_bounds(design.springs)[0]) + 2 + 2 * len(design.task.moving) * via
+    return len(drawn_bounds(design.springs)[0]) + 2 * _phase_dimensions(design.task, via)
+
+
+def _phase_dimensions(task: Task, via: int) -> int:
+    return 2 + len(task.moving) * via
 
 
 def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -87,16 +93,24 @@ def decode(design: CoDesign, vector: np.ndarray, via: int) -> tuple[np.ndarray, 
 
     Biarticular springs are drawn as hardware, uniformly within its bounds, and then reduced to kappa, rho and phi.
     """
-    task, m = design.task, len(design.task.moving)
     low, high = drawn_bounds(design.springs)
-    springs, times, points = np.split(np.clip(vector, 0, 1), [len(low), len(low) + 2])
+    springs, *motions = np.split(np.clip(vector, 0, 1), len(low) + np.arange(2) * _phase_dimensions(design.task, via))
+    times, points = zip(*(_decoded(design.task, motion) for motion in motions), strict=True)
+    return from_drawn(design.springs, low + (high - low) * springs), np.array(times), np.array(points)
+
+
+def _decoded(task: Task, vector: np.ndarray) -> tuple[float, np.ndarray]:
+    """Duration [s] and path points [rad] (m, via) of one phase from a vector in [0, 1]: duration, reach, points.
+
+    The points lie within the joints' ranges, at most a share, the reach, of the way from the ends of the motion to the limits.
+    """
     shortest, longest = task.duration
     ends = np.array([task.start, task.release])
-    margin = 0.4 * np.ptp(ends, axis=0) + 0.05
-    lower = np.maximum(task.lower, ends.min(axis=0) - margin)[:, None]
-    upper = np.minimum(task.upper, ends.max(axis=0) + margin)[:, None]
-    parameters = from_drawn(design.springs, low + (high - low) * springs)
-    return parameters, shortest + (longest - shortest) * times, lower + (upper - lower) * points.reshape(2, m, via)
+    least, most = ends.min(axis=0), ends.max(axis=0)
+    lower = least + vector[1] * (task.lower - least)
+    upper = most + vector[1] * (task.upper - most)
+    points = vector[2:].reshape(len(task.moving), -1)
+    return shortest + (longest - shortest) * vector[0], lower[:, None] + (upper - lower)[:, None] * points
 
 
 def proposed_guess(design: CoDesign, vector: np.ndarray, via: int) -> Guess:
@@ -118,6 +132,11 @@ def motion_guess(
     via = np.empty((len(durations), len(design.task.moving), 0)) if via is None else via
     phases = tuple(_phase_guess(design.task, i, T, via[i]) for i, T in enumerate(durations))
     return Guess(phases, np.asarray(parameters, float))
+
+
+def phase_guess(task: Task, index: int, vector: np.ndarray) -> PhaseGuess:
+    """The motion of one phase that a vector in [0, 1] stands for: duration, reach, and points of the path (m via)."""
+    return _phase_guess(task, index, *_decoded(task, vector))
 
 
 def _phase_guess(task: Task, index: int, T: float, via: np.ndarray) -> PhaseGuess:

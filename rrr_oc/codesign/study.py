@@ -29,6 +29,7 @@ from rrr_oc.codesign.optimum import (
     check_simulation,
     describe,
     describe_simulation,
+    embedded,
     idle_springs,
     mounted,
     restart_arrays,
@@ -41,6 +42,7 @@ from rrr_oc.codesign.springs import CONFIGURATIONS, arrangements
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
 from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.storage import check_folder, plain, write_json, write_npz
@@ -145,7 +147,7 @@ class Study:
         """Configurations and starred designs by name: each as soon as it is saved, and again with what is compared with it."""
         found: dict[str, Any] = {}
         for name, ways in self.designs.items():
-            for key, result in _results(self, name, ways):
+            for key, result in _results(self, name, ways, found):
                 found[key] = result
                 yield key, result
         if "SA" in found:
@@ -194,9 +196,11 @@ def does_nothing(found: Mapping[str, Any]) -> bool:
     return bool(found.get("idle")) and set(found["idle"]) == set(found["mounted"])
 
 
-def _results(study: Study, name: str, ways: Sequence[CoDesign]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _results(
+    study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
     """A configuration and its starred design by name: each as soon as it is saved, and again with what is compared with it."""
-    solved = _once(study, name, partial(_solve, study, name, ways))
+    solved = _once(study, name, partial(_solve, study, name, ways, before))
     yield name, solved
     design = _chosen(ways, solved)
     if not solved["interrupted"]:
@@ -276,12 +280,19 @@ def _key(study: Study) -> dict[str, Any]:
     return json.loads(json.dumps(plain(study.asked)))
 
 
-def _solve(study: Study, name: str, ways: Sequence[CoDesign]) -> dict[str, Any]:
-    """A configuration, its springs mounted in the best of some ways; writes its motion."""
+def _solve(study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration, its springs mounted in the best of some ways; writes its motion. The search also starts from what was found
+    before for configurations with fewer springs, so that it is not worse than these."""
     began = time.perf_counter()
     if len(ways) > 1:
         study.listener.show(f"{name}: the task leaves {len(ways)} ways to mount the springs open; each is tried")
-    return _describe(study.out, name, _search(study, name, best_arranged(ways, study.options)), began)
+    design, known = best_arranged(ways, study.options), []
+    for other, result in before.items():
+        if other in study.designs and not result["interrupted"]:
+            inner = _chosen(study.designs[other], result)
+            with np.load(study.out / f"{other}.npz") as file:
+                known.append(embedded(restored(inner, study.options, file), inner, design))
+    return _describe(study.out, name, _search(study, name, design, [guess for guess in known if guess is not None]), began)
 
 
 def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
@@ -300,7 +311,7 @@ def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
     return left | {"catalogue": plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})}
 
 
-def _search(study: Study, name: str, design: CoDesign) -> SearchResult:
+def _search(study: Study, name: str, design: CoDesign, known: Sequence[Guess]) -> SearchResult:
     polished: list[float] = []
     with study.listener.count(name, study.options.starts) as count:
 
@@ -313,7 +324,7 @@ def _search(study: Study, name: str, design: CoDesign) -> SearchResult:
             )
 
         try:
-            return solve_multistart(design, study.options, show)
+            return solve_multistart(design, study.options, show, known)
         except SolverFailure as failure:
             task = design.task
             rows = zip(
@@ -376,7 +387,7 @@ def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str,
     options = study.options
     if not hardware:
         return {"published_springs_E1": None}
-    few = replace(options, starts=max(4, options.starts // 4), kept=3, hops=0)
+    few = replace(options, starts=max(4, options.starts // 4), kept=3, motions=0)
     try:
         return {"published_springs_E1": solve_multistart(design.with_fixed(hardware), few).whole().best.cost}
     except SolverFailure as failure:

@@ -34,7 +34,7 @@ def design(
     ),
     starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 40,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
-    hops: Annotated[int, typer.Option(min=0, help="rounds of basin hopping over the durations of the best optimum")] = 2,
+    motions: Annotated[int, typer.Option(min=0, help="proposed motions of each phase, for springs that starts led to")] = 48,
     cost: Annotated[str, typer.Option(help=f"of {', '.join(COSTS)}: torque squared (Eq. 13, Eq. 7) or Eq. 11")] = "load",
     actuators: Annotated[
         str | None, typer.Option(help=f"drives, for the costs motor and energy and for --model: {PROTOTYPES}")
@@ -58,7 +58,7 @@ def design(
     Writes report.html, tables, figures, summary.json and one npz a configuration.
     """
     output = Output(quiet, as_json)
-    search = SearchOptions(starts=starts, seed=seed, hops=hops, refinement=Refinement(tolerance))
+    search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, catalogue_search, model, repaired)
     with parallel.workers(jobs, workers):

@@ -212,7 +212,7 @@ def local_optima_table(c: dict, quantity: Quantity, joints: Sequence[str]) -> Ta
     rows = [
         [
             f"{o['cost']:.3f}",
-            str(o["reached"] or "by hopping"),
+            str(o["reached"] or "from others"),
             f"{o['durations']['go']:.3f}",
             f"{o['durations']['return']:.3f}",
             "yes" if o["refined"] else "no",
@@ -236,9 +236,10 @@ def _origin(c: dict) -> str:
     """Where an optimum comes from."""
     if "catalogue" in c:
         return "Found by following the continuous optimum to this hardware."
-    if c["certificate"]["share"] == 0:
-        return "Found by hopping over the durations from the best optimum that a start reached."
-    return f"{100 * c['certificate']['share']:.0f} % of the starts reached it."
+    reached = c["certificate"]["reached"]
+    if reached == 0:
+        return "No start led to it: it was found from other optima, by changes of their durations."
+    return "One start led to it." if reached == 1 else f"{reached} starts led to it."
 
 
 def coverage(cover: dict) -> str:

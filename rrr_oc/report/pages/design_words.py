@@ -124,12 +124,13 @@ def cautions(summary: Summary) -> list[str]:
     best = best_of(found)
     if best is None or "catalogue" in found[best]:
         return said
-    reached, starts = round(found[best]["certificate"]["share"] * summary["starts"]), summary["starts"]
-    if starts == 1:
-        said.append(f"{best}: a single start was made; more may find a better optimum.")
-    elif reached < 2:
-        some = "only one" if reached else "none"
-        said.append(f"{best}: {some} of {starts} starts ended in this optimum; more starts may find a better one.")
+    if found[best]["certificate"]["reached"] < 2:
+        how = (
+            "only one start led to this optimum"
+            if found[best]["certificate"]["reached"]
+            else "no start led to this optimum itself"
+        )
+        said.append(f"{best}: {how}; more starts, or another seed, may find a better one.")
     return said
 
 

@@ -1,0 +1,158 @@
+"""The best motions for given springs. Phases share nothing but the springs, so each is searched alone; a phase has few local
+optima, and IPOPT ends in one of them within some hundredths of a second."""
+
+import uuid
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.local_optima import SOLVED, Optimum, distinct
+from rrr_oc.codesign.proposals import SearchOptions, phase_guess, sobol_points
+from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
+from rrr_oc.optimal_control.solver import Options, Solution, Solver
+from rrr_oc.optimal_control.transcription import Transcription
+from rrr_oc.parallel import once_per_process, ordered
+
+COARSE, FINE = 0, 1  # meshes
+VIAS = (1, 2)  # points of the proposed paths, in turn: one makes a swing out and back, two make finer ones
+STRETCHES = (0.85, 0.92, 1.08, 1.15)  # [1] factors on a duration that a hop tries; with steps twice as large it skips optima
+LEADING = (4, 2)  # motions from which hops start, on each mesh; doubled, twice as many hops find a little more
+FOLLOWED = 12  # motions of a phase that are followed to the fine mesh, since the coarse one misjudges long ones; doubled, slower and surer
+HOPS = 3  # rounds of hops at most; doubled, the search takes longer where every one finds a better motion
+LEAST_GAIN = 1e-4  # [1] relative decrease of the cost below which a round of hops is the last one
+AT_ONCE = 4  # solves of one call; doubled, fewer calls, which are shared out less evenly
+Motions = list[list[Optimum]]  # distinct local optima of each phase, cheapest first
+
+
+class PhaseSolver:
+    """Solves each phase alone with fixed springs, on the coarse mesh and on the fine one.
+
+    Attributes:
+        solvers: For each phase, that of each mesh.
+        data: The problem's data for each mesh: the springs are wide on the coarse one.
+    """
+
+    def __init__(self, design: CoDesign, options: SearchOptions) -> None:
+        meshes = ((options.coarse, Options(tolerance=1e-6, iterations=100)), (options.fine, Options(barrier=1e-6)))
+        self.solvers = []
+        for phase in design.problem.phases:
+            alone, method = replace(design.problem, phases=(phase,), design=None, designs=()), _scheme(options)
+            transcriptions = [Transcription(alone, method, uniform_mesh(alone, n), compiled=True) for n, _ in meshes]
+            self.solvers.append([Solver(t, settings) for t, (_, settings) in zip(transcriptions, meshes, strict=True)])
+        self.data = [design.data(width) for width in (options.width, options.widths[-1])]
+
+    def solve(self, mesh: int, phase: int, parameters: np.ndarray, starts: Sequence[np.ndarray]) -> list[Solution | None]:
+        """The optima to which some starts lead, without multipliers; None where IPOPT finds none."""
+        solver, data = self.solvers[phase][mesh], self.data[mesh]
+        found = [solver.solve(w, data, check=False, parameters=(parameters, parameters)) for w in starts]
+        return [self.solution(mesh, phase, s.cost, s.w) if s.status == SOLVED else None for s in found]
+
+    def solution(self, mesh: int, phase: int, cost: float, w: np.ndarray) -> Solution:
+        """An optimum without multipliers, of its cost and scaled variables."""
+        return Solution(self.solvers[phase][mesh].transcription, w, np.empty(0), np.empty(0), cost, SOLVED, 0, 0.0)
+
+
+class MotionSearch:
+    """The search for the motions of a design's phases."""
+
+    def __init__(self, design: CoDesign, options: SearchOptions) -> None:
+        self.design, self.options, self.key = design, options, uuid.uuid4().hex
+        self.solver = PhaseSolver(design, options)  # for its transcriptions; worker processes have one of their own
+
+    def best(self, parameters: np.ndarray, skip: int, known: Motions | None = None) -> Motions:
+        """The motions of each phase with the springs of `parameters` (np,), on the fine mesh.
+
+        Proposed motions are solved on the coarse mesh, then hops over the durations of the best ones, as long as these lower a
+        phase's cost. The best are followed to the fine mesh, and hop there, too. `Optimum.reached` is the number of proposed
+        motions that led to each.
+
+        Args:
+            skip: Number of proposed motions that earlier calls have used.
+            known: Result of an earlier call, maybe with other springs, whose motions are solved again.
+        """
+        phases = range(len(self.solver.solvers))
+        coarse = self._solved(COARSE, parameters, [[(w, 1) for w in self._proposed(i, parameters, skip)] for i in phases])
+        coarse = self._hopped(COARSE, parameters, coarse)
+        transcriptions = [solvers[FINE].transcription for solvers in self.solver.solvers]
+        starts = [
+            [(t.pack(o.solution.guess()), o.reached) for o in (*some[:FOLLOWED], *others[:FOLLOWED])]
+            for t, some, others in zip(transcriptions, coarse, known or [[] for _ in coarse], strict=True)
+        ]
+        return self._hopped(FINE, parameters, self._solved(FINE, parameters, starts))
+
+    def _proposed(self, phase: int, parameters: np.ndarray, skip: int) -> list[np.ndarray]:
+        """Scaled variables of proposed motions on the coarse mesh."""
+        m, count, starts = len(self.design.task.moving), -(-self.options.motions // len(VIAS)), []
+        for via in VIAS:
+            for vector in sobol_points(2 + m * via, skip + count, self.options.seed)[skip:]:
+                guess = Guess((phase_guess(self.design.task, phase, vector),), parameters)
+                starts.append(self.solver.solvers[phase][COARSE].transcription.pack(guess))
+        return starts
+
+    def _hopped(self, mesh: int, parameters: np.ndarray, motions: Motions) -> Motions:
+        """Motions, with those to which hops over the durations of the best ones of each phase lead."""
+        hopping = [True] * len(motions)
+        for _ in range(HOPS):
+            starts = [
+                [(w, 0) for o in some[: LEADING[mesh]] for w in self._stretched(o)] if hops else []
+                for some, hops in zip(motions, hopping, strict=True)
+            ]
+            new = self._solved(mesh, parameters, starts)
+            both = [distinct([*some, *more]) for some, more in zip(motions, new, strict=True)]
+            pairs = zip(motions, both, strict=True)
+            hopping = [bool(new) and (not old or new[0].cost < old[0].cost * (1 - LEAST_GAIN)) for old, new in pairs]
+            motions = both
+            if not any(hopping):
+                break
+        return motions
+
+    def _stretched(self, motion: Optimum) -> list[np.ndarray]:
+        """Scaled variables of a motion run through in other durations."""
+        at, (shortest, longest) = len(self.design.problem.parameters), self.design.task.duration
+        starts = [motion.solution.w.copy() for _ in STRETCHES]
+        for w, factor in zip(starts, STRETCHES, strict=True):
+            w[at] = np.clip(factor * w[at], shortest, longest)
+        return starts
+
+    def _solved(self, mesh: int, parameters: np.ndarray, starts: Sequence[Sequence[tuple[np.ndarray, int]]]) -> Motions:
+        """The motions to which starts of each phase lead, each reached as often as its start and those of equal ones were."""
+        calls = [(i, some[k : k + AT_ONCE]) for i, some in enumerate(starts) for k in range(0, len(some), AT_ONCE)]
+        shared = self.key, self.design, self.options, mesh, parameters
+        found = ordered(_solve, [(*shared, i, [w for w, _ in some]) for i, some in calls])
+        optima: Motions = [[] for _ in starts]
+        for (i, some), results in zip(calls, found, strict=True):
+            for (_, reached), result in zip(some, results, strict=True):
+                if result is not None:
+                    optima[i].append(Optimum(self.solver.solution(mesh, i, *result), [], reached))
+        return [distinct(some) for some in optima]
+
+
+def _solve(key: str, design: CoDesign, options: SearchOptions, mesh: int, parameters: np.ndarray, phase: int, starts: list):
+    solver = once_per_process(key, lambda: PhaseSolver(design, options))
+    return [s and (s.cost, s.w) for s in solver.solve(mesh, phase, parameters, starts)]
+
+
+def _scheme(options: SearchOptions):
+    return scheme(options.scheme, options.stages)
+
+
+def combined(motions: Motions, parameters: np.ndarray, count: int) -> list[tuple[Guess, int]]:
+    """Motions put together: the best of every phase, then those with the next best of one phase, `count` in all at most.
+
+    Returns:
+        Each with the least number of starts that led to any of its motions; nothing where a phase has no motion.
+    """
+    if not all(motions):
+        return []
+    choices = [[0] * len(motions)]
+    for rank in range(1, max(map(len, motions))):
+        choices += [[rank * (i == j) for i in range(len(motions))] for j, some in enumerate(motions) if rank < len(some)]
+    result = []
+    for choice in choices[:count]:
+        chosen = [some[i] for some, i in zip(motions, choice, strict=True)]
+        guess = Guess(tuple(o.solution.guess().phases[0] for o in chosen), parameters)
+        result.append((guess, min(o.reached for o in chosen)))
+    return result
