@@ -9,8 +9,8 @@ from rich.markdown import Markdown
 
 from rrr_oc import parallel
 from rrr_oc.codesign.design_problem import COSTS
-from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import METHODS
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
@@ -32,7 +32,7 @@ def design(
     configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
         CONFIGURATIONS
     ),
-    starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 40,
+    starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
     motions: Annotated[int, typer.Option(min=0, help="proposed motions of each phase, for springs that starts led to")] = 48,
     cost: Annotated[str, typer.Option(help=f"of {', '.join(COSTS)}: torque squared (Eq. 13, Eq. 7) or Eq. 11")] = "load",

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import SOLVED, Optimum, distinct
-from rrr_oc.codesign.proposals import SearchOptions, phase_guess, sobol_points
+from rrr_oc.codesign.search.local_optima import SOLVED, Optimum, distinct
+from rrr_oc.codesign.search.proposals import SearchOptions, phase_guess, sobol_points
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
@@ -120,8 +120,8 @@ class MotionSearch:
     def _solved(self, mesh: int, parameters: np.ndarray, starts: Sequence[Sequence[tuple[np.ndarray, int]]]) -> Motions:
         """The motions to which starts of each phase lead, each reached as often as its start and those of equal ones were."""
         calls = [(i, some[k : k + AT_ONCE]) for i, some in enumerate(starts) for k in range(0, len(some), AT_ONCE)]
-        shared = self.key, self.design, self.options, mesh, parameters
-        found = ordered(_solve, [(*shared, i, [w for w, _ in some]) for i, some in calls])
+        shared = self.key, self.design, self.options
+        found = ordered(_solve, [(*shared, (mesh, i), parameters, [w for w, _ in some]) for i, some in calls])
         optima: Motions = [[] for _ in starts]
         for (i, some), results in zip(calls, found, strict=True):
             for (_, reached), result in zip(some, results, strict=True):
@@ -130,9 +130,17 @@ class MotionSearch:
         return [distinct(some) for some in optima]
 
 
-def _solve(key: str, design: CoDesign, options: SearchOptions, mesh: int, parameters: np.ndarray, phase: int, starts: list):
+def _solve(
+    key: str,
+    design: CoDesign,
+    options: SearchOptions,
+    at: tuple[int, int],
+    parameters: np.ndarray,
+    starts: Sequence[np.ndarray],
+) -> list[tuple[float, np.ndarray] | None]:
+    """Cost and scaled variables of what starts on a mesh of a phase lead to, `at` = (mesh, phase)."""
     solver = once_per_process(key, lambda: PhaseSolver(design, options))
-    return [s and (s.cost, s.w) for s in solver.solve(mesh, phase, parameters, starts)]
+    return [None if s is None else (s.cost, s.w) for s in solver.solve(*at, parameters, starts)]
 
 
 def _scheme(options: SearchOptions):
