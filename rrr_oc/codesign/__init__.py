@@ -1,6 +1,6 @@
 """Springs and motion of a task as one problem.
 
-`task`, `springs` and `design_problem` state it; `proposals`, `local_optima` and `multistart` solve it globally; `catalogue`, `screening` and
+`task`, `springs` and `design_problem` state it; `proposals`, `local_optima` and `multistart` solve it globally; `catalogue` and
 `purchasable` find the best hardware that can be bought; `certificate` says how good an optimum is; `optimum` samples and simulates it;
 `transfer` takes it to a calibrated model; `study` goes through all configurations of a task.
 

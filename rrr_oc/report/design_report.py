@@ -18,6 +18,7 @@ TRANSFERRED = (
     "load torque that the engine gives, and of the one from the motor torque through Eq. 10."
 )
 LOCAL_OPTIMA = "Distinct local optima (those not refined carry the error of their mesh)"
+UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
 LAYERS = "What each layer contributed (coarse mesh)"
 
 
@@ -236,14 +237,18 @@ def _origin(c: dict) -> str:
 
 def coverage(cover: dict) -> str:
     """What of a catalogue was searched, and what was not."""
-    text = f"Catalogue: {cover['combinations']} combinations, {cover['distinct']} distinct; {cover['solved']} solved with the "
-    text += f"hardware held, {cover['relaxed']} more with free stiffnesses to screen, {cover['failed']} failed. "
-    if cover["complete"]:
-        text += "So every distinct one was solved. "
-    if cover["neighbours"]:
-        text += "For each biarticular spring only the stiffnesses next to its optimal ones were solved. "
-    if cover["margin"] is not None:
-        text += f"The best biarticular spring left out screens {100 * cover['margin']:.1f} % above the best (interpolated). "
+    text = f"Catalogue: {cover['combinations']} combinations, {cover['distinct']} distinct. Branch and bound solved {cover['solved']} "
+    text += f"problems, {cover['single']} of them with the hardware held"
+    if cover["excluded"]:
+        text += f", and excluded the other {cover['excluded']}: by their bounds they cost at least {100 * cover['margin']:.1f} % more than "
+        text += "the best. These bounds hold as far as each local optimum is the global one of its problem"
+    if cover["undercut"] > UNDERCUT:
+        text += f"; one was not, by {100 * cover['undercut']:.1g} %"
+    text += ". "
+    if cover["failed"]:
+        text += f"{cover['failed']} could not be solved. "
+    if cover["left"]:
+        text += f"The search ended early, with {cover['left']} left. "
     return (
         text + f"Cost of buying instead of making: {round(100 * cover['gap'], 1) + 0.0:+.1f} % against the continuous optimum."
     )
