@@ -7,6 +7,7 @@ from itertools import chain, pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from rrr_oc.codesign.bound import SpringBound, solution_bound
 from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
 from rrr_oc.codesign.local_optima import Optimum
 from rrr_oc.codesign.multistart import SearchResult
@@ -60,6 +61,7 @@ class Certificate:
         exact_cost: The cost with exact springs.
         reintegration: See `reintegrate`.
         share: Share of the starts that reached this optimum; 0 where it was found from another one.
+        bound: What no springs can be better than on the same motion; None where that is not known.
     """
 
     primal: float
@@ -76,10 +78,11 @@ class Certificate:
     exact_cost: float
     reintegration: dict[str, float]
     share: float
+    bound: SpringBound | None
 
 
-def certify(result: SearchResult, optimum: Optimum) -> Certificate:
-    """The certificate of one of a search's optima."""
+def certify(result: SearchResult, optimum: Optimum, offered: CoDesign | None = None) -> Certificate:
+    """The certificate of one of a search's optima; `offered` has the springs that it is compared with, by default the design's own."""
     solution, design = optimum.solution, result.design
     kkt = Kkt(solution)
     second_order, curvature, direction = kkt.second_order()
@@ -105,6 +108,7 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
         exact_cost=exact,
         reintegration=reintegrate(solution),
         share=optimum.reached / max(len(result.starts), 1),
+        bound=solution_bound(solution, design, offered),
     )
 
 

@@ -287,7 +287,7 @@ def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
     assert study.shop is not None
     with study.listener.count(name) as count:
         bought = search_catalogue(design, start, study.shop, study.options, lambda done: count(done, "problems solved"))
-    found = _describe(study.out, name, SearchResult(bought.design, (bought.optimum,), (), False), began)
+    found = _describe(study.out, name, SearchResult(bought.design, (bought.optimum,), (), False), began, design)
     gap = bought.optimum.cost / start.cost - 1
     left = {key: value for key, value in found.items() if key not in ("optima", "layers")}
     return left | {"catalogue": plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})}
@@ -321,8 +321,9 @@ def _search(study: Study, name: str, design: CoDesign) -> SearchResult:
             ) from None
 
 
-def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[str, Any]:
-    """The entry of a configuration in summary.json; first writes its motion to an npz."""
+def _describe(out: Path, name: str, result: SearchResult, began: float, offered: CoDesign | None = None) -> dict[str, Any]:
+    """The entry of a configuration in summary.json; first writes its motion to an npz. Its springs are compared with those of
+    `offered`, by default with the design's own."""
     design, solution = result.design, result.best.solution
     motion = sample_motion(design, solution)
     joints = {"joints": np.array(design.task.joints)}
@@ -335,7 +336,7 @@ def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[
         "idle": idle_springs(design, motion, solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
-        "certificate": asdict(certify(result, result.best)),
+        "certificate": asdict(certify(result, result.best, offered)),
         "meshes": result.best.meshes,
         "mujoco": describe_simulation(design, solution, motion),
         "optima": [
