@@ -1,9 +1,10 @@
 """Interval arithmetic against values and differences at random points of boxes."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from rrr_oc.numerics.enclosure import Enclosure, NotEnclosed, enclosed, enclosures
+from rrr_oc.numerics.enclosure import Enclosure, NotEnclosed, enclosed, enclosures, evaluated
 from rrr_oc.numerics.smooth import ramp
 
 T = np.linspace(-1.0, 1.0, 7)
@@ -16,6 +17,7 @@ FUNCTIONS = {
     "absolute": lambda a, b: np.absolute(a - T) * np.square(b),
     "exact ramp": lambda a, b: b * ramp(a + b * T, 0.0),
     "smooth ramp": lambda a, b: b * ramp(a + b * T, 0.3),
+    "sine": lambda a, b: np.sin(2.0 * a + T) * np.cos(b),
     "of one parameter": lambda a, b: 3.0 - a * T,
 }
 
@@ -61,7 +63,26 @@ def test_a_total_of_signed_weights_lies_within():
     assert enclosed(T).slopes is None
 
 
-@pytest.mark.parametrize("function", [np.sin, lambda a: 1 / a, lambda a: a**0.5, lambda a: a**a, lambda a: np.add(a, 1, out=T)])
+@pytest.mark.parametrize("function", [np.exp, lambda a: 1 / a, lambda a: a**0.5, lambda a: a**a, lambda a: np.add(a, 1, out=T)])
 def test_what_has_no_rule_is_refused(function):
     with pytest.raises(NotEnclosed):
         function(Enclosure((np.zeros(1), np.ones(1))))
+
+
+def test_a_casadi_function_is_enclosed():
+    """As numpy's arithmetic is, with an entry that is a number and an output without entries."""
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+    expression = ca.vertcat(ca.sin(x[0]) * x[1] - p / 2, ca.fmax(x[0] ** 2, -x[1]) + 2 * ca.fabs(x[1]), p)
+    function = ca.Function("f", [x, p], [expression, ca.SX(1, 1)])
+    rng, lower = np.random.default_rng(0), np.array([[-1.0, 0.3], [0.2, -2.0]])
+    upper = lower + 0.7
+    (first, second, third), nothing = evaluated(function, [enclosures(lower, upper), [3.0]])
+    assert (third, nothing) == (3.0, [])
+    for _ in range(100):
+        point = rng.uniform(lower, upper)
+        value = np.array(function(point, 3.0)[0])
+        for found, row in ((first, value[0]), (second, value[1])):
+            assert np.all(found.value[0][:, 0] <= row)
+            assert np.all(row <= found.value[1][:, 0])
+    with pytest.raises(NotEnclosed):
+        evaluated(ca.Function("f", [x], [ca.exp(x)]), [enclosures(lower, upper)])

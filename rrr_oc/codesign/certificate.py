@@ -7,7 +7,8 @@ from itertools import chain, pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rrr_oc.codesign.bound import SpringBound, solution_bound
+from rrr_oc.codesign.bounds.on_motion import SpringBound, solution_bound
+from rrr_oc.codesign.bounds.over_motions import task_bound
 from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
 from rrr_oc.codesign.local_optima import Optimum
 from rrr_oc.codesign.multistart import SearchResult
@@ -62,6 +63,7 @@ class Certificate:
         reintegration: See `reintegrate`.
         share: Share of the starts that reached this optimum; 0 where it was found from another one.
         bound: What no springs can be better than on the same motion; None where that is not known.
+        least: What no springs and no motion of the task can be better than [N²m²s]; None where that is not known.
     """
 
     primal: float
@@ -79,6 +81,7 @@ class Certificate:
     reintegration: dict[str, float]
     share: float
     bound: SpringBound | None
+    least: float | None
 
 
 def certify(result: SearchResult, optimum: Optimum, offered: CoDesign | None = None) -> Certificate:
@@ -109,6 +112,7 @@ def certify(result: SearchResult, optimum: Optimum, offered: CoDesign | None = N
         reintegration=reintegrate(solution),
         share=optimum.reached / max(len(result.starts), 1),
         bound=solution_bound(solution, design, offered),
+        least=task_bound(offered or design),
     )
 
 

@@ -1,10 +1,13 @@
 """Interval arithmetic with first derivatives: where a function of parameters lies, for all parameters in a box at once.
 
-A function that is written with numpy's arithmetic takes an `Enclosure` in the place of an array.
+A function that is written with numpy's arithmetic takes an `Enclosure` in the place of an array; `evaluated` takes one to a CasADi
+function.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
@@ -52,6 +55,28 @@ def enclosures(lower: np.ndarray, upper: np.ndarray) -> list[Enclosure]:
 def enclosed(x: Any) -> Enclosure:
     """An enclosure, or the enclosure of a constant."""
     return x if isinstance(x, Enclosure) else Enclosure((x, x))
+
+
+def evaluated(function: ca.Function, arguments: Sequence[Sequence[Any]]) -> list[list[Any]]:
+    """The entries of the outputs of an SX function without structural zeros, from those of its arguments: enclosures or numbers.
+
+    Raises `NotEnclosed` where the function has an operation without a rule.
+    """
+    work: dict[int, Any] = {}
+    results: list[list[Any]] = [[0.0] * function.nnz_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        operation, to, of = (f(k) for f in (function.instruction_id, function.instruction_output, function.instruction_input))
+        if operation == ca.OP_CONST:
+            work[to[0]] = function.instruction_constant(k)
+        elif operation == ca.OP_INPUT:
+            work[to[0]] = arguments[of[0]][of[1]]
+        elif operation == ca.OP_OUTPUT:
+            results[to[0]][to[1]] = work[of[0]]
+        elif operation in _OPERATIONS:
+            work[to[0]] = _OPERATIONS[operation](*(work[i] for i in of))
+        else:
+            raise NotEnclosed(f"CasADi's operation {operation} has no rule for intervals")
+    return results
 
 
 def _sum(a: Pair, b: Pair) -> Pair:
@@ -120,6 +145,21 @@ def _minimum(a: Any, b: Any) -> Enclosure:
     return _negative(_maximum(_negative(enclosed(a)), _negative(enclosed(b))))
 
 
+def _sin(a: Enclosure) -> Enclosure:
+    slope = _sine((a.value[0] + np.pi / 2, a.value[1] + np.pi / 2))
+    return Enclosure(_sine(a.value), _product(a.slopes, slope))
+
+
+def _sine(angles: Pair) -> Pair:
+    """The sine reaches 1 and -1 where a quarter turn after whole or half turns lies between the angles."""
+    (low, high), ends = angles, np.sin(angles)
+
+    def between(angle: float) -> np.ndarray:
+        return np.floor((high - angle) / (2 * np.pi)) >= np.ceil((low - angle) / (2 * np.pi))
+
+    return np.where(between(-np.pi / 2), -1.0, ends.min(axis=0)), np.where(between(np.pi / 2), 1.0, ends.max(axis=0))
+
+
 _RULES: dict[np.ufunc, Any] = {
     np.add: _add,
     np.negative: _negative,
@@ -133,4 +173,20 @@ _RULES: dict[np.ufunc, Any] = {
     np.minimum: _minimum,
     np.square: lambda a: _multiply(a, a),
     np.absolute: lambda a: _maximum(a, _negative(a)),
+    np.sin: _sin,
+    np.cos: lambda a: _sin(_add(a, np.pi / 2)),
+}
+_OPERATIONS = {
+    ca.OP_ADD: np.add,
+    ca.OP_SUB: np.subtract,
+    ca.OP_MUL: np.multiply,
+    ca.OP_DIV: np.divide,
+    ca.OP_NEG: np.negative,
+    ca.OP_SQ: np.square,
+    ca.OP_TWICE: lambda a: np.multiply(a, 2.0),
+    ca.OP_SIN: np.sin,
+    ca.OP_COS: np.cos,
+    ca.OP_FMIN: np.fmin,
+    ca.OP_FMAX: np.fmax,
+    ca.OP_FABS: np.absolute,
 }

@@ -195,31 +195,36 @@ def certificate_sentences(c: dict, quantity: Quantity) -> list[str]:
         f"cost that differs by {k['reintegration']['cost']:.1e}.",
         f"MuJoCo, which simulates the motion with the same springs and the paper's P-controllers, finds an E1 of {error['E1']:.4f} N²m²s, "
         f"and follows the motion to {error['tracking_error_rad']:.1e} rad.",
-        *springs_bound(c),
+        *bounds_in_words(c),
         f"The lowest point of the tool is {abs(c['lowest_tool_m']):.3f} m {'below' if c['lowest_tool_m'] < 0 else 'above'} the base.",
         _origin(c),
         f"One more kg of payload changes the cost by {100 * k['sensitivity']:+.1f} % of {quantity.name}.",
     ]
 
 
-def springs_bound(c: dict) -> list[str]:
-    """How good the springs are on the motion of their design, in a sentence; none where that is not known."""
-    bound = c["certificate"]["bound"]
-    if bound is None:
-        return []
-    if not c["springs"]:
-        return ["On this motion there are no springs to choose."]
-    if bound["excess"] is None:
-        return [
-            "How good the springs are on this motion is not known: a mixture of several in one place could give all torque."
-        ]
-    which = "in the catalogue or not" if "catalogue" in c else "of any size within the task's bounds"
-    above = max(bound["excess"], 0.0)
-    doubt = min(bound["mixture"] / bound["lower"] - 1, above)
-    return [
-        f"On this motion no springs of these kinds, {which}, reach an E1 below {bound['lower']:.4g} N²m²s; this design is "
-        f"{_percent(above)} above, of which up to {_percent(doubt)} is the tolerance of this bound."
-    ]
+def bounds_in_words(c: dict) -> list[str]:
+    """What no springs can be better than, on the motion of the design and on any, a sentence each; none where that is not known."""
+    bound, least = c["certificate"]["bound"], c["certificate"]["least"]
+    said, which = [], "in the catalogue or not" if "catalogue" in c else "of any size within the task's bounds"
+    if bound is not None and not c["springs"]:
+        said.append("On this motion there are no springs to choose.")
+    elif bound is not None and bound["excess"] is None:
+        said.append("How good the springs are on this motion is not known: several in one place, mixed, could give all torque.")
+    elif bound is not None:
+        above = max(bound["excess"], 0.0)
+        doubt = min(bound["mixture"] / bound["lower"] - 1, above)
+        said.append(
+            f"On this motion no springs of these kinds, {which}, reach an E1 below {bound['lower']:.4g} N²m²s; this design is "
+            f"{_percent(above)} above, of which up to {_percent(doubt)} is the tolerance of this bound."
+        )
+    if least:
+        all_ = (
+            f"no motion of the task and no springs of these kinds, {which}, reach"
+            if c["springs"]
+            else "no motion of the task reaches"
+        )
+        said.append(f"It is proved that {all_} an E1 below {least:.4g} N²m²s, {100 * least / c['E1']:.0f} % of this design's.")
+    return said
 
 
 def _percent(x: float) -> str:

@@ -80,7 +80,7 @@ class Needed:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class Place:
     """One spring of a design along the motion, its parameters open within their bounds."""
 
     spring: SpringBounds
@@ -112,11 +112,12 @@ class _Place:
         allowed = spring.form.strongest(low, high, spring.hardware) if spring.hardware else np.full(size, np.inf)
         return np.where(allowed < self.least, -np.inf, np.minimum(allowed, spring.upper[self.amplitude]))
 
-    def shape(self, others: Any) -> tuple:
-        """Torque with an amplitude of 1 on each of the spring's joints, from the other parameters, (P, 1) each or enclosures."""
+    def shape(self, others: Any, q: Any = None) -> tuple:
+        """Torque with an amplitude of 1 on each of the spring's joints, from the other parameters, (P, 1) each or enclosures; by default
+        at the motion's angles."""
         effect = self.spring.effect
         theta = {effect.parameters[i].name: values for i, values in zip(self.others, others, strict=True)}
-        return effect.torque(Signals(self.needed.q), theta | dict.fromkeys(effect.amplitudes, 1.0), 0.0)
+        return effect.torque(Signals(self.needed.q if q is None else q), theta | dict.fromkeys(effect.amplitudes, 1.0), 0.0)
 
     def shapes(self, others: np.ndarray) -> np.ndarray:
         """The same from numbers (d, P), one joint after the other: (P, number of joints × K)."""
@@ -147,7 +148,7 @@ class _Place:
 class _Grid:
     """Springs of a place with given other parameters (d, P)."""
 
-    def __init__(self, place: _Place, others: np.ndarray) -> None:
+    def __init__(self, place: Place, others: np.ndarray) -> None:
         self.place, self.others = place, others
         self._strongest = place.strongest(others, others)
         self._shapes = place.shapes(others)
@@ -163,7 +164,7 @@ class _Grid:
         return _Grid(self.place, np.hstack([self.others, others]))
 
 
-def _grid(place: _Place) -> _Grid:
+def _grid(place: Place) -> _Grid:
     """Springs all over the bounds of a place."""
     lower, upper = (b[place.others] for b in (place.spring.lower, place.spring.upper))
     count = int(GRID ** (1 / max(len(lower), 1)))
@@ -180,7 +181,7 @@ class _Greatest(NamedTuple):
     boxes: int
 
 
-def _greatest(place: _Place, residual: np.ndarray, margin: float) -> _Greatest:
+def _greatest(place: Place, residual: np.ndarray, margin: float) -> _Greatest:
     """The bound is at most a margin above what a spring reaches, unless there are too many boxes for that."""
     lower, upper = (b[place.others][:, None] for b in (place.spring.lower, place.spring.upper))
     reached = bound = -np.inf
@@ -209,7 +210,7 @@ def _halved(lower: np.ndarray, upper: np.ndarray, influence: np.ndarray) -> tupl
     return np.hstack([lower, above]), np.hstack([below, upper])
 
 
-def _examined(place: _Place, residual: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, ...]:
+def _examined(place: Place, residual: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, ...]:
     """Of boxes of the other parameters (d, P): an upper bound of ⟨r, a φ⟩ (P,), its value in the middle (P,), and how much each
     parameter may add to ⟨r, φ⟩ from there to the sides (d, P).
 
@@ -234,7 +235,7 @@ class _Mixture:
         cost: |r|² [N²m²s].
     """
 
-    def __init__(self, places: Sequence[_Place], needed: Needed) -> None:
+    def __init__(self, places: Sequence[Place], needed: Needed) -> None:
         self._places, self._needed = places, needed
         self._springs: list[tuple[int, np.ndarray]] = []  # index of the place, torque (m, K)
         self.residual = needed.tau
@@ -287,7 +288,7 @@ def bound_on_motion(springs: Sequence[SpringBounds], needed: Needed, cost: float
 
     Raises `NotEnclosed` for springs whose torque has no interval form.
     """
-    places = [_Place(spring, needed) for spring in springs]
+    places = [Place(spring, needed) for spring in springs]
     mixture, grids, lower, boxes = _Mixture(places, needed), [_grid(place) for place in places], 0.0, 0
     share = np.array([max(place.others.size, 1) ** 2 for place in places])  # of the margin: boxes of more parameters are more
     for turn in range(ROUNDS):

@@ -1,21 +1,24 @@
-"""The bound of what springs can reach on a motion: against random springs, closed forms, and a relaxation solved on a grid."""
+"""Bounds of what springs can reach, on a motion and on any: against random springs and motions, closed forms, a relaxation on a grid."""
 
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
-from test_design_problem import TASK, design_of, solved, springs_by_hand
+from test_design_problem import TASK, design_of, sampled, solved, springs_by_hand, torque_by_hand
 
-from rrr_oc.codesign import bound
-from rrr_oc.codesign.bound import Needed, bound_on_motion, needed_by, solution_bound
+from rrr_oc.codesign.bounds import on_motion as bound
+from rrr_oc.codesign.bounds import over_motions
+from rrr_oc.codesign.bounds.on_motion import Needed, bound_on_motion, needed_by, solution_bound
+from rrr_oc.codesign.bounds.over_motions import task_bound
 from rrr_oc.codesign.certificate import exact_cost
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.springs import SpringBounds
+from rrr_oc.codesign.springs import SpringBounds, spring_bounds
+from rrr_oc.codesign.task import load_task
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.elastic.biarticular_spring import hardware_exists, reduced
 from rrr_oc.optimal_control.solver import Solution
-from rrr_oc.report.design_report import springs_bound
+from rrr_oc.report.design_report import bounds_in_words
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.storage import plain
 
@@ -191,7 +194,7 @@ def test_what_is_not_known_is_not_said(optima, monkeypatch):
     moved = CoDesign(TASK, design.springs, "motor", load_actuators(TASK.joints))
     assert solution_bound(solution, moved) is None
     kind = type(design.springs[0].effect)
-    monkeypatch.setattr(kind, "torque", lambda self, signals, theta, width: (np.sin(theta["equilibrium"] - signals.q[1]),))
+    monkeypatch.setattr(kind, "torque", lambda self, signals, theta, width: (np.exp(theta["equilibrium"] - signals.q[1]),))
     assert solution_bound(solution, design) is None
 
 
@@ -207,20 +210,94 @@ def test_springs_that_are_offered_beside_those_held(optima):
     assert own.cost == offered.cost
 
 
-def test_the_sentence(optima):
-    """Number and share as they are, and no more said than known."""
+def test_the_sentences(optima):
+    """Numbers and shares as they are, and no more said than known."""
     design, solution = optima["PEA"]
     found = solution_bound(solution, design)
     assert found is not None
-    entry = {"certificate": {"bound": plain(asdict(found))}, "springs": {"k_p2": 1.0}}
-    (sentence,) = springs_bound(entry)
+
+    def said(springs: dict, bound: dict | None = None, least: float | None = None, **more: dict) -> list[str]:
+        return bounds_in_words({"certificate": {"bound": bound, "least": least}, "springs": springs, "E1": 50.0, **more})
+
+    known, some = plain(asdict(found)), {"k_p2": 1.0}
+    (sentence,) = said(some, known)
     assert (
         f"no springs of these kinds, of any size within the task's bounds, reach an E1 below {found.lower:.4g} N²m²s"
         in sentence
     )
     assert f"this design is {100 * found.excess:.2g} % above" in sentence
-    assert "in the catalogue or not" in springs_bound(entry | {"catalogue": {}})[0]
-    nothing = {"lower": 0.0, "mixture": 0.1, "cost": 1.0, "excess": None, "boxes": 1}
-    assert "is not known" in springs_bound(entry | {"certificate": {"bound": nothing}})[0]
-    assert springs_bound(entry | {"certificate": {"bound": None}}) == []
-    assert springs_bound(entry | {"springs": {}}) == ["On this motion there are no springs to choose."]
+    assert "in the catalogue or not" in said(some, known, catalogue={})[0]
+    assert "is not known" in said(some, {"lower": 0.0, "mixture": 0.1, "cost": 1.0, "excess": None, "boxes": 1})[0]
+    assert said(some) == said({}) == said({}, None, 0.0) == []
+    assert "no motion of the task and no springs of these kinds" in said(some, None, 12.5)[0]
+    assert said({}, known, 12.5) == [
+        "On this motion there are no springs to choose.",
+        "It is proved that no motion of the task reaches an E1 below 12.5 N²m²s, 25 % of this design's.",
+    ]
+
+
+# --- over all motions ---
+
+
+def test_the_torque_near_a_posture_is_enclosed():
+    """Random motions from rest with bounded accelerations, by numeric pinocchio; the ends of the intervals are nearly reached early."""
+    design, rng = design_of("SA"), np.random.default_rng(0)
+    t, a = np.array([0.02, 0.1, 0.3]), TASK.acceleration
+    for posture, payload in ((TASK.release, 5.0), (TASK.start, 0.0)):
+        low, high = over_motions._needed_near(design, posture, payload, t)
+        for i, time in enumerate(t):
+            sides = rng.choice([-1.0, 1.0], (3, 2, 300)) * rng.random((3, 2, 300)) ** rng.choice([0, 1], 300)
+            dq, ddq = (a * np.minimum(time, TASK.speed / a))[:, None] * sides[1], a[:, None] * sides[2]
+            q = np.clip(posture[:, None] + (a * time**2 / 2)[:, None] * sides[0], TASK.lower[:, None], TASK.upper[:, None])
+            tau = torque_by_hand({}, q, dq, ddq, payload)
+            assert np.all(low[:, i, None] <= tau)
+            assert np.all(tau <= high[:, i, None])
+            if i == 0:
+                np.testing.assert_allclose([tau.min(axis=1), tau.max(axis=1)], [low[:, 0], high[:, 0]], rtol=0.02)
+
+
+@pytest.mark.parametrize("configuration", ["PEA", "BPEA"])
+def test_the_stiffness_bounds_that_of_random_springs(configuration):
+    """Differences of the springs' torques, written out, at random angles; the stiffest come near the bound."""
+    springs, rng, step = design_of(configuration).springs, np.random.default_rng(0), 1e-6
+    bound = sum(over_motions._stiffness(TASK, spring) for spring in springs)
+    found = np.zeros((2, 2))
+    for hardware in random_hardware(configuration, 4000):
+        q = rng.uniform(TASK.lower, TASK.upper)[:, None]
+        for k in range(2):
+            moved = q + step * np.eye(2)[:, [k]]
+            found[:, k] = np.maximum(
+                found[:, k], np.abs(springs_by_hand(hardware, moved) - springs_by_hand(hardware, q))[:, 0] / step
+            )
+    assert np.all(found <= bound + 1e-6)
+    assert np.all(found >= 0.8 * bound)
+
+
+def test_every_design_is_above_the_bound_over_motions(optima):
+    """In the windows that the bound counts, by torques on the dense motion; and what is proved of the paper's task."""
+    known = {"SA": 205.0, "PEA": 20.0, "BPEA": 7.7, "PEA+BPEA": 7.5}  # less than any finer division finds
+    for name, (design, solution) in optima.items():
+        least, hardware, window, cost = task_bound(design), design.hardware(solution.parameters), TASK.duration[0] / 2, 0.0
+        for phase, payload in enumerate(TASK.payloads):
+            t, q, dq, ddq = sampled(solution, phase)
+            for part in (t <= window, t >= t[-1] - window):
+                tau = torque_by_hand(hardware, *(x[:, part] for x in (q, dq, ddq)), payload)
+                cost += float(np.trapezoid((tau**2).sum(axis=0), t[part]))
+        assert least is not None
+        assert known[name] < least < cost
+
+
+def test_with_more_steps_more_is_proved(monkeypatch):
+    values = []
+    for steps, pieces in ((20, 1), (40, 1), (40, 20)):
+        monkeypatch.setattr(over_motions, "STEPS", steps)
+        monkeypatch.setattr(over_motions, "PIECES", pieces)
+        values.append(task_bound(design_of("PEA")))
+    assert values[0] < values[1] < values[2]
+
+
+def test_nothing_is_proved_of_motions_that_may_jump():
+    prototype = load_task("prototype")  # without limits of acceleration
+    assert task_bound(CoDesign(prototype, spring_bounds(prototype, "PEA"))) is None
+    assert task_bound(replace(design_of("PEA"), at_rest=False)) is None
+    assert task_bound(replace(design_of("PEA"), cost="motor", actuators=load_actuators(TASK.joints))) is None
