@@ -92,7 +92,7 @@ def test_a_relaxation_on_a_grid_agrees(optima):
     spring = design.springs[1]
     free = replace(spring, upper=np.array([1e3, spring.upper[1]]))
     found = bound_on_motion([free], needed, 1.0)
-    scale, grid = np.sqrt(needed.weights), np.linspace(*np.radians([-140, 140]), 150)
+    scale, grid = np.sqrt(needed.weights), np.radians(np.linspace(-140, 140, 150))
     shapes = np.maximum(grid[:, None] - needed.q[2], 0) * scale
     rest = lsq_linear(shapes.T, needed.tau[1] * scale, (0, np.inf)).cost * 2
     on_grid = rest + float(needed.tau[0] ** 2 @ needed.weights)
@@ -177,8 +177,8 @@ def test_the_greatest_amplitude_is_that_of_the_hardware():
     assert np.all(theta[0] <= form.strongest(theta - half, theta + half, bounds) * (1 + 1e-12))
     strongest = form.strongest(theta, theta, bounds)
 
-    def excess(*theta: float) -> float:
-        return float(np.array(hardware_exists(*theta, bounds)).max())
+    def excess(kappa: float, rho: float, phi: float) -> float:
+        return float(np.array(hardware_exists(kappa, rho, phi, bounds)).max())
 
     for kappa, (_, rho, phi) in zip(strongest, theta.T, strict=True):
         assert excess(kappa, rho, phi) == pytest.approx(0.0, abs=1e-9)
@@ -281,7 +281,7 @@ def test_every_design_is_above_the_bound_over_motions(optima):
         for phase, payload in enumerate(TASK.payloads):
             t, q, dq, ddq = sampled(solution, phase)
             for part in (t <= window, t >= t[-1] - window):
-                tau = torque_by_hand(hardware, *(x[:, part] for x in (q, dq, ddq)), payload)
+                tau = torque_by_hand(hardware, q[:, part], dq[:, part], ddq[:, part], payload)
                 cost += float(np.trapezoid((tau**2).sum(axis=0), t[part]))
         assert least is not None
         assert known[name] < least < cost

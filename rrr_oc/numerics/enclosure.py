@@ -65,7 +65,7 @@ def evaluated(function: ca.Function, arguments: Sequence[Sequence[Any]]) -> list
     work: dict[int, Any] = {}
     results: list[list[Any]] = [[0.0] * function.nnz_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
-        operation, to, of = (f(k) for f in (function.instruction_id, function.instruction_output, function.instruction_input))
+        operation, to, of = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
         if operation == ca.OP_CONST:
             work[to[0]] = function.instruction_constant(k)
         elif operation == ca.OP_INPUT:

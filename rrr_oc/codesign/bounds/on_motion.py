@@ -35,7 +35,9 @@ CHUNK = 40_000  # boxes times instants that are examined at once; doubled, they 
 INSTANTS = 400  # of quadrature, as far as `POINTS` allow; doubled, a bound takes twice as long
 POINTS = (3, 9)  # of Gauss quadrature in an interval of the mesh; with fewer, kinks of springs are missed
 FLOOR = 1e-5  # [1] of the cost without springs, below which a mixture's cost counts as that; doubled, it is reached sooner
+SHAPES = 2_000_000  # values of the torques of these springs at most, for the memory; doubled, it takes twice as much
 NEAR = 300  # springs that come near a maximum and are added to the grid; doubled, the grid grows faster
+MARGINS = 50.0  # below the maximum, within which these are; doubled, they are further from it
 EQUAL = 1e3  # weight of the rows by which the shares of a place add up to 1; doubled, they do so more closely before they are scaled
 
 
@@ -167,7 +169,7 @@ class _Grid:
 def _grid(place: Place) -> _Grid:
     """Springs all over the bounds of a place."""
     lower, upper = (b[place.others] for b in (place.spring.lower, place.spring.upper))
-    count = int(GRID ** (1 / max(len(lower), 1)))
+    count = int(min(GRID, SHAPES / place.needed.weights.size) ** (1 / max(len(lower), 1)))
     axes = [np.linspace(a, b, count if b > a else 1) for a, b in zip(lower, upper, strict=True)]
     return _Grid(place, np.array(list(itertools.product(*axes))).T)
 
@@ -196,7 +198,7 @@ def _greatest(place: Place, residual: np.ndarray, margin: float) -> _Greatest:
         bound = max(bound, reached, float(bounds[~halved].max(initial=-np.inf)))
         lower, upper = _halved(lower[:, halved], upper[:, halved], influence[:, halved])
     values, *others = np.hstack(examined)
-    near = np.flatnonzero(values >= reached - 50 * margin)
+    near = np.flatnonzero(values >= reached - MARGINS * margin)
     return _Greatest(bound, np.array(others).reshape(-1, values.size)[:, near[:: len(near) // NEAR + 1]], boxes)
 
 

@@ -19,11 +19,9 @@ from rrr_oc.codesign.bounds.on_motion import Needed, Place
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import Task
-from rrr_oc.numerics.enclosure import NotEnclosed, enclosures, evaluated
+from rrr_oc.numerics.enclosure import NotEnclosed, enclosed, enclosures, evaluated
 
-BOXES = (
-    20_000  # into which the parameters of a spring are cut for its stiffness; doubled, the stiffness is bounded more closely
-)
+BOXES = 20_000  # of a spring's parameters, in each of which its stiffness is bounded; doubled, that is closer
 STEPS = 200  # in which half of the shortest phase is divided; doubled, the bound over all motions is up to a per cent larger
 PIECES = 100  # of what is possible at an instant of that; doubled, the intervals are narrower, most where arms are free to move
 
@@ -57,7 +55,7 @@ def _needed_near(design: CoDesign, posture: np.ndarray, payload: float, t: np.nd
     task, a = design.task, design.task.acceleration[:, None]
     bare = CoDesign(task, tuple(spring for spring in design.springs if spring.known))
     theta = np.concatenate([np.zeros(0), *[spring.lower for spring in bare.springs]])
-    constants, m = (theta, np.zeros(bare.model.widths.size)), len(task.moving)
+    constants, m = (theta.tolist(), [0.0] * bare.model.widths.size), len(task.moving)
     way, speed = a * t**2 / 2, np.minimum(a * t, task.speed[:, None])
     angles = [np.clip(posture[:, None] + side * way, task.lower[:, None], task.upper[:, None]) for side in (-1, 1)]
     lower, upper = _pieces(np.vstack([angles[0], -speed]), np.vstack([angles[1], speed]))
@@ -76,16 +74,14 @@ def _pieces(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """Boxes (d, P) cut into equal pieces along all axes, (d, pieces × P), about `PIECES` each."""
     count = int(PIECES ** (1 / len(lower)))
     first = np.array(list(itertools.product(range(count), repeat=len(lower)))).T[:, :, None] / count
-    sides = (upper - lower)[:, None, :]
-    return tuple((lower[:, None, :] + part * sides).reshape(len(lower), -1) for part in (first, first + 1 / count))
+    below, above = (lower[:, None, :] + part * (upper - lower)[:, None, :] for part in (first, first + 1 / count))
+    return below.reshape(len(lower), -1), above.reshape(len(lower), -1)
 
 
 def _stiffness(task: Task, spring: SpringBounds) -> np.ndarray:
     """Upper bounds of |d torque / d angle| of a spring [Nm/rad], (m, m), over all angles and all that its bounds allow."""
-    place, joints = (
-        Place(spring, Needed(np.empty((0, 0)), np.empty((0, 0)), task.moving, np.empty(0))),
-        [task.moving.index(j) for j in spring.effect.joints],
-    )
+    place = Place(spring, Needed(np.empty((0, 0)), np.empty((0, 0)), task.moving, np.empty(0)))  # of no motion
+    joints = place.rows
     count = int(BOXES ** (1 / max(len(place.others), 1)))
     axes = [np.linspace(a, b, count + 1 if b > a else 2) for a, b in zip(spring.lower, spring.upper, strict=True)]
     lower, upper = (
@@ -96,7 +92,9 @@ def _stiffness(task: Task, spring: SpringBounds) -> np.ndarray:
     parameters = enclosures(np.vstack([angles[0], lower]), np.vstack([angles[1], upper]))
     q = dict(zip(spring.effect.joints, parameters, strict=False))
     strongest, bound = np.maximum(place.strongest(lower, upper), 0), np.zeros((len(task.moving),) * 2)
-    for row, part in zip(joints, place.shape(parameters[len(joints) :], q), strict=True):
+    for row, part in zip(joints, map(enclosed, place.shape(parameters[len(joints) :], q)), strict=True):
+        if part.slopes is None:  # the same torque everywhere
+            continue
         slopes = np.maximum(-part.slopes[0], part.slopes[1])[: len(joints), :, 0]
         bound[row, joints] = (strongest * slopes).max(axis=1)
     return bound
