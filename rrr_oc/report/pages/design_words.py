@@ -125,11 +125,13 @@ def cautions(summary: Summary) -> list[str]:
     if best is None or "catalogue" in found[best]:
         return said
     reached, starts = round(found[best]["certificate"]["share"] * summary["starts"]), summary["starts"]
+    least = found[best]["certificate"]["least"]
+    but = f", though none below {least:.4g} N²m²s" if least else ""
     if starts == 1:
-        said.append(f"{best}: a single start was made; more may find a better optimum.")
+        said.append(f"{best}: a single start was made; more may find a better optimum{but}.")
     elif reached < 2:
         some = "only one" if reached else "none"
-        said.append(f"{best}: {some} of {starts} starts ended in this optimum; more starts may find a better one.")
+        said.append(f"{best}: {some} of {starts} starts ended in this optimum; more starts may find a better one{but}.")
     return said
 
 
