@@ -11,9 +11,9 @@ import pytest
 from rrr_oc.codesign import purchasable
 from rrr_oc.codesign.catalogue import Catalogue, choices_of, load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import SearchResult, continue_from, solve_multistart
-from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
+from rrr_oc.codesign.search.multistart import SearchResult, continue_from, solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
