@@ -353,7 +353,7 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
     [
         (["d"], {"design", "diagnose"}),
         (["import", ""], {"prototype", "mcap", "csv", "lerobot"}),
-        (["design", "--cat"], {"--catalogue", "--catalogue-search"}),
+        (["design", "--co"], {"--configurations", "--cost"}),
         (["diagnose", "somewhere"], set()),  # which leaves names of files to the shell
     ],
 )

@@ -1,4 +1,4 @@
-"""The catalogue search against brute force by separate searches, its own two methods against each other, and bad input."""
+"""The catalogue search against brute force by separate searches, all choices of the bundled one, and bad input."""
 
 import itertools
 import json
@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rrr_oc.codesign.catalogue import Catalogue, load_catalogue
+from rrr_oc.codesign import purchasable
+from rrr_oc.codesign.catalogue import Catalogue, choices_of, load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
-from rrr_oc.codesign.search.multistart import SearchResult, solve_multistart
+from rrr_oc.codesign.search.multistart import SearchResult, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.optimal_control.solver import SolverFailure
 
 TASK = load_task("paper")
 OPTIONS = SearchOptions(
@@ -99,26 +101,13 @@ def test_buying_costs_more_than_making(pea, bought_pea):
 
 
 def test_coverage_adds_up(bought_pea, bought_bpea, counted):
-    cover = bought_pea.coverage
-    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.failed) == (4, 4, 4, 0, 0)
-    assert (cover.complete, cover.neighbours) == (True, False)
+    """Fewer choices than are to be found: each is solved, and the parts that held them."""
+    for cover, combinations, distinct in ((bought_pea.coverage, 4, 4), (bought_bpea.coverage, 4, 3)):
+        assert (cover.combinations, cover.distinct, cover.single) == (combinations, distinct, distinct)
+        assert (cover.excluded, cover.failed, cover.left, cover.margin) == (0, 0, 0, float("inf"))
+        assert cover.solved == 2 * distinct - 1  # the nodes of a binary tree with so many leaves
     assert counted == sorted(counted)
-    assert counted[-1] == cover.solved
-    cover = bought_bpea.coverage
-    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.failed) == (4, 3, 3, 0, 0)
-    assert (cover.complete, cover.neighbours) == (True, False)
-
-
-def test_coverage_of_both_kinds_does_not_claim_what_was_not_solved():
-    """One biarticular spring, three stiffnesses a joint: only the two next to the optimal ones are solved, 4 of 9."""
-    lists = {"joint2": (2.0, 7.0, 13.0), "joint3": (0.1, 0.6, 1.2)}
-    short = {"k_b": (13.0,), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.019,)}
-    few = replace(OPTIONS, coarse=6, fine=8)
-    cover = shop(solve_multistart(CoDesign(TASK, spring_bounds(TASK, "PEA+BPEA")), few), lists, short, settings=few).coverage
-    assert (cover.combinations, cover.distinct) == (9, 9)
-    assert 1 <= cover.solved <= 4
-    assert (cover.complete, cover.neighbours) == (False, True)
-    assert cover.margin == float("inf")  # no biarticular spring was left out
+    assert counted[-1] == bought_pea.coverage.solved
 
 
 def test_equal_kappa_and_rho_are_one_choice(bought_bpea):
@@ -137,16 +126,57 @@ def test_values_outside_the_tasks_bounds_are_left_out(pea):
     assert bought.hardware["k_p2"] == pytest.approx(9.0)
 
 
-def test_screened_equals_exhaustive(bpea):
-    """Four (kappa, rho), fewer than the screening grid: all are solved, and the numbers say so."""
-    every = {"k_b": (9.0, 13.0), "r_1": (0.014,), "r_2": (0.036,), "r_3": (0.014, 0.02)}
-    exhaustive, screened = (
-        shop(bpea, biarticular=every, method=m, settings=replace(OPTIONS, coarse=6, fine=8)) for m in ("exhaustive", "screened")
-    )
-    assert screened.hardware == pytest.approx(exhaustive.hardware, rel=1e-3)  # q_0 is free and its valley flat
-    assert screened.optimum.solution.cost == pytest.approx(exhaustive.optimum.solution.cost, rel=1e-4)
-    cover = screened.coverage
-    assert (cover.combinations, cover.distinct, cover.solved, cover.relaxed, cover.complete) == (4, 4, 4, 0, True)
+def test_no_excluded_choice_is_better(pea):
+    """All shoulder springs of the bundled catalogue with one for the elbow, each solved for itself from the continuous optimum."""
+    lists = {"joint2": load_catalogue().lists["PEA"]["joint2"], "joint3": (0.8755,)}
+    bought = shop(pea, lists)
+    cover = bought.coverage
+    assert (cover.distinct, cover.failed, cover.left) == (17, 0, 0)
+    assert cover.excluded == 17 - cover.single > 0
+    held = [pea.design.with_fixed({"k_p2": k, "k_p3": 0.8755}, ("q_eq2", "q_eq3")) for k in lists["joint2"]]
+    guess = pea.best.solution.guess()
+    starts = [replace(guess, parameters=np.clip(guess.parameters, d.problem.p_lower, d.problem.p_upper)) for d in held]
+    every = sorted(o.cost for _, o in continue_from(list(zip(held, starts, strict=True)), OPTIONS))
+    assert len(every) == 17
+    np.testing.assert_allclose([r["cost"] for r in bought.runners_up[:4]], every[:4], rtol=1e-4)  # the next have two optima
+    assert every[cover.single] >= bought.optimum.cost * (1 + cover.margin) * (1 - 1e-4)  # bounds and costs are IPOPT's to 1e-8
+
+
+def test_a_search_that_is_not_let_finish_says_what_is_left(pea, monkeypatch):
+    monkeypatch.setattr(purchasable, "MOST", 5)
+    monkeypatch.setattr(purchasable, "BATCH", 1)
+    cover = search_catalogue(pea.design, pea.best.solution, load_catalogue(), OPTIONS).coverage
+    assert cover.solved == 5
+    assert cover.left == 51 - cover.single > 0
+    assert cover.excluded == 0
+
+
+def test_a_search_without_a_solution_fails(pea, monkeypatch):
+    monkeypatch.setattr(purchasable, "ACCEPTED", ())
+    with pytest.raises(SolverFailure, match="no choice of the catalogue could be solved"):
+        shop(pea, {"joint2": (5.0,), "joint3": (0.3,)})
+
+
+def test_halves_share_nothing_and_lose_nothing(bpea):
+    """Down to single choices, whatever the optimum; with a parameter between two sizes, they end up on different sides."""
+    choices, rng = choices_of(bpea.design, load_catalogue()), np.random.default_rng(0)
+    parts, seen = [choices.every], []
+    while parts and len(seen) < 200:
+        (kinds,) = parts.pop()
+        if kinds.size == 1:
+            seen.append(int(kinds[0]))
+            continue
+        lower, upper = choices.between((kinds,))
+        below, above = choices.halves((kinds,), rng.uniform(lower, upper))
+        assert sorted([*below[0], *above[0]]) == sorted(kinds)
+        assert below[0].size > 0
+        assert above[0].size > 0
+        parts += [below, above]
+    assert len(set(seen)) == 200
+    kappa = 85.0
+    below, above = choices.halves(choices.every, np.array([kappa, choices.bounds[0][0][0, 1], 0.0]))
+    sizes = choices.bounds[0][0][:, 0]
+    assert sizes[below[0]].max() < kappa < sizes[above[0]].min()
 
 
 @pytest.mark.parametrize(
@@ -157,11 +187,12 @@ def test_screened_equals_exhaustive(bpea):
     ],
     ids=["one rho", "one of each"],
 )
-def test_screening_a_short_list(bpea, lists):
+def test_a_short_list(bpea, lists):
     """A shop with one pulley is still a shop."""
-    best = shop(bpea, biarticular=lists, method="screened", settings=replace(OPTIONS, coarse=6))
-    assert best.hardware["k_b"] == 13.0  # the stiffest: facts.md's optimum is at k_b's upper bound
+    best = shop(bpea, biarticular=lists)
+    assert best.hardware["k_b"] == 13.0  # the stiffest: the continuous optimum is at k_b's upper bound
     assert best.hardware["r_3"] == 0.014
+    assert best.coverage.single == len(lists["k_b"])
 
 
 def test_a_catalogue_without_anything_that_fits_is_explained(pea, bpea):
@@ -171,8 +202,6 @@ def test_a_catalogue_without_anything_that_fits_is_explained(pea, bpea):
         shop(pea, {"joint2": (9.0,), "joint3": (70.0,)})
     with pytest.raises(UserError, match="'tiny' has no biarticular spring for joint2 and joint3"):
         shop(bpea, PARALLEL)
-    with pytest.raises(UserError, match="unknown catalogue search 'guess'; there are exhaustive, screened"):
-        shop(bpea, biarticular=BIARTICULAR, method="guess")
 
 
 @pytest.mark.parametrize("name", ["k_b", "r_1", "r_2", "r_3"])

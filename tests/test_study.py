@@ -215,7 +215,6 @@ BAD = {
     "energy without resistances": (lambda f: ["--cost", "energy"], "joint2, joint3"),
     "no actuators": (lambda f: ["--cost", "motor", "--actuators", "gone.json"], "no actuators at"),
     "no catalogue": (lambda f: ["--catalogue", "gone.json"], "no catalogue at 'gone.json'"),
-    "unknown catalogue search": (lambda f: ["--catalogue-search", "guess"], "exhaustive, screened"),
     "no processes": (lambda f: ["--jobs", "0"], "jobs"),
 }
 

@@ -1,7 +1,8 @@
 """Springs and motion of a task as one problem.
 
-`task`, `springs` and `design_problem` state it; `search` solves it globally; `catalogue`, `screening` and
-`purchasable` find the best hardware that can be bought; `certificate` says how good an optimum is; `optimum` samples and simulates it;
-`transfer` takes it to a calibrated model; `study` goes through all configurations of a task.
+`task`, `springs` and `design_problem` state it; `search` solves it globally; `catalogue` and
+`purchasable` find the best hardware that can be bought; `certificate` says how good an optimum is, `bounds` what
+none can be better than; `optimum` samples and simulates it; `transfer` takes it to a calibrated model; `study` goes through all
+configurations of a task.
 
 Imports `optimal_control`, `simulation`, `calibration` and what stands below them."""

@@ -20,6 +20,7 @@ from rrr_oc.schema import Positive, Schema, Text, check_names, read_preset
 
 ROUNDED = 1e-4  # [1] by which hardware may be outside the task's bounds, as lists are printed with four or five digits; doubled, one with
 # three digits would still be met
+BETWEEN = 1e-4  # [1] of a parameter's range in the catalogue, within which it is taken to be in the catalogue; doubled, ties are split sooner
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,9 @@ class Choice:
     upper: np.ndarray
 
 
+Kinds = tuple[np.ndarray, ...]  # indices of choices, by spring
+
+
 @dataclass(frozen=True, eq=False)
 class Choices:
     """What a catalogue offers for a design.
@@ -94,43 +98,50 @@ class Choices:
     of_spring: list[list[Choice]]
     combinations: int
 
-    @property
-    def distinct(self) -> int:
-        """Number of distinct combinations."""
-        return int(np.prod([len(s) for s in self.of_spring]))
-
     @cached_property
-    def derived(self) -> int | None:
-        """Index of the spring whose parameters are functions of its hardware (a biarticular one); None where there is none."""
-        return next((i for i, s in enumerate(self.design.springs) if s.hardware), None)
+    def bounds(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Bounds of each spring's parameters, (choices, parameters) each."""
+        return [(np.array([c.lower for c in kinds]), np.array([c.upper for c in kinds])) for kinds in self.of_spring]
 
-    def merged(self, choices: Sequence[Choice | None]) -> Choice:
-        """One choice from those of the springs; None leaves a spring free."""
-        both = [c or Choice({}, s.lower, s.upper) for s, c in zip(self.design.springs, choices, strict=True)]
-        hardware = {name: size for c in both for name, size in c.hardware.items()}
-        return Choice(hardware, np.concatenate([c.lower for c in both]), np.concatenate([c.upper for c in both]))
+    @property
+    def every(self) -> Kinds:
+        """All of them."""
+        return tuple(np.arange(len(kinds)) for kinds in self.of_spring)
 
-    def alone(self, choice: Choice, spring: int) -> Choice:
-        """A choice for one spring, the others free."""
-        return self.merged([choice if i == spring else None for i in range(len(self.of_spring))])
+    def between(self, kinds: Kinds) -> tuple[np.ndarray, np.ndarray]:
+        """The least bounds of the design's parameters that leave room for each of these choices."""
+        pairs = list(zip(self.bounds, kinds, strict=True))
+        lower, upper = [low[k].min(axis=0) for (low, _), k in pairs], [high[k].max(axis=0) for (_, high), k in pairs]
+        return np.concatenate(lower), np.concatenate(upper)
 
-    def all(self) -> list[Choice]:
-        """Every distinct combination."""
-        return [self.merged(c) for c in itertools.product(*self.of_spring)]
+    def hardware(self, kinds: Kinds) -> dict[str, float]:
+        """What is bought, where one choice is left for each spring."""
+        chosen = [of[int(k[0])].hardware for of, k in zip(self.of_spring, kinds, strict=True)]
+        return {name: size for hardware in chosen for name, size in hardware.items()}
 
-    def neighbours(self, choice: Choice, parameters: np.ndarray) -> list[Choice]:
-        """A choice of the derived spring with the catalogued stiffnesses next below and above the optimal ones of each
-        parallel spring, which stand in `parameters`."""
-        lists, at = [], 0
-        for i, kinds in enumerate(self.of_spring):
-            rows = slice(at, at + len(kinds[0].lower))
-            if i == self.derived:
-                lists.append([Choice(choice.hardware, choice.lower[rows], choice.upper[rows])])
-            else:
-                above = int(np.searchsorted([c.lower[0] for c in kinds], parameters[at]))
-                lists.append(kinds[max(above - 1, 0) : above + 1])
-            at = rows.stop
-        return [self.merged(c) for c in itertools.product(*lists)]
+    def halves(self, kinds: Kinds, parameters: np.ndarray) -> tuple[Kinds, Kinds]:
+        """These choices in two parts, below and above a parameter: the one that is furthest from what can be bought, relative to the
+        catalogue's range, or the one with the widest range where all are in the catalogue."""
+        columns = [(spring, column) for spring, (low, _) in enumerate(self.bounds) for column in range(low.shape[1])]
+
+        def rank(entry: tuple[tuple[int, int], float]) -> tuple[float, float]:
+            (spring, column), value = entry
+            (low, high), sizes = (b[:, column] for b in self.bounds[spring]), self._sizes(kinds, spring, column)
+            if (low < high).any() or sizes.min() == sizes.max():
+                return -1.0, -1.0
+            off = float(np.abs(sizes - value).min() / np.ptp(low))
+            return off if off > BETWEEN else 0.0, float(np.ptp(sizes) / np.ptp(low))
+
+        (spring, column), value = max(zip(columns, parameters.tolist(), strict=True), key=rank)
+        sizes = self._sizes(kinds, spring, column)
+        values = np.unique(sizes)
+        above = sizes >= values[np.clip(np.searchsorted(values, value, side="right"), 1, len(values) - 1)]
+        below, above = ((*kinds[:spring], kinds[spring][side], *kinds[spring + 1 :]) for side in (~above, above))
+        return below, above
+
+    def _sizes(self, kinds: Kinds, spring: int, column: int) -> np.ndarray:
+        """What some choices make of a spring's parameter; equal where it differs by rounding only."""
+        return np.round(self.bounds[spring][0][kinds[spring], column], 9)
 
 
 def choices_of(design: CoDesign, catalogue: Catalogue) -> Choices:

@@ -7,6 +7,8 @@ from itertools import chain, pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from rrr_oc.codesign.bounds.on_motion import SpringBound, solution_bound
+from rrr_oc.codesign.bounds.over_motions import task_bound
 from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SearchResult
@@ -60,6 +62,8 @@ class Certificate:
         exact_cost: The cost with exact springs.
         reintegration: See `reintegrate`.
         reached: See `Optimum.reached`.
+        bound: What no springs can be better than on the same motion; None where that is not known.
+        least: What no springs and no motion of the task can be better than [N²m²s]; None where that is not known.
     """
 
     primal: float
@@ -76,10 +80,12 @@ class Certificate:
     exact_cost: float
     reintegration: dict[str, float]
     reached: int
+    bound: SpringBound | None
+    least: float | None
 
 
-def certify(result: SearchResult, optimum: Optimum) -> Certificate:
-    """The certificate of one of a search's optima."""
+def certify(result: SearchResult, optimum: Optimum, offered: CoDesign | None = None) -> Certificate:
+    """The certificate of one of a search's optima; `offered` has the springs that it is compared with, by default the design's own."""
     solution, design = optimum.solution, result.design
     kkt = Kkt(solution)
     second_order, curvature, direction = kkt.second_order()
@@ -105,6 +111,8 @@ def certify(result: SearchResult, optimum: Optimum) -> Certificate:
         exact_cost=exact,
         reintegration=reintegrate(solution),
         reached=optimum.reached,
+        bound=solution_bound(solution, design, offered),
+        least=task_bound(offered or design),
     )
 
 

@@ -165,7 +165,7 @@ class CoDesign:
         sizes = dict.fromkeys(("q", "dq", "ddq"), len(self.task.moving)) | {"payload": 1}
         sizes |= {"theta": len(self.model.parameters), "widths": self.model.widths.size}
         inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
-        return ca.Function("torques", inputs, list(self._load_torque(*inputs)))
+        return ca.Function("torques", inputs, [ca.densify(tau) for tau in self._load_torque(*inputs)])
 
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
         """The springs of a solution by a designer's names: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI units and radians."""

@@ -35,7 +35,7 @@ from rrr_oc.codesign.optimum import (
     restored,
     sample_motion,
 )
-from rrr_oc.codesign.purchasable import METHODS, search_catalogue
+from rrr_oc.codesign.purchasable import search_catalogue
 from rrr_oc.codesign.search.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS, arrangements
@@ -74,7 +74,6 @@ class Request:
         search: Options of every search.
         cost: Of `COSTS`.
         actuators, catalogue: A JSON file, "prototype" or "none"; by default the prototype's for the bundled tasks and none for others.
-        method: How the catalogue is searched for springs across two joints, of `METHODS`.
         model: The file of a calibrated model, in which every optimum is tracked.
         repaired: Whether designs are made for the arm as this model has it.
     """
@@ -86,15 +85,12 @@ class Request:
     cost: str = "load"
     actuators: str | None = None
     catalogue: str | None = None
-    method: str = "exhaustive"
     model: Path | None = None
     repaired: bool = False
 
     def __post_init__(self) -> None:
         if not self.configurations:
             raise UserError(f"--configurations names none; there are {', '.join(CONFIGURATIONS)}")
-        if self.method not in METHODS:
-            raise UserError(f"--catalogue-search is {self.method!r}; allowed are {', '.join(METHODS)}")
         if self.repaired and self.model is None:
             raise UserError("--repaired needs --model, the file of the model that the designs are to be made for")
         for name in ("actuators", "catalogue"):
@@ -126,7 +122,7 @@ class Study:
         designs: By configuration, in every way in which the task lets its springs be mounted.
         asked: The settings on which a result depends; a result saved under the same ones is taken again.
         options: Of every search.
-        shop, method: The catalogue of the starred designs, if there is one, and how it is searched.
+        shop: The catalogue of the starred designs, if there is one.
         twin: The calibrated model, if there is one.
         published: Springs that were published for the task, if there are some.
         listener: Who is told how it goes on.
@@ -138,7 +134,6 @@ class Study:
     asked: dict[str, Any]
     options: SearchOptions
     shop: Catalogue | None
-    method: str
     twin: Twin | None
     published: Published | None
     listener: Listener
@@ -167,13 +162,13 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
         designs[name] = ways if twin is None or not request.repaired else [repaired(way, twin.model, ("", "")) for way in ways]
     own, shop = next(iter(designs.values()))[0].task, None if request.catalogue is None else load_catalogue(request.catalogue)
     asked = _asked(request, own)
-    study = Study(request.out, own, designs, asked, request.search, shop, request.method, twin, published, listener)
+    study = Study(request.out, own, designs, asked, request.search, shop, twin, published, listener)
     _check(study)
     return study
 
 
 def _asked(request: Request, task: Task) -> dict[str, Any]:
-    asked = {"preset": request.task, "cost": request.cost, "catalogue": request.catalogue, "catalogue_search": request.method}
+    asked = {"preset": request.task, "cost": request.cost, "catalogue": request.catalogue}
     read = (request.task, request.catalogue, None if request.cost == "load" else request.actuators)
     read += (str(request.model),) if request.repaired else ()
     files = [Path(f).read_text(encoding="utf-8") for f in read if f is not None and Path(f).is_file()]
@@ -302,10 +297,8 @@ def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
         start = restored(design, study.options, file)
     assert study.shop is not None
     with study.listener.count(name) as count:
-        bought = search_catalogue(
-            design, start, study.shop, study.options, study.method, lambda done: count(done, "choices solved")
-        )
-    found = _describe(study.out, name, SearchResult(bought.design, (bought.optimum,), (), False), began)
+        bought = search_catalogue(design, start, study.shop, study.options, lambda done: count(done, "problems solved"))
+    found = _describe(study.out, name, SearchResult(bought.design, (bought.optimum,), (), False), began, design)
     gap = bought.optimum.cost / start.cost - 1
     left = {key: value for key, value in found.items() if key not in ("optima", "layers")}
     return left | {"catalogue": plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})}
@@ -339,8 +332,9 @@ def _search(study: Study, name: str, design: CoDesign, known: Sequence[Guess]) -
             ) from None
 
 
-def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[str, Any]:
-    """The entry of a configuration in summary.json; first writes its motion to an npz."""
+def _describe(out: Path, name: str, result: SearchResult, began: float, offered: CoDesign | None = None) -> dict[str, Any]:
+    """The entry of a configuration in summary.json; first writes its motion to an npz. Its springs are compared with those of
+    `offered`, by default with the design's own."""
     design, solution = result.design, result.best.solution
     motion = sample_motion(design, solution)
     joints = {"joints": np.array(design.task.joints)}
@@ -353,7 +347,7 @@ def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[
         "idle": idle_springs(design, motion, solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
-        "certificate": asdict(certify(result, result.best)),
+        "certificate": asdict(certify(result, result.best, offered)),
         "meshes": result.best.meshes,
         "mujoco": describe_simulation(design, solution, motion),
         "optima": [

@@ -9,7 +9,6 @@ from rich.markdown import Markdown
 
 from rrr_oc import parallel
 from rrr_oc.codesign.design_problem import COSTS
-from rrr_oc.codesign.purchasable import METHODS
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Request, Study, prepared
@@ -40,7 +39,6 @@ def design(
         str | None, typer.Option(help=f"drives, for the costs motor and energy and for --model: {PROTOTYPES}")
     ] = None,
     catalogue: Annotated[str | None, typer.Option(help=f"springs to buy, for the starred designs: {PROTOTYPES}")] = None,
-    catalogue_search: Annotated[str, typer.Option(help="for BPEA*: " + " or ".join(METHODS))] = "exhaustive",
     tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
     model: Annotated[
         Path | None, typer.Option(help="model.json of calibrate or diagnose: every optimum is tracked in it too")
@@ -60,7 +58,7 @@ def design(
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
-    request = Request(task, out, names, search, cost, actuators, catalogue, catalogue_search, model, repaired)
+    request = Request(task, out, names, search, cost, actuators, catalogue, model, repaired)
     with parallel.workers(jobs, workers):
         _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
 

@@ -85,6 +85,11 @@ class DesignForm:
         """Inequalities ≤ 0 on the parameters that hold exactly where quantities within bounds exist, if they are `derived`."""
         return ca.SX(0, 1)
 
+    def strongest(self, lower: np.ndarray, upper: np.ndarray, bounds: Bounds) -> np.ndarray:
+        """Greatest amplitude of springs whose other parameters lie in boxes, from the bounds of all parameters (parameters, P), if they
+        are `derived`; negative where there is no such spring; (P,)."""
+        return np.full(lower.shape[1], np.inf)
+
     def named(
         self, joints: tuple[int, ...], theta: Mapping[str, float], bounds: Bounds, fixed: Mapping[str, float]
     ) -> dict[str, float]:

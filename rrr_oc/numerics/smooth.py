@@ -49,6 +49,8 @@ def ramp(x, width):
 
     A width of 0 gives the exact ramp. `x` and `width` in the same unit; numpy or casadi.
     """
+    if isinstance(width, float) and width == 0.0:
+        return fmax(x, 0.0)
     inside = fmax(-width, fmin(x, width))
     safe = fmax(width, 1e-300)
     blend = ((inside + width) / safe) ** 3 * (3 * width - inside) / 16

@@ -19,6 +19,7 @@ TRANSFERRED = (
     "load torque that the engine gives, and of the one from the motor torque through Eq. 10."
 )
 LOCAL_OPTIMA = "Distinct local optima (those not refined carry the error of their mesh)"
+UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
 LAYERS = "What each layer contributed (coarse mesh)"
 
 
@@ -195,6 +196,7 @@ def certificate_sentences(c: dict, quantity: Quantity) -> list[str]:
         f"cost that differs by {k['reintegration']['cost']:.1e}.",
         f"MuJoCo, which simulates the motion with the same springs and the paper's P-controllers, finds an E1 of {error['E1']:.4f} N²m²s, "
         f"and follows the motion to {error['tracking_error_rad']:.1e} rad.",
+        *bounds_in_words(c),
         f"The lowest point of the tool is {abs(c['lowest_tool_m']):.3f} m {'below' if c['lowest_tool_m'] < 0 else 'above'} the base.",
         _origin(c),
         f"One more kg of payload changes the cost by {100 * k['sensitivity']:+.1f} % of {quantity.name}.",
@@ -205,6 +207,35 @@ def spring_words(springs: Mapping[str, float], joints: Sequence[str]) -> str:
     """Quantities of springs with their joints, in a designer's units."""
     units = {name: spring_unit(name)[1:] for name in springs}
     return ", ".join(f"{of_joint(n, joints)} = {value * units[n][0]:.4g} {units[n][1]}" for n, value in springs.items())
+
+
+def bounds_in_words(c: dict) -> list[str]:
+    """What no springs can be better than, on the motion of the design and on any, a sentence each; none where that is not known."""
+    bound, least = c["certificate"]["bound"], c["certificate"]["least"]
+    said, which = [], "in the catalogue or not" if "catalogue" in c else "of any size within the task's bounds"
+    if bound is not None and not c["springs"]:
+        said.append("On this motion there are no springs to choose.")
+    elif bound is not None and bound["excess"] is None:
+        said.append("How good the springs are on this motion is not known: several in one place, mixed, could give all torque.")
+    elif bound is not None:
+        above = max(bound["excess"], 0.0)
+        doubt = min(bound["mixture"] / bound["lower"] - 1, above)
+        said.append(
+            f"On this motion no springs of these kinds, {which}, reach an E1 below {bound['lower']:.4g} N²m²s; this design is "
+            f"{_percent(above)} above, of which up to {_percent(doubt)} is the tolerance of this bound."
+        )
+    if least:
+        all_ = (
+            f"no motion of the task and no springs of these kinds, {which}, reach"
+            if c["springs"]
+            else "no motion of the task reaches"
+        )
+        said.append(f"It is proved that {all_} an E1 below {least:.4g} N²m²s, {100 * least / c['E1']:.0f} % of this design's.")
+    return said
+
+
+def _percent(x: float) -> str:
+    return f"{100 * x:.2g} %"
 
 
 def local_optima_table(c: dict, quantity: Quantity, joints: Sequence[str]) -> Table:
@@ -244,14 +275,18 @@ def _origin(c: dict) -> str:
 
 def coverage(cover: dict) -> str:
     """What of a catalogue was searched, and what was not."""
-    text = f"Catalogue: {cover['combinations']} combinations, {cover['distinct']} distinct; {cover['solved']} solved with the "
-    text += f"hardware held, {cover['relaxed']} more with free stiffnesses to screen, {cover['failed']} failed. "
-    if cover["complete"]:
-        text += "So every distinct one was solved. "
-    if cover["neighbours"]:
-        text += "For each biarticular spring only the stiffnesses next to its optimal ones were solved. "
-    if cover["margin"] is not None:
-        text += f"The best biarticular spring left out screens {100 * cover['margin']:.1f} % above the best (interpolated). "
+    text = f"Catalogue: {cover['combinations']} combinations, {cover['distinct']} distinct. Branch and bound solved {cover['solved']} "
+    text += f"problems, {cover['single']} of them with the hardware held"
+    if cover["excluded"]:
+        text += f", and excluded the other {cover['excluded']}: by their bounds they cost at least {100 * cover['margin']:.1f} % more than "
+        text += "the best. These bounds hold as far as each local optimum is the global one of its problem"
+    if cover["undercut"] > UNDERCUT:
+        text += f"; one was not, by {100 * cover['undercut']:.1g} %"
+    text += ". "
+    if cover["failed"]:
+        text += f"{cover['failed']} could not be solved. "
+    if cover["left"]:
+        text += f"The search ended early, with {cover['left']} left. "
     return (
         text + f"Cost of buying instead of making: {round(100 * cover['gap'], 1) + 0.0:+.1f} % against the continuous optimum."
     )

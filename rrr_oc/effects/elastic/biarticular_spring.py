@@ -66,6 +66,15 @@ class BiarticularForm(DesignForm):
     def exists(self, theta, bounds):
         return hardware_exists(theta[0], theta[1], theta[2], bounds)
 
+    def strongest(self, lower, upper, bounds):
+        """kappa = k_b / s² is greatest where s = r_1/r_2 is least: with r_2 at its largest, as far as phi = s q_0 allows."""
+        (r1_low, r1_high), (r2_low, r2_high), (r3_low, r3_high) = (bounds[r] for r in ("r_1", "r_2", "r_3"))
+        phi, q_0 = np.maximum(np.maximum(lower[2], -upper[2]), 0), np.where(lower[2] > 0, bounds["q_0"][1], -bounds["q_0"][0])
+        largest, smallest = np.minimum(r2_high, r3_high / lower[1]), np.maximum(r2_low, r3_low / upper[1])
+        least, most = np.maximum(r1_low / largest, phi / q_0), r1_high / smallest
+        exists = (smallest <= r2_high) & (largest >= r2_low) & (least <= most)
+        return np.where(exists, bounds["k_b"][1] / least**2, -1.0)
+
     def named(self, joints, theta, bounds, fixed):
         if fixed:
             return {**fixed, "q_0": theta["phi"] * fixed["r_2"] / fixed["r_1"]}

@@ -125,12 +125,14 @@ def cautions(summary: Summary) -> list[str]:
     if best is None or "catalogue" in found[best]:
         return said
     if found[best]["certificate"]["reached"] < 2:
-        how = (
+        which = (
             "only one start led to this optimum"
             if found[best]["certificate"]["reached"]
             else "no start led to this optimum itself"
         )
-        said.append(f"{best}: {how}; more starts, or another seed, may find a better one.")
+        least = found[best]["certificate"]["least"]
+        but = f", though none below {least:.4g} N²m²s" if least else ""
+        said.append(f"{best}: {which}; more starts, or another seed, may find a better one{but}.")
     return said
 
 
