@@ -230,7 +230,13 @@ def test_each_block_of_an_only_recording_is_predicted_by_the_models_that_did_not
 def a_design(cost: float, **changes: Any) -> dict[str, Any]:
     """The entry of a configuration in summary.json, as far as its words need it."""
     springs = {"k_p2": 10.0, "q_eq2": np.pi / 2, "k_b": 5.0, "r_1": 0.02}
-    certificate = {"mesh": {"converged": True, "error": 1e-7}, "violation": 0.0, "second_order": "strict", "reached": 5}
+    certificate = {
+        "mesh": {"converged": True, "error": 1e-7},
+        "violation": 0.0,
+        "second_order": "strict",
+        "reached": 5,
+        "least": None,
+    }
     found = {"cost": cost, "E1": cost, "springs": springs, "mounted": {"parallel_spring[b]": {}}, "idle": {}}
     found |= {"certificate": certificate, "mujoco": {"E1": cost}, "calibrated": None}
     return found | changes
@@ -265,8 +271,9 @@ CAUTIONS = {
     "an engine that disagrees": ({"mujoco": {"E1": 103.0}}, "MuJoCo finds an E1 that is +3.0 % away"),
     "a limit that is exceeded": ({"violation": 0.1}, "exceeded between the nodes by 10 % of its scale"),
     "no local optimum": ({"second_order": "violated"}, "is no local optimum"),
-    "one start": ({"reached": 1}, "only one start led to this optimum"),
+    "one start": ({"reached": 1}, "only one start led to this optimum; more starts, or another seed, may find a better one."),
     "no start": ({"reached": 0}, "no start led to this optimum itself"),
+    "one start, and a bound": ({"reached": 1, "least": 12.5}, "may find a better one, though none below 12.5 N²m²s."),
     "a search that was interrupted": ({"interrupted": True}, "was interrupted"),
     "a twin that needs more": (
         {"calibrated": {"engine": {"E1": 150.0}, "saturated": True, "tracking_error_rad": 0.2}},
