@@ -68,6 +68,23 @@ class SetResult:
         return self.design.total([o.cost for o in self.motions])
 
 
+@dataclass(frozen=True, eq=False)
+class FrontPoint:
+    """The best springs where the first task weighs more than in the set.
+
+    Attributes:
+        share: Share of the objective that is the first task's cost alone [1]; 0 is the set's own objective.
+        costs: Of the tasks (T).
+        total: The set's own objective.
+        springs: By a designer's names, in SI units.
+    """
+
+    share: float
+    costs: list[float]
+    total: float
+    springs: dict[str, float]
+
+
 def solve_set(
     design: SetDesign,
     alone: Sequence[Optimum],
@@ -259,3 +276,28 @@ def _better_alone(design: SetDesign, task: int, alone: Optimum, found: Optimum, 
     followed = follow_to_fine_mesh(one, options, found.solution.guess())
     tried = [alone] if followed is None else [alone, _refined_alone(one, options, followed)]
     return min(tried, key=lambda o: o.cost)
+
+
+def front(result: SetResult, options: SearchOptions, count: int) -> list[FrontPoint]:
+    """The set's optimum, `count` optima that favour the first task more and more, and that of the first task alone.
+
+    The objective is (1 − share) Σ w_t V_t + share Σ w_t V_0; the optima between the ends are on the fine mesh, each found from the one
+    before.
+    """
+    design, weights = result.design, result.design.tasks.weights
+
+    def point(share: float, motions: Sequence[Optimum]) -> FrontPoint:
+        costs = [o.cost for o in motions]
+        return FrontPoint(share, costs, design.total(costs), design.first.hardware(motions[0].solution.parameters))
+
+    points, motions = [point(0.0, result.motions)], list(result.motions)
+    for share in np.linspace(0, 1, count + 2)[1:-1]:
+        weighed = (1 - share) * weights
+        weighed[0] += share * weights.sum()
+        leaning = replace(design, tasks=replace(design.tasks, weights=weighed))
+        found = _rejoined(leaning, motions, motions[0].solution.parameters, options)
+        if found is not None:
+            starts = [[motion] for motion in _motions(leaning, found)]
+            motions = held_motions(leaning, found.solution.parameters, starts, replace(options, hops=0))
+            points.append(point(float(share), motions))
+    return [*points, point(1.0, result.first)]
