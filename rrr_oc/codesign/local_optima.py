@@ -1,5 +1,6 @@
 """Local optima of a co-design: followed from the coarse to the fine mesh, compared, refined, and improved by basin hopping."""
 
+import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -15,7 +16,7 @@ from rrr_oc.optimal_control.refinement import mesh_row, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.optimal_control.transcription import Transcription
-from rrr_oc.parallel import ordered
+from rrr_oc.parallel import once_per_process, ordered
 
 SOLVED = "Solve_Succeeded"
 STRETCHES = (0.85, 0.92, 1.08, 1.15)  # [1] factors on a duration that a hop tries; with steps twice as large it skips optima
@@ -150,9 +151,10 @@ def _refine(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optim
 def hopped(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
     """Basin hopping over the durations, as long as it lowers the cost. Optima of nearly equal cost differ in the number of
     swings, so the best one is stretched or shortened, phase by phase, and solved again."""
+    key = uuid.uuid4().hex
     for _ in range(options.hops):
         best = optimum
-        tries = [(design, options, optimum, i, f, barrier) for i in range(2) for f in STRETCHES for barrier in BARRIERS]
+        tries = [(key, design, options, optimum, (i, f), barrier) for i in range(2) for f in STRETCHES for barrier in BARRIERS]
         for found in ordered(_hop, tries):
             if found is not None and found.cost < best.cost * (1 - 1e-5):
                 best = attached(design, options, found)
@@ -163,12 +165,18 @@ def hopped(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimu
 
 
 def _hop(
-    design: CoDesign, options: SearchOptions, optimum: Optimum, phase: int, factor: float, barrier: float
+    key: str, design: CoDesign, options: SearchOptions, optimum: Optimum, stretch: tuple[int, float], barrier: float
 ) -> Optimum | None:
+    phase, factor = stretch
     start = attached(design, options, optimum).solution
     guess = start.guess()
     motions = list(guess.phases)
     motions[phase] = replace(motions[phase], duration=float(np.clip(factor * motions[phase].duration, *design.task.duration)))
-    solver = Solver(transcribed(design, options, options.fine), Options(barrier=barrier, iterations=200))
-    found = solver.solve(Guess(tuple(motions), guess.parameters), start.problem.data, check=False)
+    solvers = once_per_process(key, lambda: _hop_solvers(design, options))
+    found = solvers[barrier].solve(Guess(tuple(motions), guess.parameters), start.problem.data, check=False)
     return Optimum(found, [mesh_row(found)]) if found.status == SOLVED else None
+
+
+def _hop_solvers(design: CoDesign, options: SearchOptions) -> dict[float, Solver]:
+    transcription = transcribed(design, options, options.fine)
+    return {barrier: Solver(transcription, Options(barrier=barrier, iterations=200)) for barrier in BARRIERS}

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import LogFormatter
 
 from rrr_oc.report.figures import COLOURS, FOOTER, plt, save_figure
 
@@ -38,6 +39,8 @@ def draw_tasks(summary: dict[str, Any]) -> Any:
         for colour, (key, (mark, label)) in zip((COLOURS[1], COLOURS[0], COLOURS[2]), MARKS.items(), strict=True):
             axis.plot(rows[key], y, mark, color=colour, ms=6, mfc="none" if key == "alone" else colour, label=label)
         axis.set_xscale("log")
+        for part in (axis.xaxis.set_major_formatter, axis.xaxis.set_minor_formatter):
+            part(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.5, 0.5)))
         axis.set_title(name, fontsize=10)
         axis.set_xlabel("{} [{}]".format(*summary["quantity"]))
         axis.grid(axis="x", which="both", color="0.92", lw=0.6)

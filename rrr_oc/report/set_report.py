@@ -10,7 +10,7 @@ from rrr_oc.report.tables import NONE, Table, markdown
 OBJECTIVES = {"sum": "the weighted sum of the tasks' costs", "worst": "the greatest of the tasks' weighted costs"}
 WORDS = {
     "set": "with the springs of the set, the same for all tasks.",
-    "alone": "with springs tuned to this task alone; no springs do better that the search found.",
+    "alone": "with the best springs for this task alone that the search found.",
     "first's": "with the springs tuned to the first task alone, and the best motions for them.",
     "more than alone": "what sharing the springs costs.",
     "MuJoCo": "E1 [N²m²s] of the load torque in the simulation of the set's motion.",
@@ -181,7 +181,8 @@ def set_sentences(summary: dict[str, Any], name: str) -> list[str]:
     worst = max(orders, key=list(SECOND_ORDER).index)
     return [
         f"{near} of {len(c['starts'])} starts ended within 1 % of the best on the coarse mesh.",
-        f"When springs and motions were solved once more on the refined meshes, the objective fell by {c['change']:.1e} (relative).",
+        "Springs and motions were solved once more on the refined meshes, "
+        + (f"and the objective fell by {c['change']:.1e} (relative)." if c["change"] else "and the objective fell no further."),
         f"No springs can bring the set below {c['alone']:.3f}, the objective of the springs tuned to each task alone, if those optima are "
         "the best ones.",
         "Of the motions with the springs held: " + SECOND_ORDER[worst],

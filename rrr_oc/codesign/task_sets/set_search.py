@@ -22,6 +22,7 @@ BARRIERS = (
     1e-2,
 )  # initial barrier parameters of a start: IPOPT's own choice, and one not far from the tasks' own motions
 CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum's; doubled, a little is left
+GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
 ROUNDS = 4  # in which motions found for held springs and springs for these motions improve each other, at most
 
 
@@ -197,7 +198,7 @@ def _fine(design: SetDesign, starts: Sequence[SetStart], options: SearchOptions)
     coarse = [Solution(transcription, s.w, empty, empty, s.polished, SOLVED, 0, 0.0) for s in starts if s.w.size]
     if not coarse:
         raise SolverFailure("no start led to an optimum of the set", 0, 0.0, "")
-    kept = distinct(Optimum(s, [], 1) for s in coarse)[: max(options.kept // 2, 1)]
+    kept = distinct(Optimum(s, [], 1) for s in coarse)[: max(options.kept // 3, 1)]
     followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in kept])
     found = [attached(design, options, o) for o in followed if o is not None]
     if not found:
@@ -207,10 +208,11 @@ def _fine(design: SetDesign, starts: Sequence[SetStart], options: SearchOptions)
 
 def _improved(design: SetDesign, joint: Optimum, alone: Sequence[Optimum], options: SearchOptions) -> Optimum:
     """Motions for held springs and springs for these motions in turn, as long as that lowers the objective."""
+    others = [[o.solution.guess()] for o in alone]  # tried once; later the motions at hand are those that were found best
     for _ in range(ROUNDS):
-        starts = [[m, o.solution.guess()] for m, o in zip(_motions(design, joint), alone, strict=True)]
-        motions = held_motions(design, joint.solution.parameters, starts, options)
-        if design.total([o.cost for o in motions]) >= joint.cost * (1 - CHEAPER):
+        starts = [[motion, *more] for motion, more in zip(_motions(design, joint), others, strict=True)]
+        motions, others = held_motions(design, joint.solution.parameters, starts, options), [[] for _ in alone]
+        if design.total([o.cost for o in motions]) >= joint.cost * (1 - GAIN):
             break
         better = _rejoined(design, motions, joint.solution.parameters, options)
         if better is None or better.cost >= joint.cost:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import casadi as ca
 import msgspec
 import numpy as np
-from msgspec import Meta, field
+from msgspec import Meta
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
@@ -89,7 +89,7 @@ class TaskSetFile(Schema, frozen=True):
     base: Text | None = None
     name: Text | None = None
     objective: Objective = "sum"
-    uncertain: Uncertain = field(default_factory=Uncertain)
+    uncertain: Uncertain | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,15 +145,16 @@ def load_task_set(source: str | Path) -> TaskSet:
         if task.name in names[:i]:
             raise UserError(f"{where}: tasks[{i}].name: {task.name!r} stands twice; each task needs a name of its own")
         _check_alike(f"{where}: tasks[{i}]", tasks[0], task)
-    if (count := bool(given.uncertain.payload) + len(set(given.uncertain.model))) > UNCERTAIN:
+    unsure = given.uncertain or Uncertain()
+    if (count := bool(unsure.payload) + len(set(unsure.model))) > UNCERTAIN:
         raise UserError(f"{where}: uncertain: found {count} quantities; at most {UNCERTAIN} are allowed")
     return TaskSet(
         given.name or Path(str(source)).stem,
         tasks,
         np.array([entry.weight for entry in given.tasks]),
         given.objective,
-        given.uncertain.payload,
-        tuple(dict.fromkeys(given.uncertain.model)),
+        unsure.payload,
+        tuple(dict.fromkeys(unsure.model)),
     )
 
 
@@ -271,7 +272,7 @@ def with_uncertainty(design: CoDesign, tasks: TaskSet, model: CalibratedModel | 
     choices: list[list[tuple[float, Mapping[int, float]]]] = []
     if tasks.payload:
         choices.append([(1 - tasks.payload, {}), (1 + tasks.payload, {})])
-    for at, (low, high) in _intervals(design, tasks.model, model):
+    for at, (low, high) in _intervals(design, tasks, model):
         choices.append([(1.0, {at: low}), (1.0, {at: high})])
     scenarios = []
     for corner in itertools.product(*choices):
@@ -280,21 +281,23 @@ def with_uncertainty(design: CoDesign, tasks: TaskSet, model: CalibratedModel | 
     return replace(design, scenarios=tuple(scenarios))
 
 
-def _intervals(design: CoDesign, names: Sequence[str], model: CalibratedModel | None):
-    """(index among the design's parameters, 95 % interval) of each named parameter."""
-    if not names:
+def _intervals(design: CoDesign, tasks: TaskSet, model: CalibratedModel | None) -> list[tuple[int, tuple[float, float]]]:
+    """(index among the design's parameters, 95 % interval) of each uncertain parameter of the model."""
+    where = f"set {tasks.name!r}: uncertain.model"
+    if not tasks.model:
         return []
     if model is None:
-        raise UserError(f"uncertain.model: {names[0]} needs --model and --repaired, the model that has its 95 % interval")
-    at, known = 0, dict[str, tuple[int, Any]]()
+        raise UserError(f"{where}: {tasks.model[0]} needs --model and --repaired, the model that has its 95 % interval")
+    at, known = 0, dict[str, tuple[int, tuple[float, float]]]()
     terms = {(term.effect.name, term.effect.joints): term for term in model.terms}
     for spring in design.springs:
         effect = spring.effect
         for i, parameter in enumerate(effect.parameters):
-            if spring.known:
-                estimate = terms[effect.name, effect.joints].estimates[i]
-                known[f"{design.model.label(effect)}.{parameter.name}"] = (at + i, estimate.interval)
+            interval = terms[effect.name, effect.joints].estimates[i].interval if spring.known else None
+            if interval is not None:
+                known[f"{design.model.label(effect)}.{parameter.name}"] = at + i, interval
         at += len(effect.parameters)
-    usable = {name: one for name, one in known.items() if one[1] is not None}
-    check_names(names, usable or ["none: the model has no parameter of links or payload with an interval"], "uncertain.model")
-    return [usable[name] for name in names]
+    if not known:
+        raise UserError(f"{where}: found {tasks.model[0]}; the model has no parameter of links or payload with a 95 % interval")
+    check_names(tasks.model, known, where, "parameter")
+    return [known[name] for name in tasks.model]
