@@ -295,7 +295,7 @@ def test_bad_input_is_one_sentence_before_the_first_solve(monkeypatch, capsys, t
     assert not out.exists()
 
 
-TINY = ["--configurations", "SA,PEA", "--starts", "1", "--hops", "0", "--tolerance", "1e-2", "--jobs", "1", "--front", "1"]
+TINY = ["--configurations", "PEA", "--starts", "1", "--hops", "0", "--tolerance", "1e-2", "--jobs", "1", "--front", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -310,12 +310,12 @@ def out(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(set_study, "solve_set", interrupted)
         assert rrr_oc(patch, *command) == 130
-    before = {path.name: path.stat().st_mtime_ns for path in (folder / "out").glob(".SA alone *")}
+    before = {path.name: path.stat().st_mtime_ns for path in (folder / "out").glob(".PEA alone *")}
     assert len(before) == 4
     assert not (folder / "out" / "summary.json").exists()
     with pytest.MonkeyPatch.context() as patch:
         assert rrr_oc(patch, *command) == 0
-    assert before == {path.name: path.stat().st_mtime_ns for path in (folder / "out").glob(".SA alone *")}
+    assert before == {path.name: path.stat().st_mtime_ns for path in (folder / "out").glob(".PEA alone *")}
     return folder / "out"
 
 
@@ -323,7 +323,7 @@ def test_a_summary_says_what_was_asked_and_found(out):
     summary = json.loads((out / "summary.json").read_text())
     assert [t["name"] for t in summary["tasks"]] == ["a", "b"]
     assert summary["uncertain"] == {"payload": 0.1, "model": []}
-    assert (summary["objective"], summary["configurations"]["SA"]["springs"]) == ("sum", {})
+    assert summary["objective"] == "sum"
     for name, c in summary["configurations"].items():
         assert c["cost"] == pytest.approx(sum(t["cost"] for t in c["tasks"].values()))
         assert c["cost"] >= c["alone"] * (1 - 1e-2)

@@ -40,8 +40,10 @@ from rrr_oc.parallel import unordered, workers
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import write_json, write_text
 
-OPTIONS = SearchOptions(starts=2, hops=0, kept=2, refinement=Refinement(1e-3), within=0.0)
 WIDTH = 0.003  # [rad]
+OPTIONS = SearchOptions(
+    starts=2, hops=0, kept=2, coarse=10, fine=20, widths=(0.03, WIDTH), refinement=Refinement(1e-3), within=0.0
+)
 BARRIERS = (1e-6, 1e-3)  # of a motion for held springs
 FIRST, SMALLEST, STEPS, TOLERANCE = 0.05, 1e-7, 60, 1e-8  # radii of the trust region [1], steps, relative decrease at the end
 
@@ -198,9 +200,8 @@ def processor() -> float:
 def compare_ways() -> list[dict]:
     """The joint program and the decomposition, from the springs of the first task and the best motions for them."""
     rows = []
-    for configuration, objective, count in [
-        (c, o, n) for c in ("PEA", "PEA+BPEA") for o in ("sum", "worst") for n in (2, 4, 8)
-    ]:
+    cases: list[tuple[str, Objective, int]] = [(c, "sum", n) for c in ("PEA", "PEA+BPEA") for n in (2, 4, 8)]
+    for configuration, objective, count in [*cases, ("PEA", "worst", 4), ("PEA+BPEA", "worst", 4)]:
         design = random_set(count, configuration, objective)
         alone = all_alone(design)
         springs, solve = alone[0].solution.parameters, HeldSprings(design)

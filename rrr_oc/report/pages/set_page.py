@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +40,12 @@ def set_page(summary: Mapping[str, Any], data: Mapping[str, Mapping[str, np.ndar
     content, found, quantity = dict(summary), summary["configurations"], Quantity(*summary["quantity"])
     best = best_of(found)
     figures = [_tasks(summary, quantity), *figures_of(BY, {k: captions_of(c) for k, c in data.items()})]
-    fronts = _fronts(found, quantity)
+    fronts = any(c["front"] for c in found.values())
     tables = {"motion": {k: columns(c) for k, c in data.items()}, "tasks": {n: _costs(summary, n) for n in found}}
-    tables["front"] = {name: _points(c) for name, c in found.items() if c["front"]}
+    tables["front"] = {name: _points(c) for name, c in found.items()}
     return render(
         "set.html",
-        [*figures, *fronts.values()],
+        [*figures, *([_front(found, quantity)] if fronts else [])],
         tables,
         summary=summary,
         quantity=quantity,
@@ -60,7 +61,7 @@ def set_page(summary: Mapping[str, Any], data: Mapping[str, Mapping[str, np.ndar
         of_tasks={name: tell.tasks_table(content, name) for name in found},
         springs=tell.springs_table(content),
         symbols=say.symbols(found),
-        fronts={name: (figure, tell.front_table(found[name], quantity)) for name, figure in fronts.items()},
+        fronts={name: tell.front_table(c, quantity) for name, c in found.items() if c["front"]},
         scenarios={name: tell.scenarios_table(content, name) for name in found if _robust(summary)},
         certificates={name: (tell.set_sentences(content, name), tell.certificates_table(c)) for name, c in found.items()},
     )
@@ -94,7 +95,7 @@ def _robust(summary: Mapping[str, Any]) -> bool:
 def _costs(summary: Mapping[str, Any], name: str) -> dict[str, list[Any]]:
     tasks = summary["configurations"][name]["tasks"]
     rows = {k: np.array([c[k] for c in tasks.values()]) for k in ("cost", "alone", "with_first")}
-    return columns(rows | {"task": np.array(list(tasks))})
+    return columns(rows | {"task": np.array([escape(task) for task in tasks])})  # plotly reads markup
 
 
 def _tasks(summary: Mapping[str, Any], quantity: Quantity) -> Figure:
@@ -119,16 +120,12 @@ def _near(c: Mapping[str, Any]) -> list[str]:
 
 
 def _points(c: Mapping[str, Any]) -> dict[str, list[Any]]:
-    return columns({k: np.array([p[k] for p in c["front"]]) for k in ("first", "total")})
+    own = {"first": next(iter(c["tasks"].values()))["cost"], "total": c["cost"]}
+    return columns({k: np.array([p[k] for p in c["front"] or [own]]) for k in own})
 
 
-def _fronts(found: Mapping[str, Any], quantity: Quantity) -> dict[str, Figure]:
-    """A figure for each configuration that has a front."""
+def _front(found: Mapping[str, Any], quantity: Quantity) -> Figure:
     curves = (Curve("first", "total", "load", ""), Curve("first", "total", "load", "", "markers", 9))
-    axes, title = (f"{quantity.title} of the first task", f"{quantity.title} of the set"), "Between the set and its first task"
-    names = [name for name, c in found.items() if c["front"]]
-    layout = {"showlegend": False}
-    return {
-        name: Figure(f"front_{i}", title, "front", BY[:1], axes, curves, {name: tell.FRONT}, layout)
-        for i, name in enumerate(names)
-    }
+    axes = (f"{quantity.title} of the first task", f"{quantity.title} of the set")
+    captions = {name: tell.FRONT if c["front"] else "Without springs there is nothing in between." for name, c in found.items()}
+    return Figure("front", "Between the set and its first task", "front", BY[:1], axes, curves, captions, {"showlegend": False})
