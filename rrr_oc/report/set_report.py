@@ -181,12 +181,18 @@ def set_sentences(summary: dict[str, Any], name: str) -> list[str]:
     worst = max(orders, key=list(SECOND_ORDER).index)
     return [
         f"{near} of {len(c['starts'])} starts ended within 1 % of the best on the coarse mesh.",
-        "Springs and motions were solved once more on the refined meshes, "
-        + (f"and the objective fell by {c['change']:.1e} (relative)." if c["change"] else "and the objective fell no further."),
+        _again(c["change"]),
         f"No springs can bring the set below {c['alone']:.3f}, the objective of the springs tuned to each task alone, if those optima are "
         "the best ones.",
         "Of the motions with the springs held: " + SECOND_ORDER[worst],
     ]
+
+
+def _again(change: float | None) -> str:
+    if change is None:
+        return "On the refined meshes, springs and motions together could not be solved once more; only the motions were."
+    fell = f"fell by {change:.1e} (relative)" if change else "fell no further"
+    return f"Springs and motions were solved once more on the refined meshes, and the objective {fell}."
 
 
 def cautions(summary: dict[str, Any]) -> list[str]:

@@ -52,7 +52,8 @@ class SetResult:
         alone: The optimum of each task with springs of its own (T).
         first: The optimum of each task with the springs of the first (T).
         starts: All starts; none without springs.
-        change: Relative change of the objective when the springs were optimised again on the refined meshes [1].
+        change: Relative decrease of the objective when the springs were optimised again on the refined meshes [1]; None where IPOPT
+            did not solve that problem.
     """
 
     design: SetDesign
@@ -61,7 +62,7 @@ class SetResult:
     alone: tuple[Optimum, ...]
     first: tuple[Optimum, ...]
     starts: tuple[SetStart, ...]
-    change: float
+    change: float | None
 
     @property
     def total(self) -> float:
@@ -233,10 +234,10 @@ def _rejoined(design: SetDesign, motions: Sequence[Optimum], parameters: np.ndar
     return Optimum(best, [mesh_row(best)]) if (best := min(found, key=lambda s: s.cost, default=None)) else None
 
 
-def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple[np.ndarray, tuple[Optimum, ...], float]:
+def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple[np.ndarray, tuple[Optimum, ...], float | None]:
     """Each task's mesh refined with the springs held, then springs and motions once more on these meshes.
 
-    Returns the springs, the motions, and the relative change of the objective by the latter.
+    Returns the springs, the motions, and the relative decrease of the objective by the latter, as `SetResult.change`.
     """
     parameters = joint.solution.parameters
     starts = [[motion] for motion in _motions(design, joint)]
@@ -249,7 +250,7 @@ def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple
     start = design.guess([o.solution.guess() for o in motions], parameters)
     again = Solver(transcription, settings).solve(start, design.data(options.widths[-1]), check=False)
     if again.status != SOLVED or again.cost >= before:
-        return parameters, tuple(motions), 0.0
+        return parameters, tuple(motions), 0.0 if again.status == SOLVED else None
     held = design.held(again.parameters)
     calls = [(one, settings, o, m) for one, o, m in zip(held, motions, design.motions(again.guess()), strict=True)]
     moved = tuple(ordered(_on_mesh, calls))
