@@ -2,6 +2,7 @@
 
 `task`, `springs` and `design_problem` state it; `proposals`, `local_optima` and `multistart` solve it globally; `catalogue`, `screening` and
 `purchasable` find the best hardware that can be bought; `certificate` says how good an optimum is; `optimum` samples and simulates it;
-`transfer` takes it to a calibrated model; `study` goes through all configurations of a task.
+`transfer` takes it to a calibrated model; `study` goes through all configurations of a task. `task_sets` does the same for many tasks that
+share the springs.
 
 Imports `optimal_control`, `simulation`, `calibration` and what stands below them."""

@@ -36,9 +36,9 @@ class Interval:
     hessian_at: tuple[np.ndarray, np.ndarray]
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, compiled: bool) -> Interval:
-    """The functions of an interval of a phase with n_p parameters and n_d data. The 64 used last are kept, by the phase's identity."""
+    """The functions of an interval of a phase with n_p parameters and n_d data. The 256 used last are kept, by the phase's identity."""
     nx, nu = len(phase.states), len(phase.controls)
     p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)
     x0, x1, X, U = ca.SX.sym("x0", nx), ca.SX.sym("x1", nx), ca.SX.sym("X", nx, len(s.inner)), ca.SX.sym("U", nu, s.d)

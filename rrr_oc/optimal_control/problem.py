@@ -103,6 +103,8 @@ class Problem:
         return float(sum(np.max(np.asarray(costs)[groups == g]) for g in np.unique(groups)))
 
     def __post_init__(self) -> None:
+        if set(self.groups) != set(range(len(set(self.groups)))):
+            raise UserError(f"groups of the costs are {self.groups}; numbers from 0 without a gap are required")
         for phase in self.phases:
             if unknown := [k for k in phase.costs if not 0 <= k < len(self.groups)]:
                 raise UserError(f"phase {phase.name!r} adds to cost {unknown[0]}; there are {len(self.groups)}, from 0")
