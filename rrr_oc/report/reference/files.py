@@ -101,14 +101,7 @@ def _described() -> dict[str, Page]:
             "task.json",
             _spring_notes(),
         ),
-        "tasks": Page(
-            "tasks.json",
-            f"Tasks of one arm that the same springs are to serve; you write it, and `rrr-oc design` takes it in the place of a task. "
-            f"Each task has a motion of its own. {json}",
-            {"tasks.json": TaskSetFile},
-            "tasks.json",
-            _uncertain_notes(),
-        ),
+        "tasks": _of_tasks(json),
         "actuators": Page(
             "actuators.json",
             f"Drives of an arm, by joint; you write it. {json}Coefficients are those of Eq. 7 and 9, at the joint's output.",
@@ -157,12 +150,17 @@ def _unit_notes() -> str:
     )
 
 
-def _uncertain_notes() -> str:
-    return (
+def _of_tasks(json: str) -> Page:
+    return Page(
+        "tasks.json",
+        "Tasks of one arm that the same springs are to serve; you write it, and `rrr-oc design` takes it in the place of a task. Each task "
+        f"has a motion of its own. {json}",
+        {"tasks.json": TaskSetFile},
+        "tasks.json",
         "What is uncertain is not known while springs and motions are designed, so the motion is the same in every case. Each combination "
         "of the ends of the intervals is a scenario, and the cost of a task is that of the worst. The load torque is affine in payload and "
         "inertial parameters, and E1 a convex quadratic, so no case in between is worse. The springs are those of the tasks' files, which "
-        "must agree."
+        "must agree.",
     )
 
 
