@@ -166,9 +166,8 @@ class Models:
             lbg=np.full(self.rows, -np.inf), ubg=np.zeros(self.rows),
         )  # fmt: skip
         new = np.clip(np.array(found["x"]).ravel()[:-1], lower, upper)
-        modelled = [
-            one.solution.cost + one.gradient @ (new - now) + (new - now) @ one.hessian @ (new - now) / 2 for one in held
-        ]
+        step = new - now
+        modelled = [one.solution.cost + float(one.gradient @ step + step @ one.hessian @ step / 2) for one in held]
         return new * problem.p_scale, unit - self.design.total(modelled)
 
 
@@ -272,7 +271,7 @@ PARTS = {"ways": compare_ways, "tasks": compare_tasks, "processes": compare_proc
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results/task_sets"))
     parser.add_argument("--parts", default=",".join(PARTS))
     arguments = parser.parse_args()

@@ -3,6 +3,7 @@
 import uuid
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -26,7 +27,7 @@ BARRIERS = (1e-2, 1e-6)  # [1] initial barrier parameters of a hop: far from the
 class Solvable(Protocol):
     """Springs and motion as an optimal-control problem: of one task (`CoDesign`) or of several."""
 
-    @property
+    @cached_property
     def problem(self) -> Problem:
         """The problem, whose parameters are the springs'."""
         ...

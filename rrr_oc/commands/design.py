@@ -84,7 +84,7 @@ def design(
 def _run(study: Study | SetStudy, output: Output, command: str) -> None:
     """Solve, write and show a study."""
     began, found = time.perf_counter(), dict[str, Any]()
-    task = study.task if isinstance(study, Study) else study.tasks.tasks[0]
+    task = study.tasks.tasks[0] if isinstance(study, SetStudy) else study.task
     for note in task.robot.notes:
         output.note(f"Note: {note}.")
     try:
@@ -92,8 +92,11 @@ def _run(study: Study | SetStudy, output: Output, command: str) -> None:
             found[name] = result
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            write = write_study if isinstance(study, Study) else write_set_study
-            summary, text = write(study, found, time.perf_counter() - began, command)
+            wall_s = time.perf_counter() - began
+            if isinstance(study, SetStudy):
+                summary, text = write_set_study(study, found, wall_s, command)
+            else:
+                summary, text = write_study(study, found, wall_s, command)
             output.result(summary)
             output.show(Markdown(text.split("## Certificates")[0]))
             output.show(
