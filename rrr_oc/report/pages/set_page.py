@@ -95,7 +95,7 @@ def _robust(summary: Mapping[str, Any]) -> bool:
 def _costs(summary: Mapping[str, Any], name: str) -> dict[str, list[Any]]:
     tasks = summary["configurations"][name]["tasks"]
     rows = {k: np.array([c[k] for c in tasks.values()]) for k in ("cost", "alone", "with_first")}
-    return columns(rows | {"task": np.array([escape(task) for task in tasks])})  # plotly reads markup
+    return columns(rows | {"task": np.array([escape(task, quote=False) for task in tasks])})  # plotly reads markup
 
 
 def _tasks(summary: Mapping[str, Any], quantity: Quantity) -> Figure:
