@@ -35,7 +35,8 @@ def draw_tasks(summary: dict[str, Any]) -> Any:
     y = np.arange(len(tasks))
     for axis, (name, c) in zip(axes[0], found.items(), strict=True):
         rows = {key: [c["tasks"][task][key] for task in tasks] for key in MARKS}
-        axis.hlines(y, *(end(list(rows.values()), axis=0) for end in (np.min, np.max)), color="0.8", lw=2, zorder=1)
+        every = np.array(list(rows.values()))
+        axis.hlines(y, every.min(axis=0), every.max(axis=0), color="0.8", lw=2, zorder=1)
         for colour, (key, (mark, label)) in zip((COLOURS[1], COLOURS[0], COLOURS[2]), MARKS.items(), strict=True):
             axis.plot(rows[key], y, mark, color=colour, ms=6, mfc="none" if key == "alone" else colour, label=label)
         axis.set_xscale("log")
