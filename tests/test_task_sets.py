@@ -11,9 +11,9 @@ from commands import rrr_oc
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
-from rrr_oc.codesign.multistart import solve_multistart
 from rrr_oc.codesign.optimum import sample_motion
-from rrr_oc.codesign.proposals import SearchOptions, motion_guess
+from rrr_oc.codesign.search.multistart import solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions, motion_guess
 from rrr_oc.codesign.springs import saved_springs, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.task_sets import set_study

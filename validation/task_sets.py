@@ -25,9 +25,9 @@ import scipy.sparse
 from scipy.sparse.linalg import splu
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import Optimum, transcribed
-from rrr_oc.codesign.multistart import solve_multistart
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.local_optima import Optimum, transcribed
+from rrr_oc.codesign.search.multistart import solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import End, read_task, task_of
 from rrr_oc.codesign.task_sets.set_search import solve_set

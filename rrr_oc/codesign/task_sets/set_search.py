@@ -7,8 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import SOLVED, Optimum, attached, distinct, follow_to_fine_mesh, hopped, refined, transcribed
-from rrr_oc.codesign.proposals import SearchOptions, sobol_points
+from rrr_oc.codesign.search.local_optima import (
+    SOLVED,
+    Optimum,
+    attached,
+    distinct,
+    follow_to_fine_mesh,
+    hopped,
+    refined,
+    transcribed,
+)
+from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.problem import Guess

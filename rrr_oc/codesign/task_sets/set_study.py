@@ -17,8 +17,6 @@ from rrr_oc import __version__
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import Optimum
-from rrr_oc.codesign.multistart import SearchResult, arranged_costs, solve_multistart
 from rrr_oc.codesign.optimum import (
     SampledMotion,
     check_simulation,
@@ -31,7 +29,9 @@ from rrr_oc.codesign.optimum import (
     restored,
     sample_motion,
 )
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.local_optima import Optimum
+from rrr_oc.codesign.search.multistart import SearchResult, arranged_costs, solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import arrangements
 from rrr_oc.codesign.study import Listener, Request, Twin, once, save, taken
 from rrr_oc.codesign.task import PHASES

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.problem import Guess, Problem
