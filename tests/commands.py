@@ -5,10 +5,20 @@ from types import ModuleType
 
 import pytest
 
+from rrr_oc import cli
+
 
 def run(study: ModuleType, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     """The exit status of a study's command line."""
     monkeypatch.setattr(sys, "argv", [str(study.__file__), *arguments])
     with pytest.raises(SystemExit) as stop:
         study.run()
+    return int(stop.value.code or 0)
+
+
+def rrr_oc(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """The exit status of the command line."""
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
     return int(stop.value.code or 0)

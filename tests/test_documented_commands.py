@@ -77,6 +77,8 @@ NOT_RUN = {
     "studies/transfer.py": ("an hour", "tests/test_transfer_study.py"),
     "validation/concealed/make_cases.py": ("minutes to hours", "tests/test_concealed_study.py"),
     "validation/optimal_control.py": ("minutes", "tests/test_transcription.py"),
+    "rrr-oc design twelve_tasks": ("minutes", "tests/test_task_sets.py"),
+    "validation/task_sets.py": ("minutes", "tests/test_task_sets.py"),
     "validation/scaling.py": ("minutes", "tests/benchmarks/bench_codesign.py"),
     "validation/analytic_vs_mujoco.py": ("minutes", "tests/test_tracking.py"),
     "validation/calibration_coverage.py": ("hours", "tests/test_calibration.py"),
@@ -170,6 +172,8 @@ def folder(started) -> Path:
     folder, r = started[0], recorded(3, 4.0)
     task = (ROOT / "rrr_oc" / "data" / "paper.json").read_text()
     (folder / "task.json").write_text(task.replace('"robot": "rrr"', '"robot": "arm.urdf"'))
+    tasks = {"format": "rrr_oc-tasks/1", "base": "task.json", "tasks": [{"name": "as it is"}, {"payload_kg": 2.0}]}
+    (folder / "tasks.json").write_text(json.dumps(tasks))
     (folder / "mapping.toml").write_text("[columns]\n" + "".join(f'{name} = "{name}"\n' for name in columns(r[0])))
     for one in r[:2]:
         write_csv(folder / one.file, columns(one))

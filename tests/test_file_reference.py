@@ -56,7 +56,7 @@ def test_a_row_says_key_type_unit_default_and_allowed_values(page, row):
     assert row in PAGES[f"{page}.md"]
 
 
-@pytest.mark.parametrize("name", ["recordings.json", "task.json", "actuators.json", "catalogue.json"])
+@pytest.mark.parametrize("name", ["recordings.json", "task.json", "tasks.json", "actuators.json", "catalogue.json"])
 def test_examples_have_comments_and_stand_on_their_page(name):
     text = (EXAMPLES / name).read_text(encoding="utf-8")
     assert "//" in text

@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 from chains import arm
-from commands import run
+from commands import rrr_oc, run
 from plotly.offline import get_plotlyjs
 from recorded import Plant, as_set, record
 from test_held_out import fold
@@ -31,13 +31,14 @@ from rrr_oc.report.pages.design_words import bound, cautions, hardware, verdict
 from rrr_oc.report.pages.diagnosis_curves import POINTS, curves, held_out_predictions
 from rrr_oc.report.pages.diagnosis_page import write_diagnosis_page
 from rrr_oc.report.pages.page import thinned
+from rrr_oc.report.pages.set_page import write_set_page
 from rrr_oc.robot.robot import load_robot
 
 MARKUP = "<b>x</b>&\"'"  # a name that is markup where it is not escaped
 FILE = "<i>0</i>&\"'.csv"
 LARGEST = 8_000_000  # bytes of an ordinary page, as one can send it
 SHOWN_AT = [(width, scheme) for width in (1280, 390) for scheme in ("light", "dark")]
-pages = pytest.mark.parametrize("name", ["design", "diagnosis"])
+pages = pytest.mark.parametrize("name", ["design", "set", "diagnosis"])
 
 
 def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
@@ -62,7 +63,8 @@ def diagnosis() -> Diagnosis:
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory, diagnosis) -> dict[str, Path]:
-    """A study of an arm whose moving joint has markup for its name, with a calibrated model of it, and a diagnosis of such an arm."""
+    """A study of an arm whose moving joint has markup for its name, with a calibrated model of it, one of a set of such tasks, and a
+    diagnosis of such an arm."""
     folder = tmp_path_factory.mktemp("pages")
     preset = own_task(folder)
     (folder / "arm.urdf").write_text(arm(3).replace('"j2"', quoteattr(MARKUP)))
@@ -70,10 +72,14 @@ def folders(tmp_path_factory, diagnosis) -> dict[str, Path]:
     with pytest.MonkeyPatch.context() as patch:
         command = [*OWN, "--preset", preset, "--model", own_model(folder), "--out", str(folder / "design")]
         assert run(study, patch, *command) == 0
+        tasks = [{"name": MARKUP}, {"name": "light", "payload_kg": 0.5}]
+        together = {"format": "rrr_oc-tasks/1", "base": "task.json", "tasks": tasks, "uncertain": {"payload": 0.2}}
+        (folder / "set.json").write_text(json.dumps(together))
+        assert rrr_oc(patch, "design", str(folder / "set.json"), *OWN, "--front", "1", "--out", str(folder / "set")) == 0
     numbers = {joint: dict.fromkeys(("q", "dq", "ddq", "tau_motor", "tau_load"), 0.25) for joint in diagnosis.model.joints}
     simulated = {"held_out": True, "before": numbers, "after": {"why_not": "a <gap> moves the link by itself"}}
     write_diagnosis(diagnosis, folder / "diagnosis", simulated, "rrr-oc diagnose arm --out diagnosis")
-    return {"design": folder / "design", "diagnosis": folder / "diagnosis"}
+    return {name: folder / name for name in ("design", "set", "diagnosis")}
 
 
 def text_of(folder: Path) -> str:
@@ -111,21 +117,21 @@ def test_the_verdict_stands_before_everything_else(folders, name):
     assert all(text.index(part) > first for part in ("<h2", "<table", "<figure"))
     said = re.findall(r'<p class="verdict">(.*?)</p>', text)
     assert len(said) == 1
-    assert said[0].startswith("PEA is best: E1 is " if name == "design" else "Nothing is missing")
+    assert said[0].startswith("Nothing is missing" if name == "diagnosis" else "PEA is best: E1 is ")
     assert text.rindex("Sources, and how to make this again") > text.rindex("</figure>")
-    assert "rrr-oc design" in text if name == "design" else "rrr-oc diagnose arm --out diagnosis" in text
+    assert ("rrr-oc diagnose arm --out diagnosis" if name == "diagnosis" else "rrr-oc design") in text
 
 
 @pages
 def test_names_are_no_markup(folders, name):
     text = without_plotly(text_of(folders[name]))
-    names = [MARKUP] if name == "design" else [MARKUP, FILE]
+    names = [MARKUP, FILE] if name == "diagnosis" else [MARKUP]
     for one in names:
         assert one not in text
         assert escape(one).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in text  # as Jinja writes quotes
     assert "<b>" not in text
     assert "<i>" not in text
-    assert "a &lt;gap&gt; moves" in text or name == "design"
+    assert "a &lt;gap&gt; moves" in text or name != "diagnosis"
 
 
 @pages
@@ -156,7 +162,7 @@ def test_every_figure_finds_its_data_and_has_a_sentence(folders, name):
 @pages
 def test_a_page_is_made_again_from_its_files(folders, name):
     text = text_of(folders[name])
-    write = {"design": write_design_page, "diagnosis": write_diagnosis_page}[name]
+    write = {"design": write_design_page, "set": write_set_page, "diagnosis": write_diagnosis_page}[name]
     (folders[name] / "report.html").unlink()
     assert write(folders[name]) == folders[name] / "report.html"
     assert text_of(folders[name]) == text

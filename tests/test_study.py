@@ -12,9 +12,8 @@ import numpy as np
 import pea_bpea as study
 import pytest
 from chains import arm, joint, link, robot
-from commands import run
+from commands import rrr_oc, run
 
-from rrr_oc import cli
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign import study as steps
@@ -428,13 +427,6 @@ def heavy_model(folder: Path) -> str:
     heavy = replace(model.robot, inertial=model.robot.inertial * np.array([1.0, 1.0, 1.5])[: model.robot.n])
     save_model(replace(model, robot=heavy), folder / "model.json")
     return str(folder / "model.json")
-
-
-def rrr_oc(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["rrr-oc", *arguments])
-    with pytest.raises(SystemExit) as stop:
-        cli.main()
-    return int(stop.value.code or 0)
 
 
 def test_a_design_for_the_repaired_arm_is_cheaper_on_it(monkeypatch, capsys, tmp_path):

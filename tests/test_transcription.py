@@ -10,7 +10,9 @@ import pytest
 
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
+from rrr_oc.optimal_control.solver import solve
 from rrr_oc.optimal_control.transcription import Transcription
 
 R3, R5, R6 = np.sqrt([3, 5, 6])
@@ -357,3 +359,30 @@ def test_malformed_phases(changes, message):
 def test_crossed_parameters():
     with pytest.raises(UserError, match="bounds of k are crossed: 2 … 1"):
         Problem((phase("go", 2, 1, 1, 0),), ("k",), np.array([2.0]), np.array([1.0]), np.ones(1))
+
+
+def test_costs_and_groups_that_do_not_fit():
+    with pytest.raises(UserError, match="phase 'go' adds to cost 2; there are 1, from 0"):
+        Problem((replace(phase("go", 2, 1, 1, 0), costs=(2,)),))
+    with pytest.raises(UserError, match=r"groups of the costs are \(0, 2\); numbers from 0 without a gap are required"):
+        Problem((phase("go", 2, 1, 1, 0),), groups=(0, 2))
+    with pytest.raises(UserError, match="cost rate 2, path"):
+        replace(phase("go", 2, 1, 1, 0), costs=(0, 1))
+
+
+@pytest.mark.parametrize(("groups", "speed", "cost"), [((0, 0), 1 / 3, 4 / 9), ((0, 1), 0.6, 0.8)])
+def test_the_greatest_of_a_group_is_minimised_and_groups_are_added(groups, speed, cost):
+    """x' = u in one second, costs ∫ (u − 1)² and ∫ (u + 1)² / 4. In one group they are equal at the optimum; added, the derivative
+    2 (u − 1) + (u + 1) / 2 is zero."""
+    x, u, p, d = (ca.SX.sym(name, size) for name, size in (("x", 1), ("u", 1), ("p", 0), ("d", 0)))
+    rates = ca.Function("rates", [x, u, p, d], [u, ca.vertcat((u - 1) ** 2, (u + 1) ** 2 / 4), ca.SX(0, 1)])
+    free, one = np.array([np.nan]), np.ones(1)
+    bounds = {"x_lower": -9 * one, "x_upper": 9 * one, "u_lower": -9 * one, "u_upper": 9 * one, "x_scale": one, "u_scale": one}
+    ends = {"start": np.zeros(1), "end": free, "duration": (1.0, 1.0), "costs": (0, 1)}
+    only = Phase(name="go", rates=rates, states=("x",), controls=("u",), **bounds, **ends)
+    guess = Guess((PhaseGuess(1.0, lambda s: np.zeros((1, s.size)), lambda s: np.zeros((1, s.size))),), np.zeros(0))
+    found = solve(Problem((only,), groups=groups), guess, intervals=4)
+    assert found.cost == pytest.approx(cost, rel=1e-6)
+    np.testing.assert_allclose(found.sample(0, np.array([0.3]))[3], speed, atol=1e-4)
+    error = mesh_error(found)
+    assert error.quadrature < 1e-7  # of IPOPT

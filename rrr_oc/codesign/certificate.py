@@ -197,13 +197,13 @@ def _path_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
 def exact_cost(design: CoDesign, solution: Solution) -> float:
     """The cost with exact, non-smooth springs on the same motion and its mesh, by fine quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(9)
-    data, total = design.data(0.0), 0.0
+    data, total = design.data(0.0), np.zeros(len(solution.problem.groups))
     for i, phase in enumerate(solution.problem.phases):
         _, x, _, u = solution.sample(i, (nodes + 1) / 2)
         rates = phase.rates(x.reshape(len(x), -1), u.reshape(len(u), -1), solution.parameters[:, None], data[:, None])
         h = solution.transcription.mesh[i] * solution.durations[i]
-        total += float(np.einsum("nk,k,n->", np.array(rates[1]).reshape(x.shape[1:]), weights / 2, h))
-    return total
+        total += np.einsum("cnk,k,n->c", np.array(rates[1]).reshape(-1, *x.shape[1:]), weights / 2, h)
+    return solution.problem.cost(total)
 
 
 def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float]:
@@ -212,28 +212,28 @@ def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float
     Returns:
         `state`: largest difference of the states at the phases' ends, over their scales; `cost`: relative difference.
     """
-    worst, cost = 0.0, 0.0
+    worst, costs = 0.0, np.zeros(len(solution.problem.groups))
     for i, phase in enumerate(solution.problem.phases):
         nodes, nx = solution.values[solution.transcription.blocks[i].nodes], len(phase.states)
         edges = np.r_[0, np.cumsum(solution.transcription.mesh[i])] * solution.durations[i]
-        y = np.r_[nodes[:, 0], 0.0]
+        y = np.r_[nodes[:, 0], np.zeros(costs.size)]
         for k, span in enumerate(pairwise(edges)):
             rates = _rates_in_interval(solution, i, k, span)
             y = solve_ivp(rates, span, y, method="DOP853", rtol=tolerance, atol=tolerance).y[:, -1]
         worst = max(worst, float((np.abs(y[:nx] - nodes[:, -1]) / phase.x_scale).max()))
-        cost += y[nx]
-    return {"state": worst, "cost": abs(cost - solution.cost) / abs(solution.cost)}
+        costs += y[nx:]
+    return {"state": worst, "cost": abs(solution.problem.cost(costs) - solution.cost) / abs(solution.cost)}
 
 
 def _rates_in_interval(solution: Solution, i: int, k: int, span: tuple[float, float]) -> Callable:
-    """(t, y) -> dy/dt of y = (states, cost) in interval k of phase i, which lasts from span[0] to span[1] [s]."""
+    """(t, y) -> dy/dt of y = (states, costs) in interval k of phase i, which lasts from span[0] to span[1] [s]."""
     phase, (start, end) = solution.problem.phases[i], span
     controls = solution.values[solution.transcription.blocks[i].stage_u[:, :, k]]
     p, d, scheme = solution.parameters, solution.problem.data, solution.transcription.scheme
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:
         weights = scheme.at(np.array([(t - start) / (end - start)]))[0][0]
-        f, cost_rate, _ = phase.rates(y[:-1], controls @ weights, p, d)
-        return np.r_[np.array(f).ravel(), float(cost_rate)]
+        f, cost_rates, _ = phase.rates(y[: len(phase.states)], controls @ weights, p, d)
+        return np.r_[np.array(f).ravel(), np.array(cost_rates).ravel()]
 
     return rates

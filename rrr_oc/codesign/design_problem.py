@@ -20,6 +20,19 @@ FLOOR = "height of the tool"
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
 
+@dataclass(frozen=True)
+class Scenario:
+    """One case of what is not known while the motion is planned.
+
+    Attributes:
+        payload: Factor on the payload [1].
+        theta: Values of parameters of known effects, by their index among the problem's parameters.
+    """
+
+    payload: float = 1.0
+    theta: tuple[tuple[int, float], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class CoDesign:
     """A task, the springs that may help, and the cost.
@@ -30,6 +43,8 @@ class CoDesign:
         cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11.
         actuators: Of the moving joints; needed for "motor" and "energy".
         at_rest: Whether the arm is at rest at both ends of each phase.
+        scenarios: Cases in which springs and motion must do; of several, the cost is that of the worst, and limits of torque hold in
+            each.
     """
 
     task: Task
@@ -37,6 +52,7 @@ class CoDesign:
     cost: str = "load"
     actuators: Actuators | None = None
     at_rest: bool = True
+    scenarios: tuple[Scenario, ...] = (Scenario(),)
 
     def __post_init__(self) -> None:
         if self.cost not in COSTS:
@@ -81,6 +97,7 @@ class CoDesign:
             design=design,
             designs=designs,
             cost_scale=self._holding_cost(),
+            groups=(0,) * len(self.scenarios),
         )
 
     def _phase(self, index: int) -> Phase:
@@ -104,21 +121,27 @@ class CoDesign:
             duration=task.duration,
             x_scale=np.r_[np.ones(m), np.ones(m)],
             u_scale=peak,
-            paths=(*[torque_path(task.joints[i]) for i in limited], *([FLOOR] if floor else [])),
-            path_lower=np.r_[-np.ones(limited.size), np.full(floor, task.floor)],
-            path_upper=np.r_[np.ones(limited.size), np.full(floor, np.inf)],
+            paths=(*[torque_path(task.joints[i]) for i in limited] * len(self.scenarios), *([FLOOR] if floor else [])),
+            path_lower=np.r_[-np.ones(limited.size * len(self.scenarios)), np.full(floor, task.floor)],
+            path_upper=np.r_[np.ones(limited.size * len(self.scenarios)), np.full(floor, np.inf)],
+            costs=tuple(range(len(self.scenarios))),
         )
 
     def _rates(self, index: int, limited: np.ndarray) -> ca.Function:
         task, m = self.task, len(self.task.moving)
         sizes = {"x": 2 * m, "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
         x, u, p, d = (ca.SX.sym(name, size) for name, size in sizes.items())
-        payload = d[0] if index == 0 else 0.0
-        tau = self._load_torque(x[:m], x[m:], u, payload, p, d[1 : 1 + self.model.widths.size])[0]
-        path = ca.vertcat(*[tau[int(i)] / task.torque[i] for i in limited])
+        widths, torques = d[1 : 1 + self.model.widths.size], []
+        for scenario in self.scenarios:
+            theta, payload = ca.SX(p), d[0] * scenario.payload if index == 0 else 0.0
+            for at, value in scenario.theta:
+                theta[at] = value
+            torques.append(self._load_torque(x[:m], x[m:], u, payload, theta, widths)[0])
+        costs = ca.vertcat(*[self._cost_rate(x[m:], u, tau) for tau in torques])
+        path = ca.vertcat(*[tau[int(i)] / task.torque[i] for tau in torques for i in limited])
         if np.isfinite(task.floor):
             path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m], self.task.locked)))
-        return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), self._cost_rate(x[m:], u, tau), path])
+        return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), costs, path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
         moving = list(self.task.moving)

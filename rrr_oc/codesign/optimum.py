@@ -186,11 +186,11 @@ def describe_simulation(design: CoDesign, solution: Solution, motion: SampledMot
     Beside those of `describe`: "E1_relative_error" against the optimum's cost (None for costs other than "load"),
     "energy_residual" [1] and "tracking_error_rad".
     """
-    described = []
+    described, planned = [], solution.cost if len(design.scenarios) == 1 else motion.metrics().E1_total
     for form in ("generated", "native"):
         tracked = resimulate(design, solution, motion, form)
         found = describe(design, tracked.metrics, design.task.moving)
-        found["E1_relative_error"] = found["E1"] / solution.cost - 1 if design.cost == "load" else None
+        found["E1_relative_error"] = found["E1"] / planned - 1 if design.cost == "load" else None
         described.append(
             found | {"energy_residual": float(tracked.energy_residual), "tracking_error_rad": tracked.tracking_error}
         )

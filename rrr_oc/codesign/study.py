@@ -195,7 +195,7 @@ def _results(
     study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[str, Any]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """A configuration and its starred design by name: each as soon as it is saved, and again with what is compared with it."""
-    solved = _once(study, name, partial(_solve, study, name, ways, before))
+    solved = once(study, name, partial(_solve, study, name, ways, before))
     yield name, solved
     design = _chosen(ways, solved)
     if not solved["interrupted"]:
@@ -205,7 +205,7 @@ def _results(
         return
     starred = f"{name}*"
     try:
-        bought = _once(study, starred, partial(_buy, study, starred, design))
+        bought = once(study, starred, partial(_buy, study, starred, design))
     except SolverFailure as failure:
         study.listener.show(f"{starred}: no choice of the catalogue could be solved: {failure}")
         yield name, solved | {"not_bought": str(failure)}
@@ -235,7 +235,7 @@ def _with_idle_motion(study: Study, found: dict[str, Any]) -> dict[str, Any]:
         return {}
     better = _describe(study.out, "SA", SearchResult(design, (tried[0][1],), (), False), began)
     better |= {key: stiff[key] for key in ("optima", "layers")}
-    _save(study, "SA", better)
+    save(study, "SA", better)
     return {"SA": better | _compared(study, "SA", design)}
 
 
@@ -244,33 +244,59 @@ def _compared(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
     published = {"published_springs_E1": None}
     if study.published is not None:
         hardware = study.published(name)
-        published = _once(study, f"{name} published springs", lambda: _published(study, name, design, hardware), files=())
+        published = once(study, f"{name} published springs", lambda: _published(study, name, design, hardware), files=())
     return published | {"calibrated": None if study.twin is None else _transferred(study, name, design, study.twin)}
 
 
-def _once(study: Study, name: str, solve: Callable[[], dict[str, Any]], files: Sequence[str] | None = None) -> dict[str, Any]:
+class Kept(Protocol):
+    """What is known of a run whose results are kept, so that the same command goes on where it was."""
+
+    @property
+    def out(self) -> Path:
+        """Folder of the results."""
+        ...
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """The settings on which a result depends."""
+        ...
+
+    @property
+    def listener(self) -> Listener:
+        """Who is told how it goes on."""
+        ...
+
+
+def once(study: Kept, name: str, solve: Callable[[], dict[str, Any]], files: Sequence[str] | None = None) -> dict[str, Any]:
     """A result by name: the one in the folder if a run with the same settings wrote it, else that of `solve`, which is saved at once
     unless it was interrupted. `files` are the npz files that belong to it, by default that of its name."""
-    saved = study.out / f".{name}.json"
-    if saved.is_file():
-        content = json.loads(saved.read_text())
-        if content["asked"] == _key(study) and all(
-            (study.out / f"{n}.npz").is_file() for n in ([name] if files is None else files)
-        ):
-            study.listener.show(f"{name}: taken from the interrupted or repeated run in {study.out}")
-            return content["found"]
-    saved.unlink(missing_ok=True)  # the motion beside it is about to change
+    found = taken(study, name, [name] if files is None else files)
+    if found is not None:
+        study.listener.show(f"{name}: taken from the interrupted or repeated run in {study.out}")
+        return found
     found = solve()
     if not found.get("interrupted"):
-        _save(study, name, found)
+        save(study, name, found)
     return found
 
 
-def _save(study: Study, name: str, found: dict[str, Any]) -> None:
+def taken(study: Kept, name: str, files: Sequence[str]) -> dict[str, Any] | None:
+    """The result in the folder if a run with the same settings wrote it, with its npz files; else it is removed."""
+    saved = study.out / f".{name}.json"
+    if saved.is_file():
+        content = json.loads(saved.read_text())
+        if content["asked"] == _key(study) and all((study.out / f"{n}.npz").is_file() for n in files):
+            return content["found"]
+    saved.unlink(missing_ok=True)  # the motion beside it is about to change
+    return None
+
+
+def save(study: Kept, name: str, found: dict[str, Any]) -> None:
+    """Keep a result in the folder, with the settings under which it was made."""
     write_json(study.out / f".{name}.json", {"asked": _key(study), "found": found})
 
 
-def _key(study: Study) -> dict[str, Any]:
+def _key(study: Kept) -> dict[str, Any]:
     """The settings as they are read back from JSON."""
     return json.loads(json.dumps(plain(study.asked)))
 

@@ -195,11 +195,23 @@ class Task:
 def load_task(source: str | Path) -> Task:
     """Read a task: the name of a preset (`PRESETS`) or the path of a JSON file of the same form.
 
-    Raises:
-        UserError: The file is missing or malformed; bounds are crossed; a position is out of reach; an end lies outside
-            the joint ranges.
+    Raises `UserError` as `read_task` and `task_of` do.
     """
-    where, given = read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile)
+    return task_of(*read_task(source), source)
+
+
+def read_task(source: str | Path) -> tuple[str, TaskFile]:
+    """The name in messages and the content of a task's file; raises `UserError` where it is missing or malformed."""
+    return read_preset("task", source, {name: f"{name}.json" for name in PRESETS}, TaskFile)
+
+
+def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
+    """The task that the content of a file describes; its robot may stand beside the file `source`.
+
+    Raises:
+        UserError: The robot is missing; bounds are crossed; a position is out of reach; an end lies outside the joint ranges.
+            The message begins with `where`.
+    """
     beside = Path(source).parent / given.robot
     own = str(source) not in PRESETS and beside.is_file()
     robot = load_robot(beside if own else given.robot, given.joints, gravity=given.gravity)

@@ -13,11 +13,14 @@ from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
+from rrr_oc.codesign.task_sets.set_study import SetStudy, prepared_set
+from rrr_oc.codesign.task_sets.task_set import SETS, is_task_set
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Jobs, Workers, command_line
+from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
-from rrr_oc.report.study_files import write_study
+from rrr_oc.report.study_files import write_set_study, write_study
 
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
 app = typer.Typer(add_completion=False)
@@ -26,7 +29,9 @@ app = typer.Typer(add_completion=False)
 @app.command()
 def design(
     context: typer.Context,
-    task: Annotated[str, typer.Argument(help=f"a task file, or a bundled task: {', '.join(PRESETS)}")],
+    task: Annotated[
+        str, typer.Argument(help=f"a file with a task or a set of tasks, or a bundled one: {', '.join((*PRESETS, *SETS))}")
+    ],
     out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
     configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
         CONFIGURATIONS
@@ -46,6 +51,9 @@ def design(
     repaired: Annotated[
         bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")
     ] = False,
+    front: Annotated[
+        int, typer.Option(min=0, help="of a set of tasks: optima between that of the set and that of its first task")
+    ] = 0,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
     quiet: Quiet = False,
@@ -53,27 +61,40 @@ def design(
 ) -> None:
     """Springs in parallel with joints (PEA), across two of them (BPEA) or both, and the motion of least cost for each.
 
-    Writes report.html, tables, figures, summary.json and one npz a configuration.
+    For a set of tasks the springs are the same in all of them, and each task has a motion of its own.
+
+    Writes report.html, tables, figures, summary.json and one npz a configuration and task.
     """
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, model, repaired)
+    together = is_task_set(task)
+    if front and not together:
+        raise UserError(f"--front is {front}; it needs a set of tasks, and {task} is a task")
     with parallel.workers(jobs, workers):
-        _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
+        if together:
+            _run(prepared_set(request, front, output), output, command_line(context))
+        else:
+            _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
 
 
-def _run(study: Study, output: Output, command: str) -> None:
+def _run(study: Study | SetStudy, output: Output, command: str) -> None:
     """Solve, write and show a study."""
     began, found = time.perf_counter(), dict[str, Any]()
-    for note in study.task.robot.notes:
+    task = study.tasks.tasks[0] if isinstance(study, SetStudy) else study.task
+    for note in task.robot.notes:
         output.note(f"Note: {note}.")
     try:
         for name, result in study.results():
             found[name] = result
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            summary, text = write_study(study, found, time.perf_counter() - began, command)
+            wall_s = time.perf_counter() - began
+            if isinstance(study, SetStudy):
+                summary, text = write_set_study(study, found, wall_s, command)
+            else:
+                summary, text = write_study(study, found, wall_s, command)
             output.result(summary)
             output.show(Markdown(text.split("## Certificates")[0]))
             output.show(

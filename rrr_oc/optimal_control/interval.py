@@ -21,10 +21,10 @@ class Interval:
 
     Attributes:
         rows: Number of rows.
-        value: (z, fraction, d) -> (cost, rows).
-        gradient: (z, fraction, d) -> gradient of the cost (nz,).
+        value: (z, fraction, d) -> (costs (nc,), rows).
+        gradient: (z, fraction, d) -> gradients of the costs (nz, nc).
         jacobian: (z, fraction, d) -> nonzeros of the rows' Jacobian, which stand at `jacobian_at` (rows, columns).
-        hessian: (z, fraction, d, lam_f, lam_g) -> nonzeros of one triangle of the Lagrangian's Hessian, at `hessian_at`.
+        hessian: (z, fraction, d, lam_f (nc,), lam_g) -> nonzeros of one triangle of the Lagrangian's Hessian, at `hessian_at`.
     """
 
     rows: int
@@ -36,9 +36,9 @@ class Interval:
     hessian_at: tuple[np.ndarray, np.ndarray]
 
 
-@lru_cache(maxsize=64)
-def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float, compiled: bool) -> Interval:
-    """The functions of an interval of a phase with n_p parameters and n_d data. The 64 used last are kept, by the phase's identity."""
+@lru_cache(maxsize=256)
+def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, compiled: bool) -> Interval:
+    """The functions of an interval of a phase with n_p parameters and n_d data. The 256 used last are kept, by the phase's identity."""
     nx, nu = len(phase.states), len(phase.controls)
     p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)
     x0, x1, X, U = ca.SX.sym("x0", nx), ca.SX.sym("x1", nx), ca.SX.sym("X", nx, len(s.inner)), ca.SX.sym("U", nu, s.d)
@@ -48,13 +48,13 @@ def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: 
     defects = [x - x0 - step * (F @ ca.DM(s.A[i])) for i, x in enumerate(stages) if not (i == 0 and s.shares_first)]
     if not s.shares_last:
         defects.append(x1 - x0 - step * (F @ ca.DM(s.b)))
-    cost = step * sum(float(b) * r[1] for b, r in zip(s.b, rates, strict=True)) / cost_scale
+    cost = step * sum(float(b) * r[1] for b, r in zip(s.b, rates, strict=True))
     rows = ca.vertcat(*[defect / phase.x_scale for defect in defects], *[r[2] for r in rates])
     z = ca.vertcat(p, T, x0, x1, ca.vec(X), ca.vec(U))
     slopes = ca.jacobian(rows, z)
-    gradient, hessian, hessian_at = _by_stages(phase, s, n_p, n_d, cost_scale)
+    gradient, hessian, hessian_at = _by_stages(phase, s, n_p, n_d)
     functions = [
-        ca.Function("value", [z, h, d], [cost, ca.densify(rows)]),
+        ca.Function("value", [z, h, d], [ca.densify(cost), ca.densify(rows)]),
         gradient,
         ca.Function("jacobian", [z, h, d], [slopes.nz[:]]),
         hessian,
@@ -63,21 +63,21 @@ def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: 
     return Interval(rows.numel(), value, gradient, jacobian, nonzeros_of(slopes.sparsity()), hessian, hessian_at)
 
 
-def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float):
-    """Gradient of an interval's cost and Hessian of its Lagrangian, from those of one stage at y = (p, T, x, u).
+def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int):
+    """Gradients of an interval's costs and Hessian of its Lagrangian, from those of one stage at y = (p, T, x, u).
 
-    Stage j's share of the Lagrangian, but for terms linear in z, is T (σ l − ν·f) + μ·path, where l is the cost rate,
-    σ = h b_j lam_f / cost_scale, ν = h Σ_i A_ij λ_i / x_scale (and b_j times the step's multipliers), and λ_i and μ multiply
+    Stage j's share of the Lagrangian, but for terms linear in z, is T (σ·l − ν·f) + μ·path, where l are the cost rates,
+    σ = h b_j lam_f, ν = h Σ_i A_ij λ_i / x_scale (and b_j times the step's multipliers), and λ_i and μ multiply
     the stage's defects and paths.
     """
-    nx, nu, ng, d = len(phase.states), len(phase.controls), len(phase.paths), s.d
+    nx, nu, ng, nc, d = len(phase.states), len(phase.controls), len(phase.paths), phase.rates.numel_out(1), s.d
     y, data = ca.SX.sym("y", n_p + 1 + nx + nu), ca.SX.sym("d", n_d)
-    sigma, nu_f, mu = ca.SX.sym("sigma"), ca.SX.sym("nu", nx), ca.SX.sym("mu", ng)
+    sigma, weight, nu_f, mu = ca.SX.sym("sigma", nc), ca.SX.sym("weight"), ca.SX.sym("nu", nx), ca.SX.sym("mu", ng)
     p, T, x, u = ca.vertsplit(y, [0, n_p, n_p + 1, n_p + 1 + nx, y.numel()])
     f, rate, path = phase.rates(x, u, p, data)
-    share = T * (sigma * rate - ca.dot(nu_f, f)) + ca.dot(mu, path)
+    share = T * (ca.dot(sigma, rate) - ca.dot(nu_f, f)) + ca.dot(mu, path)
     second = ca.triu(ca.hessian(share, y)[0])
-    slope = ca.Function("slope", [y, data, sigma], [ca.densify(ca.gradient(T * sigma * rate, y))])
+    slope = ca.Function("slope", [y, data, weight], [ca.densify(ca.jacobian(T * weight * rate, y).T)])
     curvature = ca.Function("curvature", [y, data, sigma, nu_f, mu], [second.nz[:]])
     i, j = nonzeros_of(second.sparsity())
 
@@ -88,15 +88,15 @@ def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int, cost_scale: float):
         places.append(np.r_[shared, n_p + 1 + position * nx + np.arange(nx), controls + k * nu + np.arange(nu)])
     nz, n_defects = controls + d * nu, s.defects
     z, h, c = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("d", n_d)
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nx * n_defects + ng * d)
+    lam_f, lam_g = ca.MX.sym("lam_f", nc), ca.MX.sym("lam_g", nx * n_defects + ng * d)
     weights = np.vstack([s.A[int(s.shares_first) :], *([] if s.shares_last else [s.b])])  # (n_defects, d)
     nu_all = ca.reshape(lam_g[: nx * n_defects], nx, n_defects) @ ca.DM(weights) * h / phase.x_scale
     mu_all = ca.reshape(lam_g[nx * n_defects :], ng, d)
     ys = [z[k.tolist()] for k in places]
-    slopes = [slope(ys[k], c, h * float(s.b[k]) / cost_scale) for k in range(d)]
-    summed = sum_into(nz, np.concatenate(places), ca.vertcat(*slopes))
+    slopes = [slope(ys[k], c, h * float(s.b[k])) for k in range(d)]
+    summed = ca.horzcat(*[sum_into(nz, np.concatenate(places), ca.vertcat(*[one[:, k] for one in slopes])) for k in range(nc)])
     gradient = ca.Function("gradient", [z, h, c], [ca.densify(summed)])  # nodes that are no stages have none
-    curvatures = [curvature(ys[k], c, h * float(s.b[k]) / cost_scale * lam_f, nu_all[:, k], mu_all[:, k]) for k in range(d)]
+    curvatures = [curvature(ys[k], c, h * float(s.b[k]) * lam_f, nu_all[:, k], mu_all[:, k]) for k in range(d)]
     ends = [np.sort(np.vstack([k[i], k[j]]), axis=0) for k in places]
     keys, slot = np.unique(np.hstack([a * nz + b for a, b in ends]), return_inverse=True)
     hessian = ca.Function("hessian", [z, h, c, lam_f, lam_g], [sum_into(keys.size, slot, ca.vertcat(*curvatures))])

@@ -15,8 +15,11 @@ class Phase:
 
     Attributes:
         name: Name for messages.
-        rates: casadi Function (x, u, p, d) -> (dx/dt (nx,), cost rate (1,), path (ng,)): states, controls, the problem's
+        rates: casadi Function (x, u, p, d) -> (dx/dt (nx,), cost rates (nc,), path (ng,)): states, controls, the problem's
             parameters and its data.
+        data: Indices of the problem's data that `rates` takes; None for all.
+        costs: For each cost rate, the index of the problem's cost that its integral adds to.
+        weight: Factor on the cost rates [1].
         states, controls, paths: Their names, for messages.
         x_lower, x_upper (nx,), u_lower, u_upper (nu,), path_lower, path_upper (ng,): Bounds along the phase.
         start, end: States at both ends (nx,); NaN leaves a state free there.
@@ -42,6 +45,9 @@ class Phase:
     paths: tuple[str, ...] = ()
     path_lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
     path_upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    data: np.ndarray | None = None
+    costs: tuple[int, ...] = (0,)
+    weight: float = 1.0
 
     def __post_init__(self) -> None:
         nx, ng, where = len(self.states), len(self.paths), f"phase {self.name!r}: "
@@ -57,15 +63,17 @@ class Phase:
             if np.shape(scale) != (size,) or not np.all(np.asarray(scale) > 0):
                 raise UserError(f"{where}{name} must be {size} numbers above 0, got {scale}")
         found = tuple(self.rates.numel_out(i) for i in range(self.rates.n_out()))
-        if found != (nx, 1, ng):
-            raise UserError(f"{where}rates returns sizes {found}, not (dx/dt {nx}, cost rate 1, path {ng})")
+        if found != (nx, len(self.costs), ng):
+            raise UserError(f"{where}rates returns sizes {found}, not (dx/dt {nx}, cost rate {len(self.costs)}, path {ng})")
         if not 0 < self.duration[0] <= self.duration[1] < np.inf:
             raise UserError(f"{where}durations {self.duration} must be positive, finite and not crossed")
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Minimise the integral of the cost rates, summed over the phases.
+    """Minimise a cost: the integral of the cost rates, summed over the phases.
+
+    Of several costs in a group, the greatest counts; of several groups, the sum.
 
     Attributes:
         phases: The phases in their order; they share the parameters.
@@ -75,6 +83,7 @@ class Problem:
         design: (p, d) -> inequalities ≤ 0 on the parameters, or None.
         designs: Names of these inequalities.
         cost_scale: Typical magnitude of the cost.
+        groups: For each cost the index of its group.
     """
 
     phases: tuple[Phase, ...]
@@ -86,8 +95,19 @@ class Problem:
     design: ca.Function | None = None
     designs: tuple[str, ...] = ()
     cost_scale: float = 1.0
+    groups: tuple[int, ...] = (0,)
+
+    def cost(self, costs: np.ndarray) -> float:
+        """What is minimised, from the costs: the sum over the groups of the greatest in each."""
+        groups = np.array(self.groups)
+        return float(sum(np.max(np.asarray(costs)[groups == g]) for g in np.unique(groups)))
 
     def __post_init__(self) -> None:
+        if set(self.groups) != set(range(len(set(self.groups)))):
+            raise UserError(f"groups of the costs are {self.groups}; numbers from 0 without a gap are required")
+        for phase in self.phases:
+            if unknown := [k for k in phase.costs if not 0 <= k < len(self.groups)]:
+                raise UserError(f"phase {phase.name!r} adds to cost {unknown[0]}; there are {len(self.groups)}, from 0")
         if np.shape(self.p_scale) != (len(self.parameters),):
             raise UserError(f"p_scale has shape {np.shape(self.p_scale)}, and there are {len(self.parameters)} parameters")
         _check_bounds("", "p", self.parameters, self.p_lower, self.p_upper)

@@ -30,7 +30,7 @@ def mesh_error(solution: Solution) -> MeshError:
     """Integrate the residual of the interpolants (Betts, "Practical Methods for Optimal Control", section 4.7)."""
     nodes, weights = np.polynomial.legendre.leggauss(2 * solution.transcription.scheme.d + 3)
     inside, weights = (nodes + 1) / 2, weights / 2
-    intervals, fine_total, violation = [], 0.0, 0.0
+    intervals, fine_total, violation = [], np.zeros(len(solution.problem.groups)), 0.0
     scale = _magnitude(solution)
     for i, (phase, block) in enumerate(zip(solution.problem.phases, solution.transcription.blocks, strict=True)):
         _, x, dx, u = solution.sample(i, inside)
@@ -39,10 +39,10 @@ def mesh_error(solution: Solution) -> MeshError:
         defect = np.einsum("xnk,k,n->xn", np.abs(dx - f), weights, h)
         magnitude = phase.x_scale + np.abs(solution.values[block.nodes]).max(axis=1)
         coarse = solution.rates(i, solution.values[block.stage_x], solution.values[block.stage_u])[1]
-        fine = np.einsum("nk,k,n->n", cost, weights, h)
-        quadrature = np.abs(fine - np.einsum("dn,d,n->n", coarse, solution.transcription.scheme.b, h)) / scale
-        intervals.append(np.maximum((defect / magnitude[:, None]).max(axis=0), quadrature))
-        fine_total += fine.sum()
+        fine = np.einsum("cnk,k,n->cn", cost, weights, h)
+        quadrature = np.abs(fine - np.einsum("cdn,d,n->cn", coarse, solution.transcription.scheme.b, h)) * phase.weight / scale
+        intervals.append(np.maximum((defect / magnitude[:, None]).max(axis=0), quadrature.max(axis=0)))
+        np.add.at(fine_total, list(phase.costs), phase.weight * fine.sum(axis=1))
         for value, lower, upper, size in (
             (x, phase.x_lower, phase.x_upper, phase.x_scale),
             (u, phase.u_lower, phase.u_upper, phase.u_scale),
@@ -51,7 +51,7 @@ def mesh_error(solution: Solution) -> MeshError:
             excess = np.maximum(lower[:, None, None] - value, value - upper[:, None, None]) / size[:, None, None]
             violation = max(violation, float(excess.max(initial=0.0)))
     largest = max(float(e.max()) for e in intervals)
-    return MeshError(tuple(intervals), largest, abs(fine_total - solution.cost) / scale, violation)
+    return MeshError(tuple(intervals), largest, abs(solution.problem.cost(fine_total) - solution.cost) / scale, violation)
 
 
 @dataclass(frozen=True)

@@ -122,11 +122,12 @@ class Solution:
         return t, x, np.einsum("kd,xdn->xnk", lagrange, f), np.einsum("kd,udn->unk", lagrange, u_stages)
 
     def rates(self, phase: int, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rates, cost rate and paths at states and controls of any trailing shape."""
-        shape, rates = x.shape[1:], self.problem.phases[phase].rates
+        """Rates, cost rates and paths, each with one row for each of them, at states and controls of any trailing shape."""
+        shape, own = x.shape[1:], self.problem.phases[phase]
         columns = (v.reshape(len(v), int(np.prod(shape))) for v in (x, u))
-        f, cost, path = (np.array(o) for o in rates(*columns, self.parameters[:, None], self.problem.data[:, None]))
-        return f.reshape(len(f), *shape), cost.reshape(shape), path.reshape(len(path), *shape)
+        data = self.problem.data if own.data is None else self.problem.data[own.data]
+        f, cost, path = (np.array(o) for o in own.rates(*columns, self.parameters[:, None], data[:, None]))
+        return f.reshape(len(f), *shape), cost.reshape(len(cost), *shape), path.reshape(len(path), *shape)
 
     def guess(self) -> Guess:
         """This solution as a starting point on any mesh."""

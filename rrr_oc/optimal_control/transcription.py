@@ -28,6 +28,9 @@ class _Block:
 class Transcription:
     """A problem on a mesh. The scaled variables are w = (p, then for each phase T, nodes, stages, controls).
 
+    Where the problem has several costs, the last variables are levels, one for each group, that its costs do not exceed, and whose
+    sum is minimised.
+
     Attributes:
         mesh: For each phase the intervals' fractions of its duration, each (N,).
         compiled: Whether the intervals' functions run as C (a few times faster; some seconds to compile, once a machine).
@@ -80,7 +83,17 @@ class Transcription:
     @cached_property
     def size(self) -> int:
         """Number of variables."""
-        return int(self.blocks[-1].gather.max()) + 1
+        return int(self.blocks[-1].gather.max()) + 1 + self.levels
+
+    @property
+    def levels(self) -> int:
+        """Number of levels; none where the problem has one cost alone."""
+        return len(set(self.problem.groups)) if self.leveled else 0
+
+    @property
+    def leveled(self) -> int:
+        """Number of rows that hold a cost below a level."""
+        return len(self.problem.groups) if len(self.problem.groups) > 1 else 0
 
     @cached_property
     def scale(self) -> np.ndarray:
@@ -112,7 +125,7 @@ class Transcription:
 
     @cached_property
     def row_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of the constraints, phase by phase, then the design's."""
+        """Bounds of the constraints, phase by phase, then the design's, then those of the costs."""
         sides = [], []
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
             first, paths = self._defects(phase), len(phase.paths)
@@ -121,8 +134,8 @@ class Transcription:
                 if self.scheme.shares_first:  # the node's constraint stands once, with the interval before it
                     rows[first : first + paths, 1:] = none
                 side.append(rows.ravel(order="F"))
-        n_design = len(self.problem.designs)
-        return np.concatenate([*sides[0], np.full(n_design, -np.inf)]), np.concatenate([*sides[1], np.zeros(n_design)])
+        last = len(self.problem.designs) + self.leveled
+        return np.concatenate([*sides[0], np.full(last, -np.inf)]), np.concatenate([*sides[1], np.zeros(last)])
 
     def row_name(self, row: int) -> str:
         """The name of a constraint and its instant, for messages."""
@@ -133,7 +146,8 @@ class Transcription:
                 motion = f"the motion of {phase.states[local % len(phase.states)]}"
                 name = motion if path < 0 else phase.paths[path % len(phase.paths)]
                 return f"{name} at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
-        return self.problem.designs[row - self.blocks[-1].rows.stop]
+        row -= self.blocks[-1].rows.stop
+        return self.problem.designs[row] if row < len(self.problem.designs) else f"cost {row - len(self.problem.designs) + 1}"
 
     @property
     def path_rows(self) -> list[tuple[str, np.ndarray]]:
@@ -148,8 +162,8 @@ class Transcription:
         return len(phase.states) * self.scheme.defects
 
     def _interval(self, phase: Phase) -> Interval:
-        p, d = len(self.problem.parameters), self.problem.data.size
-        return interval_functions(phase, self.scheme, p, d, self.problem.cost_scale, self.compiled)
+        d = self.problem.data.size if phase.data is None else len(phase.data)
+        return interval_functions(phase, self.scheme, len(self.problem.parameters), d, self.compiled)
 
     def pack(self, guess: Guess) -> np.ndarray:
         """Scaled variables from a guess, states and controls sampled at the mesh's nodes and stages."""
@@ -162,7 +176,12 @@ class Transcription:
             w[block.stage_x] = motion.states(stages.ravel()).reshape(block.stage_x.shape)
             w[block.nodes] = motion.states(np.clip(start, 0, 1))
             w[block.stage_u] = motion.controls(stages.ravel()).reshape(block.stage_u.shape)
-        return w / self.scale
+        w /= self.scale
+        if self.levels:  # while the levels are 0, these rows are the costs
+            costs = np.array(self.functions["nlp"](w, self.problem.data)[1]).ravel()[-self.leveled :]
+            groups = np.array(self.problem.groups)
+            w[-self.levels :] = [costs[groups == g].max() for g in range(self.levels)]
+        return w
 
     @cached_property
     def functions(self) -> dict[str, ca.Function]:
@@ -173,28 +192,34 @@ class Transcription:
         """
         w, d = ca.MX.sym("w", self.size), ca.MX.sym("d", self.problem.data.size)
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.row_bounds[0].size)
-        cost, gradient, rows = ca.MX(0), ca.MX(self.size, 1), []
+        lam_c = lam_g[-self.leveled :] if self.levels else lam_f
+        costs, gradients, rows = [ca.MX(0) for _ in self.problem.groups], [[] for _ in self.problem.groups], []
         jacobian, hessian = Scatter(), Scatter()
         value = w * self.scale
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
             interval = self._interval(phase)
             N, nz = len(fractions), block.gather.shape[0]
             z = ca.reshape(value[block.gather.ravel(order="F").tolist()], nz, N)
-            h, data, gather = ca.MX(ca.DM(fractions).T), ca.repmat(d, 1, N), block.gather
-            costs, g = interval.value.map(N)(z, h, data)
-            cost, rows = cost + ca.sum2(costs), [*rows, ca.vec(g)]
-            slopes = interval.gradient.map(N)(z, h, data) * ca.DM(self.scale[gather])
-            gradient += sum_into(self.size, gather, slopes)
+            own, weight = list(phase.costs), phase.weight / self.problem.cost_scale
+            h, gather = ca.MX(ca.DM(fractions).T), block.gather
+            data = ca.repmat(d if phase.data is None else d[phase.data.tolist()], 1, N)
+            each, g = interval.value.map(N)(z, h, data)
+            rows.append(ca.vec(g))
+            slopes = interval.gradient.map(N)(z, h, data)  # those of each interval's costs side by side
+            for k, cost in enumerate(own):
+                costs[cost] += weight * ca.sum2(each[k, :])
+                gradients[cost].append((gather, slopes[:, k :: len(own)] * ca.DM(weight * self.scale[gather])))
             multipliers = ca.reshape(lam_g[block.rows], interval.rows, N)
             row_of = np.arange(block.rows.start, block.rows.stop).reshape(-1, N, order="F")
             i, j = interval.jacobian_at
             values = interval.jacobian.map(N)(z, h, data)
             jacobian.add(row_of[i], gather[j], values * ca.DM(self.scale[gather[j]]))
             i, j = interval.hessian_at
-            values = interval.hessian.map(N)(z, h, data, ca.repmat(lam_f, 1, N), multipliers)
+            values = interval.hessian.map(N)(z, h, data, ca.repmat(weight * lam_c[own], 1, N), multipliers)
             both = self.scale[gather[i]] * self.scale[gather[j]]
             hessian.add(np.minimum(gather[i], gather[j]), np.maximum(gather[i], gather[j]), values * ca.DM(both))
         self._add_design(value, d, lam_g, rows, jacobian, hessian)
+        cost, gradient = self._objective(w, costs, gradients, rows, jacobian)
         total_rows, triu = self.row_bounds[0].size, hessian.matrix(self.size, self.size)
         g, jac = ca.vertcat(*rows), jacobian.matrix(total_rows, self.size)
         return {
@@ -206,6 +231,21 @@ class Transcription:
             ),
         }
 
+    def _objective(self, w, costs, gradients, rows, jacobian) -> tuple[ca.MX, ca.MX]:
+        """The objective and its gradient; where there are several costs, adds the rows that hold each below its group's level."""
+        if not self.levels:
+            ((gather, slopes), *others) = gradients[0]
+            gradient = sum((sum_into(self.size, *one) for one in others), sum_into(self.size, gather, slopes))
+            return costs[0], ca.densify(gradient)
+        levels, first = self.size - self.levels + np.array(self.problem.groups), self.row_bounds[0].size - self.leveled
+        rows.append(ca.vertcat(*costs) - w[levels.tolist()])
+        for k, entries in enumerate(gradients):
+            for gather, slopes in entries:
+                jacobian.add(np.full(gather.size, first + k), gather, slopes)
+        jacobian.add(first + np.arange(levels.size), levels, ca.MX(ca.DM(-np.ones(levels.size))))
+        own = np.where(np.arange(self.size) >= self.size - self.levels, 1.0, 0.0)
+        return ca.sum1(w[-self.levels :]), ca.MX(ca.DM(own))
+
     def _add_design(self, value, d, lam_g, rows, jacobian, hessian) -> None:
         design = self.problem.design
         if design is None:
@@ -216,7 +256,9 @@ class Transcription:
         outputs = design(p, data)
         first, second = ca.jacobian(outputs, p), ca.triu(ca.hessian(ca.dot(lam, outputs), p)[0])
         slopes = ca.Function("slopes", [p, data], [first.nz[:]])(value[:n_p], d)
-        curvatures = ca.Function("curvatures", [p, data, lam], [second.nz[:]])(value[:n_p], d, lam_g[start:])
+        curvatures = ca.Function("curvatures", [p, data, lam], [second.nz[:]])(
+            value[:n_p], d, lam_g[start : start + len(self.problem.designs)]
+        )
         i, j = nonzeros_of(first.sparsity())
         jacobian.add(start + i, j, slopes * ca.DM(scale[j].tolist()))
         i, j = nonzeros_of(second.sparsity())

@@ -11,9 +11,13 @@ from rrr_oc.codesign.design_problem import COST_UNITS
 from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Study
 from rrr_oc.codesign.task import Task
+from rrr_oc.codesign.task_sets.set_study import SetStudy
+from rrr_oc.report import set_report
 from rrr_oc.report.design_figures import draw_all
 from rrr_oc.report.design_report import report
 from rrr_oc.report.pages.design_page import write_design_page
+from rrr_oc.report.pages.set_page import write_set_page
+from rrr_oc.report.set_figures import draw_set
 from rrr_oc.storage import plain, write_json, write_text
 
 COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}  # in the summary
@@ -41,7 +45,7 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
         "seed": study.options.seed,
         "starts": study.options.starts,
         "wall_s": wall_s,
-        "versions": {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},
+        "versions": _versions(),
         "options": plain(asdict(study.options)),
         "configurations": {name: found[name] for name in names},
     }
@@ -51,6 +55,43 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
     draw_all(study.out, study.task)
     write_design_page(study.out)
     return summary, text
+
+
+def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, command: str) -> tuple[dict[str, Any], str]:
+    """As `write_study`, for a set of tasks."""
+    tasks, first = study.tasks, study.tasks.tasks[0]
+    of_tasks = [
+        {"name": task.name, "weight": float(w), "payload_kg": task.payload, "duration_s": task.duration, "limits": limits(task)}
+        | {end: dict(zip(task.joints, getattr(task, end), strict=True)) for end in ("start", "release")}
+        for task, w in zip(tasks.tasks, tasks.weights, strict=True)
+    ]
+    summary = {
+        "set": tasks.name,
+        "tasks": plain(of_tasks),
+        "objective": tasks.objective,
+        "uncertain": {"payload": tasks.payload, "model": list(tasks.model)},
+        "cost": COSTS[study.cost],
+        "quantity": [QUANTITIES[study.cost], COST_UNITS[study.cost]],
+        "joints": list(first.robot.joints),
+        "moving": list(first.joints),
+        "command": command,
+        "seed": study.options.seed,
+        "starts": study.options.starts,
+        "wall_s": wall_s,
+        "versions": _versions(),
+        "options": plain(asdict(study.options)),
+        "configurations": dict(found),
+    }
+    write_json(study.out / "summary.json", summary)
+    text = set_report.report(summary)
+    write_text(study.out / "report.md", text)
+    draw_set(study.out)
+    write_set_page(study.out)
+    return summary, text
+
+
+def _versions() -> dict[str, str]:
+    return {"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES}
 
 
 def limits(task: Task) -> dict[str, dict[str, Any]]:

@@ -2,13 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.optimal_control.optimality import Kkt
-from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.problem import Guess, Problem
 from rrr_oc.optimal_control.refinement import mesh_row, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
@@ -16,6 +18,24 @@ from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import ordered
 
 SOLVED = "Solve_Succeeded"
+
+
+class Solvable(Protocol):
+    """Springs and motion as an optimal-control problem: of one task (`CoDesign`) or of several."""
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The problem, whose parameters are the springs'."""
+        ...
+
+    @property
+    def springs(self) -> tuple[SpringBounds, ...]:
+        """The springs, with their bounds."""
+        ...
+
+    def data(self, width: float | None = None) -> np.ndarray:
+        """Values of the problem's data, all smoothing widths [rad] set to `width` if given."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +59,7 @@ class Optimum:
         return self.solution.cost
 
 
-def transcribed(design: CoDesign, options: SearchOptions, intervals: int) -> Transcription:
+def transcribed(design: Solvable, options: SearchOptions, intervals: int) -> Transcription:
     """The problem on a uniform mesh with the search's scheme, its functions compiled."""
     method, mesh = scheme(options.scheme, options.stages), uniform_mesh(design.problem, intervals)
     return Transcription(design.problem, method, mesh, compiled=True)
@@ -76,7 +96,7 @@ def distinct(optima: Iterable[Optimum]) -> list[Optimum]:
     return sorted(kept, key=lambda o: o.cost)
 
 
-def attached(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
+def attached(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optimum:
     """An optimum of `design` that another process found, on this process's own problem and scheme, whose functions exist already."""
     s = optimum.solution
     problem = replace(design.problem, data=s.problem.data)
@@ -84,7 +104,7 @@ def attached(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Opti
     return replace(optimum, solution=replace(s, transcription=transcription))
 
 
-def follow_to_fine_mesh(design: CoDesign, options: SearchOptions, guess: Guess) -> Optimum | None:
+def follow_to_fine_mesh(design: Solvable, options: SearchOptions, guess: Guess) -> Optimum | None:
     """The optimum near a guess on the fine mesh with the smallest smoothing width; None where IPOPT loses it."""
     solver = Solver(transcribed(design, options, options.fine), Options(barrier=1e-6))
     try:
@@ -113,13 +133,13 @@ def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solutio
     return solution
 
 
-def refined(design: CoDesign, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
+def refined(design: Solvable, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
     """Optima refined to the mesh tolerance, in parallel; one that is lost on a finer mesh stays as it was, with its error."""
     found = ordered(_refine, [(design, options, o) for o in optima])
     return [attached(design, options, o) for o in found]
 
 
-def _refine(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
+def _refine(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optimum:
     try:
         solution, rows = refine(attached(design, options, optimum).solution, options.refinement)
         left = leave_saddle(Solver(solution.transcription, Options(barrier=1e-6)), solution)

@@ -168,14 +168,17 @@ def solve_multistart(
 def best_arranged(designs: Sequence[CoDesign], options: SearchOptions) -> CoDesign:
     """Of designs that differ in how their springs are mounted, the one with the cheapest optimum on the coarse mesh, from the same few
     Sobol points each; without a solve where there is one alone."""
-    if len(designs) == 1:
-        return designs[0]
+    return designs[0] if len(designs) == 1 else designs[int(np.argmin(arranged_costs(designs, options)))]
+
+
+def arranged_costs(designs: Sequence[CoDesign], options: SearchOptions) -> list[float]:
+    """The cheapest optimum on the coarse mesh of each design, from the same few Sobol points."""
     few = replace(options, starts=min(options.starts, TRIED), layers=LAYERS[:1])
     costs = []
     for design in designs:
         Polisher(design, few)  # compiles the functions before the processes need them
         costs.append(min(start.polished for start in _polished(design, few)))
-    return designs[int(np.argmin(costs))]
+    return costs
 
 
 def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> tuple[int, Solution | None]:

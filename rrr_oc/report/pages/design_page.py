@@ -53,12 +53,14 @@ def design_page(summary: Mapping[str, Any], motions: Mapping[str, Arrays], pictu
     found, quantity, beside = summary["configurations"], Quantity(*summary["quantity"]), summary["paper"]
     best = say.best_of(found) or next(iter(found))
     data = {
-        key(name, j): _columns(m, j, joint, summary.get("limits", {})) for name, m in motions.items() for j, joint in _joints(m)
+        key(name, j): joint_columns(m, j, summary.get("limits", {}).get(joint, {}), POINTS)
+        for name, m in motions.items()
+        for j, joint in _joints(m)
     }
-    captions = {k: _captions(c) for k, c in data.items()}
+    captions = {k: captions_of(c) for k, c in data.items()}
     return render(
         "design.html",
-        _figures(captions),
+        figures_of(BY, captions),
         {"motion": {k: columns(c) for k, c in data.items()}},
         summary=summary,
         quantity=quantity,
@@ -94,12 +96,19 @@ def _certificate(c: Mapping[str, Any], quantity: Quantity, joints: Sequence[str]
     }
 
 
-def _columns(m: Arrays, j: int, joint: str, limits: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """What the figures of one joint show, in degrees and Nm; the two phases meet at the instant of "release"."""
+def joint_columns(m: Arrays, j: int, limits: Mapping[str, Any], points: int) -> dict[str, np.ndarray]:
+    """What the figures of one joint show, in degrees and Nm; the two phases meet at the instant of "release".
+
+    Args:
+        m: Arrays of a motion's npz.
+        j: Row of the joint.
+        limits: The joint's, as in summary.json.
+        points: Of a curve, at most.
+    """
     rows = {"t": m["t"], "q": np.degrees(m["q"][j]), "dq": np.degrees(m["dq"][j])}
     rows |= {"tau_load": m["tau_load"][j], "tau_spring": m["tau_spring"][j], "needed": m["tau_load"][j] + m["tau_spring"][j]}
     every = np.array(list(rows.values()))
-    shown = dict(zip(rows, every[:, thinned(every, POINTS, range(1, len(rows)))], strict=True))
+    shown = dict(zip(rows, every[:, thinned(every, points, range(1, len(rows)))], strict=True))
     released = float(m["t"][m["phase"] == 0][-1])
     shown |= {"release": np.array([released, released]), "ends": m["t"][[0, -1]]}
     if not m["tau_spring"].any():  # without springs there is nothing to tell apart
@@ -108,7 +117,7 @@ def _columns(m: Arrays, j: int, joint: str, limits: Mapping[str, Any]) -> dict[s
         values = [shown[n] for n in (name, "needed") if n in shown and (n == name or name == "tau_load")]
         low, high = float(np.min(values)), float(np.max(values))
         shown[f"{name}_span"] = np.array([low, high])
-        bound, unit = limits.get(joint, {}).get(of), 1.0 if name == "tau_load" else 180 / np.pi
+        bound, unit = limits.get(of), 1.0 if name == "tau_load" else 180 / np.pi
         both = bound if isinstance(bound, list) else [None, None] if bound is None else [-bound, bound]
         for side, value in zip(SIDES, both, strict=True):
             if value is not None and low - NEAR * (high - low) <= value * unit <= high + NEAR * (high - low):
@@ -116,12 +125,14 @@ def _columns(m: Arrays, j: int, joint: str, limits: Mapping[str, Any]) -> dict[s
     return shown
 
 
-def _figures(captions: Mapping[str, Mapping[str, str]]) -> list[Figure]:
+def figures_of(by: tuple[str, ...], captions: Mapping[str, Mapping[str, str]]) -> list[Figure]:
+    """The figures of one joint; the data "motion" has its columns by the choices `by`, and `captions` what `captions_of` says."""
+
     def over_time(name: str, title: str, axis: str, row: str, *curves: Curve) -> Figure:
         marks = (RELEASE, *LIMITS)
         around = tuple(Curve(c.x, c.y.format(row), c.role, c.name, width=c.width, dash=c.dash) for c in marks)
         own = {k: c[name] for k, c in captions.items()}
-        return Figure(name, title, "motion", BY, ("time [s]", axis), (*curves, *around), own)
+        return Figure(name, title, "motion", by, ("time [s]", axis), (*curves, *around), own)
 
     return [
         over_time("angle", "Angle", "angle [°]", "q", Curve("t", "q", "load", "angle")),
@@ -133,7 +144,7 @@ def _figures(captions: Mapping[str, Mapping[str, str]]) -> list[Figure]:
             Curve("t", "tau_load", "load", "load torque", width=2.5),
         ),
         Figure(
-            "spring", "Torque of the springs over the angle", "motion", BY, ("angle [°]", "torque [Nm]"),
+            "spring", "Torque of the springs over the angle", "motion", by, ("angle [°]", "torque [Nm]"),
             (
                 Curve("q", "needed", "needed", "needed for the motion"),
                 Curve("q", "tau_spring", "spring", "springs", width=2.5),
@@ -144,7 +155,7 @@ def _figures(captions: Mapping[str, Mapping[str, str]]) -> list[Figure]:
     ]  # fmt: skip
 
 
-def _captions(c: Arrays) -> dict[str, str]:
+def captions_of(c: Arrays) -> dict[str, str]:
     """What to see in each figure of one joint."""
     t, load, fastest = c["t"], c["tau_load"], float(np.max(np.abs(c["dq"])))
     touched = any(f"dq_{side}" in c and fastest > 0.99 * abs(c[f"dq_{side}"][0]) for side in SIDES)

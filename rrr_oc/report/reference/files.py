@@ -18,6 +18,7 @@ import msgspec
 from rrr_oc.calibration.model_file import ModelFile
 from rrr_oc.codesign.catalogue import catalogue_schema
 from rrr_oc.codesign.task import TaskFile
+from rrr_oc.codesign.task_sets.task_set import TaskSetFile
 from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.priors import Context, Given
@@ -100,6 +101,7 @@ def _described() -> dict[str, Page]:
             "task.json",
             _spring_notes(),
         ),
+        "tasks": _of_tasks(json),
         "actuators": Page(
             "actuators.json",
             f"Drives of an arm, by joint; you write it. {json}Coefficients are those of Eq. 7 and 9, at the joint's output.",
@@ -145,6 +147,20 @@ def _unit_notes() -> str:
     return (
         "\n".join([columns, "", *(f"- {what}: {', '.join(f'`{u}`' for u in units)};" for what, units in UNITS.items())])[:-1]
         + "."
+    )
+
+
+def _of_tasks(json: str) -> Page:
+    return Page(
+        "tasks.json",
+        "Tasks of one arm that the same springs are to serve; you write it, and `rrr-oc design` takes it in the place of a task. Each task "
+        f"has a motion of its own. {json}",
+        {"tasks.json": TaskSetFile},
+        "tasks.json",
+        "What is uncertain is not known while springs and motions are designed, so the motion is the same in every case. Each combination "
+        "of the ends of the intervals is a scenario, and the cost of a task is that of the worst. The load torque is affine in payload and "
+        "inertial parameters, and E1 a convex quadratic, so no case in between is worse. The springs are those of the tasks' files, which "
+        "must agree.",
     )
 
 

@@ -1,0 +1,321 @@
+"""Global search for the springs of a set of tasks: one nonlinear program for all tasks, from the springs of each task alone and others."""
+
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.search.local_optima import (
+    SOLVED,
+    Optimum,
+    attached,
+    distinct,
+    follow_to_fine_mesh,
+    refined,
+    transcribed,
+)
+from rrr_oc.codesign.search.motions import MotionSearch, combined
+from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
+from rrr_oc.codesign.task_sets.task_set import SetDesign
+from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.refinement import mesh_row
+from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
+from rrr_oc.parallel import once_per_process, ordered, unordered
+
+LAYERS = ("alone", "sobol")  # sources of starting springs: tasks alone, and the whole of their bounds
+BARRIERS = (
+    None,
+    1e-2,
+)  # initial barrier parameters of a start: IPOPT's own choice, and one not far from the tasks' own motions
+CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum's; doubled, a little is left
+GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
+ROUNDS = 4  # in which motions found for held springs and springs for these motions improve each other, at most
+
+
+@dataclass(frozen=True)
+class SetStart:
+    """Springs from which the joint problem was solved on the coarse mesh.
+
+    Attributes:
+        layer: Their source (`LAYERS`).
+        polished: The objective after IPOPT; infinite where it found no optimum.
+        w: Scaled variables of the joint optimum; empty where there is none.
+    """
+
+    layer: str
+    polished: float
+    w: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SetResult:
+    """The result of a search for a set.
+
+    Attributes:
+        design: The problem.
+        parameters: The springs (np,).
+        motions: The optimum of each task with these springs held (T).
+        alone: The optimum of each task with springs of its own (T).
+        first: The optimum of each task with the springs of the first (T).
+        starts: All starts; none without springs.
+        change: Relative decrease of the objective when the springs were optimised again on the refined meshes [1]; None where IPOPT
+            did not solve that problem.
+    """
+
+    design: SetDesign
+    parameters: np.ndarray
+    motions: tuple[Optimum, ...]
+    alone: tuple[Optimum, ...]
+    first: tuple[Optimum, ...]
+    starts: tuple[SetStart, ...]
+    change: float | None
+
+    @property
+    def total(self) -> float:
+        """The objective."""
+        return self.design.total([o.cost for o in self.motions])
+
+
+@dataclass(frozen=True, eq=False)
+class FrontPoint:
+    """The best springs where the first task weighs more than in the set.
+
+    Attributes:
+        share: Share of the objective that is the first task's cost alone [1]; 0 is the set's own objective.
+        costs: Of the tasks (T).
+        total: The set's own objective.
+        springs: By a designer's names, in SI units.
+    """
+
+    share: float
+    costs: list[float]
+    total: float
+    springs: dict[str, float]
+
+
+def solve_set(
+    design: SetDesign,
+    alone: Sequence[Optimum],
+    options: SearchOptions,
+    progress: Callable[[SetStart], None] = lambda _: None,
+) -> SetResult:
+    """The best springs for a set of tasks.
+
+    Every start is solved on a coarse mesh, the distinct best on a fine one, all tasks jointly. Then each task looks for a better
+    motion while the springs are held, and the springs are solved for again, until neither helps. Meshes are refined task by task.
+
+    Args:
+        alone: The optimum of each task with springs of its own (T), on its design of `design.designs`.
+        progress: Called with every start that has been solved.
+
+    Raises:
+        SolverFailure: No start led to an optimum.
+    """
+    alone = tuple(alone)
+    if not design.sprung:
+        return SetResult(design, alone[0].solution.parameters, alone, alone, alone, (), 0.0)
+    starts = _polished(design, alone, options, progress)
+    best = _improved(design, _fine(design, starts, options), alone, options)
+    first = _with_first(design, best, alone, options)
+    if design.total([o.cost for o in first]) < best.cost * (1 - CHEAPER):
+        best = _improved(design, _rejoined(design, first, first[0].solution.parameters, options) or best, alone, options)
+    parameters, motions, change = _refined(design, best, options)
+    better = tuple(_better_alone(design, t, alone[t], motions[t], options) for t in range(len(alone)))
+    if better[0] is not alone[0]:
+        first = _with_first(design, best, better, options)
+    refine = [(one, options, o) for one, o in zip(design.held(better[0].solution.parameters), first, strict=True)]
+    return SetResult(design, parameters, motions, better, tuple(ordered(_refined_alone, refine)), tuple(starts), change)
+
+
+def _with_first(design: SetDesign, joint: Optimum, alone: Sequence[Optimum], options: SearchOptions) -> list[Optimum]:
+    """The best motion of each task with the springs of the first task alone."""
+    starts = [[o.solution.guess(), m] for o, m in zip(alone, _motions(design, joint), strict=True)]
+    return held_motions(design, alone[0].solution.parameters, starts, options)
+
+
+def held_motions(
+    design: SetDesign, parameters: np.ndarray, starts: Sequence[Sequence[Guess]], options: SearchOptions, skip: int = 0
+) -> list[Optimum]:
+    """The best motion of each task (T) with the springs held (np,), from one or several motions each and from proposed ones.
+
+    Args:
+        skip: Number of proposed motions that earlier calls have used.
+
+    Raises `SolverFailure` where a task has none.
+    """
+    calls = [(one, options, list(own), skip) for one, own in zip(design.held(parameters), starts, strict=True)]
+    found = ordered(_held, calls)
+    for one, task in zip(found, design.tasks.tasks, strict=True):
+        if one is None:
+            raise SolverFailure(f"no motion of task {task.name!r} with these springs", 0, 0.0, "")
+    return found
+
+
+def _held(design: CoDesign, options: SearchOptions, starts: list[Guess], skip: int) -> Optimum | None:
+    springs, final = design.problem.p_lower, replace(options, widths=options.widths[-1:])
+    followed = [follow_to_fine_mesh(design, options, replace(guess, parameters=springs)) for guess in starts]
+    if options.motions:
+        together = combined(MotionSearch(design, options).best(springs, skip), springs, 1)
+        followed += [follow_to_fine_mesh(design, final, guess) for guess, _ in together]
+    return min((one for one in followed if one is not None), key=lambda o: o.cost, default=None)
+
+
+def _motions(design: SetDesign, joint: Optimum) -> list[Guess]:
+    return design.motions(joint.solution.guess())
+
+
+def _springs(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions) -> list[tuple[str, np.ndarray]]:
+    """Starting springs: half of them those of tasks alone, the first one's and others evenly spaced; the rest Sobol points."""
+    of_tasks = min(len(alone), max(options.starts // 2, 1))
+    picked = np.unique(np.linspace(0, len(alone), of_tasks, endpoint=False).astype(int))
+    low, high = drawn_bounds(design.springs)
+    points = sobol_points(len(low), options.starts - len(picked), options.seed) if options.starts > len(picked) else []
+    drawn = [("sobol", from_drawn(design.springs, low + (high - low) * point)) for point in points]
+    return [("alone", alone[t].solution.parameters) for t in picked] + drawn
+
+
+def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions, progress) -> list[SetStart]:
+    """All starts on the coarse mesh, with the motions of the tasks alone, cheapest first."""
+    transcription, key = transcribed(design, options, options.coarse), uuid.uuid4().hex
+    springs = _springs(design, alone, options)
+    packed = transcription.pack(design.guess([o.solution.guess() for o in alone], springs[0][1]))
+    calls = []
+    for layer, parameters in springs:
+        w = packed.copy()
+        w[: len(parameters)] = parameters / design.problem.p_scale
+        calls.append((key, design, options, layer, w))
+    starts = []
+    for start in unordered(_polish, calls):
+        starts.append(start)
+        progress(start)
+    return sorted(starts, key=lambda s: (s.polished, s.layer))
+
+
+def _polish(key: str, design: SetDesign, options: SearchOptions, layer: str, w: np.ndarray) -> SetStart:
+    solvers = once_per_process(key, lambda: _coarse_solvers(design, options))
+    tries = [solver.solve(w, design.data(options.width), check=False) for solver in solvers]
+    found = [s for s in tries if s.status == SOLVED]
+    best = min(found, key=lambda s: s.cost, default=None)
+    return SetStart(layer, np.inf, np.empty(0)) if best is None else SetStart(layer, best.cost, best.w)
+
+
+def _coarse_solvers(design: SetDesign, options: SearchOptions) -> list[Solver]:
+    transcription = transcribed(design, options, options.coarse)
+    return [Solver(transcription, Options(tolerance=1e-6, iterations=300, barrier=barrier)) for barrier in BARRIERS]
+
+
+def _fine(design: SetDesign, starts: Sequence[SetStart], options: SearchOptions) -> Optimum:
+    """The best joint optimum on the fine mesh from the distinct best starts; raises `SolverFailure` where there is none."""
+    transcription, empty = transcribed(design, options, options.coarse), np.empty(0)
+    coarse = [Solution(transcription, s.w, empty, empty, s.polished, SOLVED, 0, 0.0) for s in starts if s.w.size]
+    if not coarse:
+        raise SolverFailure("no start led to an optimum of the set", 0, 0.0, "")
+    kept = distinct(Optimum(s, [], 1) for s in coarse)[: max(options.kept // 3, 1)]
+    followed = ordered(follow_to_fine_mesh, [(design, options, o.solution.guess()) for o in kept])
+    found = [attached(design, options, o) for o in followed if o is not None]
+    if not found:
+        raise SolverFailure("every optimum of the set was lost on the fine mesh", 0, 0.0, "")
+    return min(found, key=lambda o: o.cost)
+
+
+def _improved(design: SetDesign, joint: Optimum, alone: Sequence[Optimum], options: SearchOptions) -> Optimum:
+    """Motions for held springs and springs for these motions in turn, as long as that lowers the objective."""
+    others = [[o.solution.guess()] for o in alone]  # tried once; later the motions at hand are those that were found best
+    for number in range(ROUNDS):
+        starts = [[motion, *more] for motion, more in zip(_motions(design, joint), others, strict=True)]
+        motions = held_motions(design, joint.solution.parameters, starts, options, number * options.motions)
+        others = [[] for _ in alone]
+        if design.total([o.cost for o in motions]) >= joint.cost * (1 - GAIN):
+            break
+        better = _rejoined(design, motions, joint.solution.parameters, options)
+        if better is None or better.cost >= joint.cost:
+            break
+        joint = better
+    return joint
+
+
+def _rejoined(design: SetDesign, motions: Sequence[Optimum], parameters: np.ndarray, options: SearchOptions) -> Optimum | None:
+    """The joint optimum on the fine mesh near motions for held springs, springs free again; None where IPOPT finds none."""
+    start = design.guess([o.solution.guess() for o in motions], parameters)
+    transcription, data = transcribed(design, options, options.fine), design.data(options.widths[-1])
+    found = [
+        s
+        for barrier in (1e-6, BARRIERS[-1])
+        if (s := Solver(transcription, Options(barrier=barrier)).solve(start, data, check=False)).status == SOLVED
+    ]
+    return Optimum(best, [mesh_row(best)]) if (best := min(found, key=lambda s: s.cost, default=None)) else None
+
+
+def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple[np.ndarray, tuple[Optimum, ...], float | None]:
+    """Each task's mesh refined with the springs held, then springs and motions once more on these meshes.
+
+    Returns the springs, the motions, and the relative decrease of the objective by the latter, as `SetResult.change`.
+    """
+    parameters = joint.solution.parameters
+    starts = [[motion] for motion in _motions(design, joint)]
+    motions = held_motions(design, parameters, starts, replace(options, motions=0))
+    motions = ordered(_refined_alone, [(one, options, o) for one, o in zip(design.held(parameters), motions, strict=True)])
+    before = design.total([o.cost for o in motions])
+    mesh = tuple(fractions for o in motions for fractions in o.solution.transcription.mesh)
+    transcription = replace(transcribed(design, options, 1), mesh=mesh)
+    settings = Options(barrier=1e-8, tolerance=min(1e-8, 1e-3 * options.refinement.tolerance))
+    start = design.guess([o.solution.guess() for o in motions], parameters)
+    again = Solver(transcription, settings).solve(start, design.data(options.widths[-1]), check=False)
+    if again.status != SOLVED or again.cost >= before:
+        return parameters, tuple(motions), 0.0 if again.status == SOLVED else None
+    held = design.held(again.parameters)
+    calls = [(one, settings, o, m) for one, o, m in zip(held, motions, design.motions(again.guess()), strict=True)]
+    moved = tuple(ordered(_on_mesh, calls))
+    after = design.total([o.cost for o in moved])
+    return (again.parameters, moved, 1 - after / before) if after < before else (parameters, tuple(motions), 0.0)
+
+
+def _refined_alone(design: CoDesign, options: SearchOptions, optimum: Optimum) -> Optimum:
+    return refined(design, options, [optimum])[0]
+
+
+def _on_mesh(design: CoDesign, settings: Options, old: Optimum, start: Guess) -> Optimum:
+    """A motion on the mesh of an old one, with other springs held."""
+    problem = replace(design.problem, data=old.solution.problem.data)
+    transcription = replace(old.solution.transcription, problem=problem)
+    found = Solver(transcription, settings).solve(replace(start, parameters=design.problem.p_lower))
+    checked = {key: old.meshes[-1][key] for key in ("change", "converged") if key in old.meshes[-1]}
+    return Optimum(found, [*old.meshes, mesh_row(found) | checked])
+
+
+def _better_alone(design: SetDesign, task: int, alone: Optimum, found: Optimum, options: SearchOptions) -> Optimum:
+    """The optimum of a task alone; where the set's motion costs less, the one near that, its springs free."""
+    if found.cost >= alone.cost * (1 - CHEAPER):
+        return alone
+    one = design.designs[task]
+    followed = follow_to_fine_mesh(one, options, found.solution.guess())
+    tried = [alone] if followed is None else [alone, _refined_alone(one, options, followed)]
+    return min(tried, key=lambda o: o.cost)
+
+
+def front(result: SetResult, options: SearchOptions, count: int) -> list[FrontPoint]:
+    """The set's optimum, `count` optima that favour the first task more and more, and that of the first task alone.
+
+    The objective is (1 − share) Σ w_t V_t + share Σ w_t V_0; the optima between the ends are on the fine mesh, each found from the one
+    before.
+    """
+    design, weights = result.design, result.design.tasks.weights
+
+    def point(share: float, motions: Sequence[Optimum]) -> FrontPoint:
+        costs = [o.cost for o in motions]
+        return FrontPoint(share, costs, design.total(costs), design.first.hardware(motions[0].solution.parameters))
+
+    points, motions = [point(0.0, result.motions)], list(result.motions)
+    for share in np.linspace(0, 1, count + 2)[1:-1]:
+        weighed = (1 - share) * weights
+        weighed[0] += share * weights.sum()
+        leaning = replace(design, tasks=replace(design.tasks, weights=weighed))
+        found = _rejoined(leaning, motions, motions[0].solution.parameters, options)
+        if found is not None:
+            starts = [[motion] for motion in _motions(leaning, found)]
+            motions = held_motions(leaning, found.solution.parameters, starts, replace(options, motions=0))
+            points.append(point(float(share), motions))
+    return [*points, point(1.0, result.first)]

@@ -1,0 +1,250 @@
+"""A study of a set of tasks: one set of springs for all of them in every configuration, each saved as soon as it is solved.
+
+Beside the set's springs stand those tuned to each task alone, and those tuned to the first task, with the best motions for both.
+Every optimum is certified, simulated in MuJoCo and, where a calibrated model is given, tracked in that.
+"""
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rrr_oc import __version__
+from rrr_oc.calibration.model_file import load_model
+from rrr_oc.codesign.certificate import certify
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.optimum import (
+    SampledMotion,
+    check_simulation,
+    describe,
+    describe_simulation,
+    idle_springs,
+    mounted,
+    resimulate,
+    restart_arrays,
+    restored,
+    sample_motion,
+)
+from rrr_oc.codesign.search.local_optima import Optimum
+from rrr_oc.codesign.search.multistart import SearchResult, arranged_costs, solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.springs import arrangements
+from rrr_oc.codesign.study import Listener, Request, Twin, once, save, taken
+from rrr_oc.codesign.task import PHASES
+from rrr_oc.codesign.task_sets.set_search import SetResult, SetStart, front, solve_set
+from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_task_set, with_uncertainty
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
+from rrr_oc.errors import UserError
+from rrr_oc.model.metrics import measure
+from rrr_oc.optimal_control.solver import Solution, SolverFailure
+from rrr_oc.parallel import ordered, unordered
+from rrr_oc.robot.drives import load_actuators
+from rrr_oc.storage import check_folder, plain, write_npz
+
+
+@dataclass(frozen=True, eq=False)
+class SetStudy:
+    """What all configurations of a run share.
+
+    Attributes:
+        out: Folder of the results.
+        tasks: The set.
+        designs: By configuration, in every way in which the tasks let its springs be mounted.
+        asked: The settings on which a result depends.
+        options: Of every search.
+        twin: The calibrated model, if there is one.
+        points: Number of optima between that of the set and that of the first task.
+        cost: Of `COSTS`.
+        listener: Who is told how it goes on.
+    """
+
+    out: Path
+    tasks: TaskSet
+    designs: Mapping[str, Sequence[SetDesign]]
+    asked: dict[str, Any]
+    options: SearchOptions
+    twin: Twin | None
+    points: int
+    cost: str
+    listener: Listener
+
+    def results(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Configurations by name, each as soon as it is saved."""
+        for name, ways in self.designs.items():
+            files = [file_of(name, t) for t in range(len(self.tasks.tasks))]
+            yield name, once(self, name, partial(_solve, self, name, ways), files)
+
+
+def file_of(name: str, task: int) -> str:
+    """Name of the npz with the motion of a task, by its index, in a configuration."""
+    return f"{name}_{task + 1}"
+
+
+def prepared_set(request: Request, points: int, listener: Listener) -> SetStudy:
+    """A study of a set whose results are ready to be solved; raises `UserError` for whatever would end it later."""
+    tasks = load_task_set(request.task)
+    check_folder(request.out)
+    if request.catalogue is not None:
+        raise UserError(f"--catalogue is {request.catalogue!r}; for a set of tasks only 'none' is allowed")
+    if points and tasks.objective != "sum":
+        raise UserError(f"--front needs a set whose objective is 'sum'; that of {tasks.name!r} is {tasks.objective!r}")
+    joints = tasks.tasks[0].joints
+    drives = None if request.actuators is None else load_actuators(joints, request.actuators)
+    model = None if request.model is None else load_model(request.model)
+    like = CoDesign(tasks.tasks[0], (), request.cost, None if request.cost == "load" else drives)
+    designs: dict[str, list[SetDesign]] = {}
+    for name in request.configurations:
+        designs[name] = []
+        for springs in arrangements(tasks.tasks[0], name):
+            alone = tuple(replace(like, task=task, springs=springs) for task in tasks.tasks)
+            if model is not None and request.repaired:
+                alone = tuple(repaired(one, model, ("", "")) for one in alone)
+            known = model if request.repaired else None
+            designs[name].append(SetDesign(tasks, tuple(with_uncertainty(one, tasks, known) for one in alone)))
+    first = next(iter(designs.values()))[0].first
+    if model is not None:
+        check_transfer(first, model)
+    for ways in designs.values():
+        check_simulation(ways[0].first)
+    asked = {"set": tasks.contents, "cost": request.cost, "options": asdict(request.search), "front": points}
+    read = [None if request.cost == "load" else request.actuators, request.model]
+    asked |= {"files": [Path(f).read_text(encoding="utf-8") for f in read if f is not None and Path(f).is_file()]}
+    robot = first.task.robot
+    asked |= {"robot": [robot.placements, robot.axes, robot.inertial], "repaired": request.repaired, "version": __version__}
+    twin = None if model is None else Twin(model, drives)
+    return SetStudy(request.out, tasks, designs, asked, request.search, twin, points, request.cost, listener)
+
+
+def _solve(study: SetStudy, name: str, ways: Sequence[SetDesign]) -> dict[str, Any]:
+    """The entry of a configuration in summary.json; first writes the motions of the tasks."""
+    began = time.perf_counter()
+    design = ways[0] if len(ways) == 1 else _best_arranged(study, name, ways)
+    alone = _alone(study, name, design)
+    starts = 0
+    with study.listener.count(name, study.options.starts if design.sprung else None) as count:
+
+        def show(start: SetStart) -> None:
+            nonlocal starts
+            starts += 1
+            count(starts, "starts of the set")
+
+        result = solve_set(design, alone, study.options, show)
+    calls = [
+        (own, held, o, study.twin)
+        for own, held, o in zip(design.designs, design.held(result.parameters), result.motions, strict=True)
+    ]
+    tasks = {}
+    for t, (task, (found, arrays)) in enumerate(zip(study.tasks.tasks, ordered(_describe, calls), strict=True)):
+        write_npz(study.out / f"{file_of(name, t)}.npz", arrays)
+        compared = {"alone": result.alone[t].cost, "with_first": result.first[t].cost}
+        own = design.designs[t].hardware(result.alone[t].solution.parameters)
+        tasks[task.name] = found | compared | {"springs_alone": own}
+    return plain(_of_set(study, result) | {"tasks": tasks, "wall_s": time.perf_counter() - began})
+
+
+def _of_set(study: SetStudy, result: SetResult) -> dict[str, Any]:
+    design, parameters = result.design, result.parameters
+    points = front(result, study.options, study.points) if study.points and design.sprung else []
+    return {
+        "cost": result.total,
+        "alone": design.total([o.cost for o in result.alone]),
+        "with_first": design.total([o.cost for o in result.first]),
+        "springs": design.first.hardware(parameters),
+        "mounted": mounted(design.first),
+        "parameters": design.first.model.values(parameters),
+        "change": result.change,
+        "starts": [{"layer": start.layer, "polished": start.polished} for start in result.starts],
+        "front": [{"share": p.share, "first": p.costs[0], "total": p.total, "springs": p.springs} for p in points],
+        "interrupted": False,
+    }
+
+
+def _best_arranged(study: SetStudy, name: str, ways: Sequence[SetDesign]) -> SetDesign:
+    """Of ways to mount the springs the one in which the tasks alone cost least."""
+    study.listener.show(f"{name}: the tasks leave {len(ways)} ways to mount the springs open; each is tried")
+    costs = [arranged_costs(of_task, study.options) for of_task in zip(*(way.designs for way in ways), strict=True)]
+    return ways[int(np.argmin([way.total(of_way) for way, of_way in zip(ways, zip(*costs, strict=True), strict=True)]))]
+
+
+def _alone(study: SetStudy, name: str, design: SetDesign) -> list[Optimum]:
+    """The optimum of each task with springs of its own; each is saved as soon as it is solved, for a run that is interrupted."""
+    names = [f"{name} alone {t + 1}" for t in range(len(design.designs))]
+    open_ = [t for t, one in enumerate(names) if taken(study, one, [f".{one}"]) is None]
+    with study.listener.count(f"{name} alone", len(names)) as count:
+        count(len(names) - len(open_), "tasks alone")
+        calls = [(t, design.designs[t], study.options) for t in open_]
+        for done, (t, optimum) in enumerate(unordered(_search, calls), len(names) - len(open_) + 1):
+            if isinstance(optimum, SolverFailure):
+                task = design.designs[t].task.name
+                raise UserError(f"no motion of task {task!r} was found within its limits: {optimum}")
+            multipliers = {"lam_g": optimum.solution.lam_g, "lam_w": optimum.solution.lam_w}
+            write_npz(study.out / f".{names[t]}.npz", restart_arrays(optimum.solution) | multipliers)
+            save(study, names[t], plain({"meshes": optimum.meshes}))
+            count(done, "tasks alone")
+    return [_restored(study, one, own) for one, own in zip(names, design.designs, strict=True)]
+
+
+def _search(task: int, design: CoDesign, options: SearchOptions) -> tuple[int, Optimum | SolverFailure]:
+    try:
+        return task, solve_multistart(design, options).whole().best
+    except SolverFailure as failure:
+        return task, failure
+
+
+def _restored(study: SetStudy, name: str, design: CoDesign) -> Optimum:
+    found = taken(study, name, [f".{name}"])
+    assert found is not None
+    with np.load(study.out / f".{name}.npz") as file:
+        solution = replace(restored(design, study.options, file), lam_g=file["lam_g"], lam_w=file["lam_w"])
+    return Optimum(solution, found["meshes"])
+
+
+def _describe(
+    own: CoDesign, held: CoDesign, optimum: Optimum, twin: Twin | None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The entry of a task, and the arrays of its motion.
+
+    Args:
+        own: The task's problem with the bounds of the springs.
+        held: The same with the springs held.
+    """
+    solution = optimum.solution
+    motion = sample_motion(held, solution)
+    found = describe(held, motion.metrics()) | {
+        "cost": solution.cost,
+        "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
+        "lowest_tool_m": min(float(held.model.tool_height(q)) for q in held.task.full(motion.q).T[::7]),
+        "idle": idle_springs(own, motion, solution.parameters),
+        "certificate": asdict(certify(SearchResult(held, (optimum,), (), False), optimum)),
+        "meshes": optimum.meshes,
+        "mujoco": describe_simulation(held, solution, motion),
+        "scenarios": [_in_scenario(held, solution, motion, i) for i in range(len(held.scenarios))],
+        "calibrated": twin and describe_transfer(held, motion, solution.parameters, twin.model, twin.drives),
+    }
+    return plain(found), motion.arrays | {"joints": np.array(held.task.joints)} | restart_arrays(solution)
+
+
+def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, index: int) -> dict[str, Any]:
+    """E1 of a motion in one scenario, as planned and in MuJoCo, which knows the scenario."""
+    scenario, task = design.scenarios[index], design.task
+    w, names = solution.w.copy(), solution.problem.parameters
+    for at, value in scenario.theta:
+        w[at] = value / solution.problem.p_scale[at]
+    case = replace(solution, w=w)
+    there = replace(design, task=replace(task, payload=task.payload * scenario.payload), scenarios=design.scenarios[:1])
+    widths = solution.problem.data[1 : 1 + design.model.widths.size]
+    payloads = there.task.payloads
+    torques = [
+        (motion.t[k], np.array(there.torques(motion.q[:, k], motion.dq[:, k], motion.ddq[:, k], m, case.parameters, widths)[0]))
+        for k, m in zip(motion.phases(), payloads, strict=True)
+    ]
+    return {
+        "payload_kg": there.task.payload,
+        "parameters": {names[at]: value for at, value in scenario.theta},
+        "E1": measure(torques).E1_total,
+        "mujoco": describe(there, resimulate(there, case, motion).metrics, task.moving)["E1"],
+    }
