@@ -7,6 +7,7 @@ ValueError("key: what is wrong with it").
 
 import importlib.resources
 import json
+import math
 import re
 import reprlib
 import tomllib
@@ -26,6 +27,7 @@ FREE = ("comment", "description", "license", "source")  # text for people, allow
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
 NonNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 Interval = tuple[float, float]
 Vector = tuple[float, float, float]
 # What files may call by either name, as they do not agree on whether a key ends with its unit: mass at the tool, and a point
@@ -114,6 +116,12 @@ def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> 
 def without_comments(text: str) -> str:
     """The same text with blanks in place of its comments, so that lines and columns stay; // in quotation marks begins none."""
     return re.sub(r'"(?:\\.|[^"\\\n])*"|//[^\n]*', lambda m: m[0] if m[0][0] == '"' else " " * len(m[0]), text)
+
+
+def decimal(text: str) -> float | None:
+    """The finite number that a text is, as every program reads it: in ASCII, with a decimal point, without blanks; None for any other."""
+    value = float(text) if _DECIMAL.fullmatch(text) else math.inf
+    return value if math.isfinite(value) else None
 
 
 def one_spelling(found: Iterable[str], spellings: Sequence[str], where: str) -> str | None:

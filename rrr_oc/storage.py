@@ -5,6 +5,7 @@ import math
 import os
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,14 +15,28 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 
+LARGEST = 2_000_000_000  # [bytes] of a file that is read; doubled, a file of this size may take all memory of a small machine
+
+
+def read_regular(path: str | Path) -> bytes:
+    """The content of a regular file of at most `LARGEST` bytes; raises `UserError` for a missing one, a pipe or a device."""
+    path = Path(path)
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):  # a pipe would be waited for, and a device may have no end
+            raise UserError(
+                f"{path}: is {'a folder' if stat.S_ISDIR(found.st_mode) else 'no regular file'}; a file is required"
+            )
+        if found.st_size > LARGEST:
+            raise UserError(f"{path}: has {found.st_size / 1e9:.1f} GB; files up to {LARGEST / 1e9:g} GB are read")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
 
 def read_utf8(path: str | Path) -> bytes:
     """A text file in UTF-8, less a byte-order mark; raises `UserError` where it is missing or something else."""
-    path = Path(path)
-    try:
-        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    data = read_regular(path).removeprefix(b"\xef\xbb\xbf")
     try:
         if not data.isascii():
             data.decode()
