@@ -46,7 +46,10 @@ GOOD = {"name": "x"}
         ({"one": {**GOOD, "size": -1}}, "f: one.size: found -1; a finite number of 0 or more is required"),
         ({"one": {**GOOD, "size": True}}, "f: one.size: found True; a finite number of 0 or more is required"),
         ({"one": {**GOOD, "point": [1, 2]}}, "f: one.point: found [1, 2]; a list of 3 numbers is required"),
-        ({"one": {**GOOD, "point": [1, 2, "z"]}}, "f: one.point[2]: found 'z'; a finite number is required"),
+        (
+            {"one": {**GOOD, "point": [1, 2, "z"]}},
+            "f: one.point[2]: found 'z'; a finite number from -10000 to 10000 is required",
+        ),
         (
             {"one": {**GOOD, "bounds": [2, 1]}},
             "f: one.bounds: bounds are crossed: 2 … 1; the lower must not be above the upper",

@@ -15,7 +15,7 @@ from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Workers, command_line
+from rrr_oc.commands.shared import Jobs, Workers, check_apart, command_line
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
 from rrr_oc.report.study_files import write_study
@@ -61,6 +61,8 @@ def design(
     search = SearchOptions(starts=starts, seed=seed, hops=hops, refinement=Refinement(tolerance))
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, catalogue_search, model, repaired)
+    read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
+    check_apart(read, [out / name for name in ("summary.json", "report.md", "report.html", "*.png")])
     with parallel.workers(jobs, workers):
         _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
 

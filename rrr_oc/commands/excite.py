@@ -10,7 +10,7 @@ from rich.table import Table
 
 from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Joints, Workers, named
+from rrr_oc.commands.shared import Jobs, Joints, Workers, check_apart, named
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Excitation, Search
@@ -56,6 +56,7 @@ def excite(
     output = Output(quiet, as_json)
     search = Search(duration, harmonics, starts, seed=seed)
     check_file(out)
+    check_apart([Path(urdf)], [out])
     robot = load_robot(urdf, named(joints))
     rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, -math.inf if floor is None else floor, payload)
     for note in (*robot.notes, *_unlimited(robot, rig)):

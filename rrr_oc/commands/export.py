@@ -11,6 +11,7 @@ from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.springs import SavedSprings, saved_springs
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import check_apart
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.simulation.export import mjcf, urdf
@@ -40,6 +41,8 @@ def export(
     wanted, springs = _designed(design, configuration, task)
     if found is None and wanted is None:
         raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
+    read = [path for path in (model, design) if path is not None]
+    check_apart([*read, *(() if wanted is None else wanted.files)], [out / "arm.xml", out / "arm.urdf"])
     arm, theta, left_out = _arm(found, wanted, springs)
     made = mjcf(arm, theta, payload)
     write_text(out / "arm.xml", made.text)

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -58,11 +59,14 @@ def loaded(dataset: Path, output: Output) -> RecordingSet:
 
 
 def check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
-    """Raise `UserError` where what is to be written would take the place of what was read."""
-    inputs = {path.resolve() for path in read}
+    """Raise `UserError` where what is to be written would take the place of what was read; a name may be a pattern such as *.png."""
+    inputs = [place for path in read for place in (path.absolute(), path.resolve())]
     for path in written:
-        if path.resolve() in inputs:
-            raise UserError(f"{path}: is read by this command and would be overwritten; another place is required")
+        folder = path.absolute().parent
+        for one in inputs:
+            same = one == path.resolve() or (fnmatch(one.name, path.name) and one.parent in (folder, folder.resolve()))
+            if same:
+                raise UserError(f"{one}: is read by this command and would be overwritten; another place is required")
 
 
 def shown(value: float | None) -> str:

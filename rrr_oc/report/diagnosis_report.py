@@ -17,6 +17,8 @@ from rrr_oc.report.pages.diagnosis_curves import curves
 from rrr_oc.report.pages.diagnosis_page import FIGURES, write_diagnosis_page
 from rrr_oc.storage import write_json, write_npz, write_text
 
+FILES = ("model.json", "diagnosis.json", "report.html", "*.png", FIGURES, "suggested_*.csv")  # that `write_diagnosis` writes
+
 
 def write_diagnosis(
     diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, Any] | None = None, command: str = ""

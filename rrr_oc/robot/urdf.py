@@ -9,6 +9,7 @@ import numpy as np
 from rrr_oc.errors import UserError
 from rrr_oc.schema import decimal
 
+LARGEST = 1e6  # magnitude of a mass, length or moment of inertia [SI]; ten times that, and dynamics still have no meaning
 DEEPEST = 100  # elements within each other; doubled, nothing changes for real files
 _COORDINATES = {"xyz": 3, "rpy": 3}
 # Numbers of the elements that are used: how many each attribute holds
@@ -94,6 +95,10 @@ class Elements:
                 if len(text.split()) != count or any(decimal(part) is None for part in text.split()):
                     wanted = "a finite number with a decimal point is" if count == 1 else f"{count} finite numbers are"
                     raise self.fault(element, of, f"has <{element.tag} {key}={text!r}>; {wanted} required")
+                if element.tag != "limit" and max(abs(float(part)) for part in text.split()) > LARGEST:
+                    raise self.fault(
+                        element, of, f"has <{element.tag} {key}={text!r}>; magnitudes up to {LARGEST:g} are allowed"
+                    )
                 if element.tag == "mass" and float(text) < 0:
                     raise self.fault(element, of, f"has the mass {float(text):g} kg; 0 or more is required")
                 element.set(key, " ".join(text.split()))

@@ -1,0 +1,149 @@
+"""Files that look right and are not: what would give a wrong result is one sentence instead."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+
+from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.model_file import load_model, save_model
+from rrr_oc.commands.shared import check_apart
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.csv_table import read_table
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.recordings.writer import save_recordings
+from rrr_oc.robot.drives import load_actuators
+
+PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return as_set(PLANT, [record(PLANT, "0.csv", np.random.default_rng(0), 6.0)])
+
+
+@pytest.fixture
+def model(recordings, tmp_path):
+    """A function that reads a model.json again in which values were changed, by their keys."""
+    path = tmp_path / "model.json"
+    save_model(plain_model(recordings), path)
+
+    def changed(*keys, value):
+        content = json.loads(path.read_text())
+        place = content
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = value
+        path.write_text(json.dumps(content))
+        return load_model(path)
+
+    return changed
+
+
+ENTRY = {"effect": "gravity_tilt", "joints": [], "options": {}, "width": None, "recordings": "all", "groups": []}
+ANGLE = {"value": 0.01, "unit": "rad", "std": None, "interval": None, "at_bound": False}
+TILT = {**ENTRY, "parameters": {"about_x": ANGLE, "about_y": ANGLE}}
+FRICTION = ("effects", 0, "parameters", "level")
+SERIES = {"variables": [["q", 0]], "low": [-1.0], "high": [1.0], "orders": [1]}
+
+
+def series(**changes):
+    """A term without a law on the first joint, with other options."""
+    coefficient = {**ANGLE, "unit": "Nm"}
+    entry = {**ENTRY, "effect": "empirical", "joints": ["joint1"], "width": {"value": 0.05, "unit": "rad/s"}}
+    return [{**entry, "options": SERIES | changes, "parameters": {"c_1": coefficient}}]
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "said"),
+    [
+        ((*FRICTION, "value"), -3.0, "effects[0].parameters.level.value: found -3; 0 to inf are allowed"),
+        ((*FRICTION, "value"), 1e300, "effects[0].parameters.level.value: found 1e+300; a finite number from"),
+        ((*FRICTION, "unit"), "A", "effects[0].parameters.level.unit: found 'A'; 'Nm' is required"),
+        ((*FRICTION, "interval"), [2.0, 1.0], "effects[0].parameters.level.interval: bounds are crossed: 2 … 1"),
+        ((*FRICTION, "std"), -1.0, "effects[0].parameters.level.std: found -1.0; a finite number of 0 or more"),
+        (("effects", 0, "width", "value"), -1.0, "effects[0].width.value: found -1.0"),
+        (("effects", 0, "width", "unit"), "rad", "effects[0].width.unit: found 'rad'; 'rad/s' is required"),
+        (("effects", 0, "joints"), [], "effects[0].joints: found []; 1 different joint are required by dry_friction"),
+        (("effects", 0, "joints"), ["joint1", "joint2"], "effects[0].joints: found ['joint1', 'joint2']; 1 different"),
+        (("effects",), [TILT | {"joints": ["joint1"]}], "effects[0].joints: found ['joint1']; no joint is required"),
+        (("effects",), [TILT, TILT], "effects[1]: gravity_tilt stands in effects[0] already"),
+        (("effects", 0, "recordings"), "0.csv", "effects[0].recordings: found '0.csv'; allowed is 'all'"),
+        (("effects", 0, "options"), {"turn": 3}, "effects[0].options.turn: found 3; a text is required"),
+        (("effects", 0, "options"), {"joints": [2]}, "effects[0].options: unknown option 'joints'"),
+        (
+            ("effects",),
+            series(low=[1.0]),
+            "effects[0].options: found variables (('q', 0),) from (1.0,) to (1.0,); a rising range",
+        ),
+        (("effects",), series(orders=[1, 1]), "effects[0].options: found orders (1, 1)"),
+        (("effects",), series(variables=[["q", 3]]), "effects[0].options: found joint 3; 0 to 2 are allowed"),
+        (("noise", "joint1"), -1.0, "noise.joint1: found -1.0; a finite number of 0 or more"),
+        (("robot", "inertial", "link1", 0), -2.0, "robot.inertial.link1: found [-2.0"),
+        (("robot", "inertial", "link2", 9), 9.0, "robot.inertial.link2: found ["),
+        (("robot", "inertial", "link3"), "heavy", "robot.inertial.link3: found 'heavy'"),
+        (("gravity",), [0, 0, -1e300], "gravity[2]: found -1e+300"),
+    ],
+)
+def test_a_model_that_no_arm_can_have_is_refused(model, keys, value, said):
+    with pytest.raises(UserError) as caught:
+        model(*keys, value=value)
+    assert f"model.json: {said}" in str(caught.value)
+
+
+def test_models_that_are_right_are_read(model):
+    assert len(model("effects", value=[TILT]).terms) == 1
+    assert len(model("effects", value=series()).terms) == 1
+
+
+DRIVE = {
+    "torque_constant_Nm_per_A": 10.0, "c_0_A": 0.5, "viscous_A_s_per_rad": 2.0, "c_v2_A_s2_per_rad2": -0.5, "c_1_A_per_Nm": 0.1,
+    "c_12_A_per_Nm": 0.01, "inertia_A_s2_per_rad": 0.0, "resistance_Ohm": 0.6,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *((key, value) for key in ("torque_constant_Nm_per_A", "c_1_A_per_Nm", "resistance_Ohm") for value in (0, -1)),
+        *((key, -1) for key in ("c_0_A", "viscous_A_s_per_rad", "inertia_A_s2_per_rad")),
+        *(("c_12_A_per_Nm", value) for value in (0.1, -0.1)),
+        *(("c_0_A", value) for value in (1e10, 10**400, "1", False, None)),
+    ],
+)
+def test_a_drive_that_none_has_is_refused(tmp_path, key, value):
+    (tmp_path / "drives.json").write_text(json.dumps({"j": DRIVE}))
+    assert load_actuators(["j"], str(tmp_path / "drives.json")).resistance == 0.6
+    (tmp_path / "drives.json").write_text(json.dumps({"j": DRIVE | {key: value}}))
+    with pytest.raises(UserError, match=f"drives.json: j.*{key}"):
+        load_actuators(["j"], str(tmp_path / "drives.json"))
+
+
+@pytest.mark.parametrize("cell", ["1_0", "٣", "１", "0x1", "1e", "true", "--1", "1 2"])
+def test_what_only_python_takes_for_a_number_is_none(tmp_path, cell):
+    (tmp_path / "a.csv").write_text(f"t,q\n0,1\n1,{cell}\n", encoding="utf-8")
+    with pytest.raises(UserError, match=r"a\.csv, line 3, column 'q': found .*; a number"):
+        read_table(tmp_path / "a.csv").columns(["t", "q"])
+
+
+def test_a_recording_too_short_for_the_filters_does_not_drop_out(recordings, tmp_path):
+    save_recordings(recordings, tmp_path / "set")
+    lines = (tmp_path / "set" / "0.csv").read_text().splitlines()
+    (tmp_path / "set" / "1.csv").write_text("\n".join(lines[:7]) + "\n")
+    header = json.loads((tmp_path / "set" / "recordings.json").read_text())
+    header["recordings"].append({"file": "1.csv"})
+    (tmp_path / "set" / "recordings.json").write_text(json.dumps(header))
+    with pytest.raises(UserError, match=r"1\.csv: 6 rows of 0\.05 s are too short for the filters, which take 0\.2 s"):
+        calibrate(load_recordings(tmp_path / "set"))
+
+
+def test_what_is_read_is_not_written_over(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "in", target_is_directory=True)
+    read = [tmp_path / "in" / "model.json", tmp_path / "in" / "a.png"]
+    check_apart(read, [tmp_path / "out" / "model.json", tmp_path / "in" / "b.png", tmp_path / "in" / "*.csv"])
+    for written in ("in/model.json", "in/../in/model.json", "link/model.json", "in/*.png", "link/*.png"):
+        with pytest.raises(UserError, match="is read by this command and would be overwritten"):
+            check_apart(read, [Path(f"{tmp_path}/{written}")])
