@@ -1,6 +1,7 @@
 """The one error that a user can mend, and how a command ends."""
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -18,6 +19,15 @@ STATUSES = {
 }
 
 
+# Characters that move a terminal's cursor, colour or hide what follows, or turn the direction of writing; lines and tabs are none
+_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def printable(text: str) -> str:
+    """A text for a terminal: control characters, as names in files may have them, as \\u and their code."""
+    return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
 class UserError(Exception):
     """Input that cannot be used: says what was found and what is allowed. The command line exits with status 2."""
 
@@ -29,7 +39,7 @@ def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
         try:
             command()
         except UserError as error:
-            sys.stderr.write(f"Error: {error}\n")
+            sys.stderr.write(f"Error: {printable(str(error))}\n")
             raise SystemExit(2) from None
         except KeyboardInterrupt:
             sys.stderr.write("Interrupted.\n")

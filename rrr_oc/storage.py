@@ -97,8 +97,7 @@ def check_file(path: str | Path) -> None:
     """Raise `UserError` where no file of this name could be written; for checks before a long computation."""
     path = Path(path).absolute()
     with _as_user_error(path):
-        if path.is_dir():
-            raise UserError(f"{path}: is a folder; the name of a file is required")
+        _check_replaceable(path)
         _check_place(path.parent)
 
 
@@ -109,6 +108,14 @@ def check_folder(path: str | Path) -> None:
         if path.exists() and not path.is_dir():
             raise UserError(f"{path}: is a file; a folder is required")
         _check_place(path)
+
+
+def _check_replaceable(path: Path) -> None:
+    """Raise `UserError` where something other than a file has a name: what is written would take its place."""
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; the name of a file is required")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path}: is a device or a pipe; the name of a file is required")
 
 
 def _check_place(folder: Path) -> None:
@@ -126,6 +133,7 @@ def new_file(path: str | Path) -> Iterator[BinaryIO]:
     temporary = _beside(path)
     try:
         with _as_user_error(path):
+            _check_replaceable(path)
             path.parent.mkdir(parents=True, exist_ok=True)
             with temporary.open("xb") as file:
                 yield file

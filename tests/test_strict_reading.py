@@ -1,21 +1,30 @@
 """Files that look right and are not: what would give a wrong result is one sentence instead."""
 
+import io
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
+from rich.table import Table
 
+from rrr_oc import storage
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
+from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import check_apart
-from rrr_oc.errors import UserError
+from rrr_oc.effects.priors import load_priors
+from rrr_oc.errors import UserError, entry_point
 from rrr_oc.recordings.csv_table import read_table
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.writer import save_recordings
+from rrr_oc.report.console import PlainConsole
 from rrr_oc.robot.drives import load_actuators
+from rrr_oc.robot.robot import load_robot
+from rrr_oc.storage import check_file, read_regular, write_text
 
 PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
 
@@ -138,6 +147,83 @@ def test_a_recording_too_short_for_the_filters_does_not_drop_out(recordings, tmp
     (tmp_path / "set" / "recordings.json").write_text(json.dumps(header))
     with pytest.raises(UserError, match=r"1\.csv: 6 rows of 0\.05 s are too short for the filters, which take 0\.2 s"):
         calibrate(load_recordings(tmp_path / "set"))
+
+
+def test_a_link_out_of_the_set_is_not_followed(recordings, tmp_path):
+    save_recordings(recordings, tmp_path / "set")
+    table = tmp_path / "set" / "0.csv"
+    table.rename(tmp_path / "set" / "other.csv")
+    table.symlink_to("other.csv")
+    (tmp_path / "there").symlink_to(tmp_path / "set", target_is_directory=True)
+    assert load_recordings(tmp_path / "there").recordings[0].file == "0.csv"  # within the set, and to the set
+    (tmp_path / "secret").write_text("user:password\n")
+    table.unlink()
+    table.symlink_to(tmp_path / "secret")
+    with pytest.raises(UserError, match=r"0\.csv: is a link that leads out of the set's folder") as caught:
+        load_recordings(tmp_path / "set")
+    assert "password" not in str(caught.value)
+
+
+HOSTILE = "joint\x1b[31m\x9b2J\u202e\r[bold]:boom:"
+SHOWN = "joint\\u001b[31m\\u009b2J\\u202e\\u000d[bold]:boom:"
+
+
+def test_names_do_not_command_the_terminal(capsys, monkeypatch):
+    output = Output()
+    table = Table(HOSTILE)
+    table.add_row(HOSTILE)
+    output.show(table)
+    output.show(HOSTILE)
+    output.note(HOSTILE)
+    output.result({HOSTILE: HOSTILE})
+    with output.steps(HOSTILE) as step, output.count(HOSTILE, 1) as count:
+        step(HOSTILE)
+        count(1, HOSTILE)
+
+    def fail():
+        raise UserError(HOSTILE)
+
+    with pytest.raises(SystemExit):
+        entry_point(fail)()
+    printed = capsys.readouterr()
+    assert printed.out.count(SHOWN) == 3
+    assert printed.err.count(SHOWN) == 6
+    assert not set("\x1b\x9b\u202e\r") & set(printed.out + printed.err)
+    Output(as_json=True).result({"a": "\x9b"})
+    assert json.loads(capsys.readouterr().out) == {"a": "\x9b"}
+
+
+def test_progress_on_a_terminal_takes_names_literally():
+    file, output = io.StringIO(), Output()
+    output.__dict__["_beside"] = PlainConsole(
+        file=file, force_terminal=True, width=200, markup=False
+    )  # where a terminal would be
+    with output.steps(HOSTILE) as step:
+        step(HOSTILE)
+    with output.count(HOSTILE, 1) as count:
+        count(1, HOSTILE)
+    written = file.getvalue()
+    assert SHOWN in written
+    assert not set("\x9b\u202e") & set(written)
+    assert "\x1b[31m\\u009b" not in written
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/null")])
+def test_only_files_are_read_and_replaced(tmp_path, make):
+    """A pipe would be waited for, /dev/zero has no end, and a device that is replaced is gone."""
+    path = tmp_path / "thing"
+    make(path)
+    for use in (check_file, read_table, read_regular, load_model, load_robot, load_priors, lambda at: write_text(at, "")):
+        with pytest.raises(UserError, match=r"thing: is (no regular file|a device or a pipe)"):
+            use(path)
+    assert not path.is_file()
+
+
+def test_a_file_too_large_is_not_read(tmp_path, monkeypatch):
+    (tmp_path / "a").write_text("abc")
+    monkeypatch.setattr(storage, "LARGEST", 2)
+    with pytest.raises(UserError, match=r"a: has 0\.0 GB; files up to 2e-09 GB are read"):
+        read_regular(tmp_path / "a")
 
 
 def test_what_is_read_is_not_written_over(tmp_path):

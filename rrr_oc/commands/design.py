@@ -16,6 +16,7 @@ from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Jobs, Workers, check_apart, command_line
+from rrr_oc.errors import printable
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
 from rrr_oc.report.study_files import write_study
@@ -79,7 +80,7 @@ def _run(study: Study, output: Output, command: str) -> None:
         if found:
             summary, text = write_study(study, found, time.perf_counter() - began, command)
             output.result(summary)
-            output.show(Markdown(text.split("## Certificates")[0]))
+            output.show(Markdown(printable(text.split("## Certificates")[0])))
             output.show(
                 f"Everything is in {study.out}: report.html, report.md, summary.json, figures, one npz a configuration."
             )

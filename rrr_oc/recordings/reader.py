@@ -39,7 +39,7 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     source = listed if robot is None else robot
     arm, tool = _robot(file, source, header)
     loaded = tuple(
-        _recording(folder / entry.file, entry, springs, header, arm)
+        _recording(folder, entry, springs, header, arm)
         for entry, springs in zip(header.recordings, read_springs(file, header), strict=True)
     )
     plausibility.check_alike({str(folder / r.file): float(np.median(np.diff(r.t))) for r in loaded})
@@ -56,7 +56,10 @@ def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolP
         raise UserError(f"{file}: robot {str(source)!r} cannot be read: {error.strerror}") from None
 
 
-def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
+def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
+    path = folder / entry.file
+    if not path.resolve().is_relative_to(folder.resolve()):  # a message may show what stands in it
+        raise UserError(f"{path}: is a link that leads out of the set's folder; a recording must lie in it")
     table = _one_payload(read_table(path))
     recorded = tuple(f"{'current' if header.torque == 'current' else 'tau'}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
