@@ -29,6 +29,8 @@ Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")
 NonNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_HALF = re.compile("[\ud800-\udfff]")  # surrogates, which JSON may have alone
+DEEPEST = 100  # brackets within each other; doubled, nothing changes for real files
 LARGEST = 1e9  # magnitude of a number that a user writes, in any unit: beyond it nothing is measured, and powers overflow
 Interval = tuple[float, float]
 _Coordinate = Annotated[
@@ -178,19 +180,28 @@ def _place(where: str | Path, path: str) -> str:
 
 
 def _within(where: str | Path, data: T, largest: float) -> T:
-    """The same data; raises `UserError` for a number beyond a magnitude."""
-    for path, value in _beyond("", data, largest):
+    """The same data; raises `UserError` for a number beyond a magnitude and for half a character."""
+    for path, value in _unusable("", data, largest):
+        if isinstance(value, str):
+            raise UserError(f"{where}: found {ascii(value)[:60]}; a text without halves of characters is required")
         finite = largest <= abs(value) <= sys.float_info.max
         wanted = f"magnitudes up to {largest:g} are allowed" if finite else "a finite number is required"
         raise UserError(f"{_place(where, path)}: found {reprlib.repr(value)}; {wanted}")
     return data
 
 
-def _beyond(path: str, data: Any, largest: float) -> Iterator[tuple[str, Any]]:
-    """Numbers beyond a magnitude, and those that are none, each with its place."""
+def _unusable(path: str, data: Any, largest: float, depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """Numbers beyond a magnitude, those that are none, and texts that UTF-8 has not, each with its place."""
     if isinstance(data, dict | list):
+        if depth > DEEPEST:
+            raise RecursionError(f"brackets stand within each other more than {DEEPEST} deep")
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            yield from _beyond(f"{path}.{key}" if isinstance(data, dict) else f"{path}[{key}]", value, largest)
+            if isinstance(key, str):
+                yield from _unusable(path, key, largest)
+            yield from _unusable(f"{path}.{key}" if isinstance(data, dict) else f"{path}[{key}]", value, largest, depth + 1)
+    elif isinstance(data, str):
+        if not data.isascii() and _HALF.search(data):
+            yield path, data
     elif isinstance(data, float | int) and not abs(data) <= largest:  # integers may be beyond floats, too
         yield path, data
 

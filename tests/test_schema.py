@@ -87,6 +87,7 @@ def test_numbers_may_be_written_as_integers():
         ('{"a": 1' + 400 * "0" + "}", r"f: a: found 10+\.\.\.0+; a finite number is required"),
         ("9" * 5000, "f: not usable JSON"),
         ("[" * 100_000, "f: not usable JSON"),
+        ("[" * 300 + "]" * 300, "f: not usable JSON: brackets stand within each other more than 100 deep"),
     ],
 )
 def test_broken_json_is_one_sentence(text, message):

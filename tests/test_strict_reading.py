@@ -1,9 +1,11 @@
 """Files that look right and are not: what would give a wrong result is one sentence instead."""
 
+import fcntl
 import io
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,17 +16,22 @@ from rrr_oc import storage
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
+from rrr_oc.codesign.catalogue import load_catalogue
+from rrr_oc.codesign.springs import saved_springs
+from rrr_oc.codesign.study import _once
+from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import check_apart
 from rrr_oc.effects.priors import load_priors
 from rrr_oc.errors import UserError, entry_point
+from rrr_oc.paper.run_store import Run
 from rrr_oc.recordings.csv_table import read_table
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.report.console import PlainConsole
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.robot.robot import load_robot
-from rrr_oc.storage import check_file, read_regular, write_text
+from rrr_oc.storage import check_file, check_folder, new_files, read_npz, read_regular, write_npz, write_text
 
 PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
 
@@ -224,6 +231,157 @@ def test_a_file_too_large_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(storage, "LARGEST", 2)
     with pytest.raises(UserError, match=r"a: has 0\.0 GB; files up to 2e-09 GB are read"):
         read_regular(tmp_path / "a")
+
+
+READERS = {
+    "actuators": lambda path: load_actuators(["joint1"], str(path)),
+    "task": load_task,
+    "catalogue": load_catalogue,
+    "model": load_model,
+    "header": load_recordings,
+    "summary": lambda path: saved_springs(path, "PEA", load_task("paper")),
+    "priors": load_priors,
+    "table": lambda path: load_recordings(path.with_name("header.json")),
+    "urdf": load_robot,
+    "npz": read_npz,
+}
+BROKEN = {
+    "blank": b"\n \x01",
+    "latin-1": '{"für": 1}'.encode("latin-1"),
+    "utf-16": '{"a": 1}'.encode("utf-16"),
+    "utf-16 without a mark": '{"a": 1}'.encode("utf-16-le"),
+    "surrogate in a text": b'{"a": ["\\udfff"]}',
+    "nul": b"\0" * 100,
+    "deep": b"[" * 100_000,
+    "not so deep": b'{"a": ' * 400 + b"1" + b"}" * 400,
+    "deep TOML": b"a = " + b"[" * 5000,
+    "infinite": b'{"a": 1e400}',
+    "large": b'{"a": 1' + b"0" * 400 + b"}",
+    "larger": b'{"a": 1' + b"0" * 5000 + b"}",
+    "large TOML": b"a = 1" + b"0" * 5000,
+    "list": b"[]",
+    "null": b"null",
+    "surrogate": b'{"\\ud800": 1}',
+    "zip": b"PK\x03\x04" + b"\0" * 40,
+}
+
+
+@pytest.mark.parametrize("broken", BROKEN)
+@pytest.mark.parametrize("reader", READERS)
+def test_whatever_is_no_such_file_is_one_sentence(tmp_path, reader, broken):
+    header = {"format": "rrr_oc-recordings/1", "robot": "rrr", "joints": ["joint1", "joint2", "joint3"]}
+    (tmp_path / "header.json").write_text(json.dumps(header | {"recordings": [{"file": "a.json"}]}))
+    (tmp_path / "a.json").write_bytes(BROKEN[broken])
+    with pytest.raises(UserError) as caught:
+        READERS[reader](tmp_path / "a.json")
+    assert len(str(caught.value)) < 700
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path):
+    (tmp_path / "a.json").write_bytes(b"\xef\xbb\xbf" + json.dumps({"j": DRIVE}).encode())
+    assert load_actuators(["j"], str(tmp_path / "a.json")).c_1 == 0.1
+
+
+def test_a_zip_bomb_is_not_unpacked(tmp_path, monkeypatch):
+    write_npz(tmp_path / "a.npz", {"a": np.zeros(100_000)})
+    assert read_npz(tmp_path / "a.npz")["a"].size == 100_000
+    monkeypatch.setattr(storage, "LARGEST", 10_000)
+    assert (tmp_path / "a.npz").stat().st_size < 10_000
+    with pytest.raises(UserError, match=r"a\.npz: has 0\.0 GB when unpacked"):
+        read_npz(tmp_path / "a.npz")
+
+
+def test_files_that_belong_together_are_replaced_in_one_step(tmp_path, monkeypatch):
+    """A process that is killed at any moment leaves the old ones, or new ones, never some of both."""
+
+    def there():
+        return {path.name: path.read_text() for path in tmp_path.iterdir() if path.is_file()}
+
+    def write(text, *names):
+        with new_files(tmp_path, ["model.json", "report.html", "*.png"]) as folder:
+            for name in names:
+                write_text(folder / name, text)
+                if name == "wrong":
+                    raise UserError("no")
+
+    write_text(tmp_path / "kept.csv", "kept")
+    write("old", "model.json", "report.html", "a.png")
+    with pytest.raises(UserError, match="no"):
+        write("new", "model.json", "wrong")
+    assert there() == {"kept.csv": "kept", "model.json": "old", "report.html": "old", "a.png": "old"}
+    calls, replace = [], os.replace
+    monkeypatch.setattr(storage.os, "replace", lambda *ends: calls.append(ends) or replace(*ends))
+    write("new", "model.json", "b.png")
+    assert there() == {"kept.csv": "kept", "model.json": "new", "b.png": "new"}
+    count = len(calls)
+    for end in range(count):  # killed before each of the renamings
+        monkeypatch.setattr(storage.os, "replace", replace)
+        write("old", "model.json", "report.html", "a.png")
+        left = iter(range(end))
+
+        def killed(*ends, left=left):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            replace(*ends)
+
+        monkeypatch.setattr(storage.os, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            write("new", "model.json", "b.png")
+        assert len({text for name, text in there().items() if name != "kept.csv"}) <= 1
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path):
+    stale, young, used, folder = (tmp_path / f".{name}.0123abcd.rrr_oc" for name in ("stale", "young", "used", "folder"))
+    folder.mkdir()
+    for path in (stale, young, used, folder / "inside", tmp_path / ".other.0123abcd.tmp"):
+        path.touch()
+    for path in (stale, used, folder):
+        os.utime(path, (1e9, 1e9))
+    with used.open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        check_folder(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {young.name, used.name, ".other.0123abcd.tmp"}
+
+
+def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    done, real = [], {name: getattr(os, name) for name in ("fsync", "replace")}
+    for name, function in real.items():
+        monkeypatch.setattr(storage.os, name, lambda *a, name=name, function=function: (done.append(name), function(*a)))
+    write_text(tmp_path / "a", "a")
+    assert done == ["fsync", "replace", "fsync"]
+
+
+def test_results_of_other_code_are_not_taken(tmp_path):
+    for asked, code in (({"a": 1}, "old"), ({"a": 2}, "new")):
+        Run(tmp_path, asked, code).save({"x": np.ones(1)})
+        assert Run(tmp_path, {"a": 1}, "new").saved() is None
+        Run(tmp_path, asked, code).finish({"E1": 1.0}, {})
+        assert Run(tmp_path, {"a": 1}, "new").found is None
+        assert Run(tmp_path, asked, code).found == {"E1": 1.0}
+    assert Run(tmp_path, {}).code == storage.code()
+
+
+@pytest.mark.parametrize("harm", [None, b"{", b"[1]", b'{"asked": {}}', "result", "motion", "settings"])
+def test_a_damaged_result_is_solved_again(tmp_path, harm):
+    said = []
+    study = SimpleNamespace(out=tmp_path, asked={"code": "1"}, listener=SimpleNamespace(show=said.append))
+
+    def solve():
+        write_npz(tmp_path / "SA.npz", {"x": np.ones(1)})
+        return {"E1": 0.1 + len(said), "interrupted": False}
+
+    first, saved = _once(study, "SA", solve), tmp_path / ".SA.json"
+    if harm == "result":
+        saved.write_text(saved.read_text().replace("0.1", "0.2"))
+    elif harm == "motion":
+        (tmp_path / "SA.npz").write_bytes((tmp_path / "SA.npz").read_bytes()[:-9])
+    elif harm == "settings":
+        study.asked = {"code": "2"}
+    elif harm:
+        saved.write_bytes(harm)
+    found = _once(study, "SA", solve)
+    assert (found == first) == (harm in (None, "settings"))
+    assert [line.split(" ")[1] for line in said] == {None: ["taken"], "settings": []}.get(harm, ["what"])
 
 
 def test_what_is_read_is_not_written_over(tmp_path):
