@@ -1,20 +1,26 @@
-"""The one error that a user can mend, and how a command ends."""
+"""The one error that a user can mend, and how a command ends: with one of `STATUSES`."""
 
 import os
+import platform
 import re
+import shlex
 import signal
 import sys
+import tempfile
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import distributions
 from typing import Any
 
+FAULT = 70  # exit status after an exception that nobody expected; of sysexits.h
 INTERRUPTED = 130  # exit status after Ctrl-C
 # What the exit statuses of all commands mean.
 STATUSES = {
     0: "done",
-    1: "a fault of this program, with its traceback",
     2: "input that cannot be used, with a sentence that says why",
+    FAULT: "a fault of this program, with a sentence that names a log file for a report",
     INTERRUPTED: "interrupted by Ctrl-C",
 }
 
@@ -33,7 +39,7 @@ class UserError(Exception):
 
 
 def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
-    """A command as its users run it: an error that they can mend is one sentence on stderr and exit status 2."""
+    """A command as its users run it: an error that they can mend is one sentence on stderr and exit status 2; of any other they get a log."""
 
     def run() -> None:
         try:
@@ -48,8 +54,28 @@ def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
             if end.code == INTERRUPTED:  # typer says nothing then
                 sys.stderr.write("Interrupted.\n")
             raise
+        except Exception as error:  # whatever nobody expected
+            sys.stderr.write(f"Error: {printable(_logged(error))}\n")
+            raise SystemExit(FAULT) from None
 
     return run
+
+
+def _logged(error: Exception) -> str:
+    """A sentence on a fault of this program, with the name of a new log file for a report."""
+    packages = sorted(f"{found.name} {found.version}" for found in distributions())
+    text = "\n".join(
+        [shlex.join(sys.argv), f"Python {sys.version}", platform.platform(), *packages, "", *traceback.format_exception(error)]
+    )
+    said = f"rrr-oc failed through a fault of its own, {type(error).__name__}{f' ({error})' * bool(str(error))}"
+    said = " ".join(said.split())[:300]
+    try:
+        descriptor, path = tempfile.mkstemp(prefix="rrr-oc-fault-", suffix=".log")
+        with os.fdopen(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(text)
+    except OSError:  # a full disk, perhaps the fault itself
+        return f"{said}; no log file could be written, so here is its content:\n{text}"
+    return f"{said}; {path} has what a report needs"
 
 
 @contextmanager

@@ -4,6 +4,8 @@ import fcntl
 import io
 import json
 import os
+import sys
+import tempfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -198,6 +200,29 @@ def test_names_do_not_command_the_terminal(capsys, monkeypatch):
     assert not set("\x1b\x9b\u202e\r") & set(printed.out + printed.err)
     Output(as_json=True).result({"a": "\x9b"})
     assert json.loads(capsys.readouterr().out) == {"a": "\x9b"}
+
+
+@pytest.mark.parametrize("disk", ["free", "full"])
+def test_a_fault_of_the_program_is_one_sentence_and_a_log(capsys, monkeypatch, tmp_path, disk):
+    def full(**_):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(sys, "argv", ["rrr-oc", "calibrate", "my set"])
+    if disk == "full":
+        monkeypatch.setattr(tempfile, "mkstemp", full)
+    with pytest.raises(SystemExit) as ended:
+        entry_point(lambda: {}[HOSTILE])()
+    assert ended.value.code == 70
+    said, logs = capsys.readouterr().err, list(tmp_path.iterdir())
+    assert said.startswith("Error: rrr-oc failed through a fault of its own, KeyError (")
+    if disk == "free":
+        assert said.count("\n") == 1
+        assert said.endswith(f"; {logs[0]} has what a report needs\n")
+    log = logs[0].read_text() if logs else said
+    assert "rrr-oc calibrate 'my set'" in log
+    assert "Traceback (most recent call last)" in log
+    assert f"numpy {np.__version__}" in log
 
 
 def test_progress_on_a_terminal_takes_names_literally():
