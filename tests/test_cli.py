@@ -186,6 +186,10 @@ MISTAKES = {
         "0.csv: is read by this command and would be overwritten",
     ),
     "absurd": (["calibrate", "{1}/absurd", "--out", "{1}/o"], "q_joint2 reaches"),
+    "constant no number": (
+        ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a=nan"],
+        "--torque-constant is 'a=nan'",
+    ),
     "constants": (
         ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a:3"],
         "--torque-constant is 'a:3'",

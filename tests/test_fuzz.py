@@ -132,7 +132,7 @@ def nearly(draw: Callable, right: Any, schema: Any) -> Any:
             value.append(deepcopy(draw(st.sampled_from(value))))
         elif change == 3 and len(path) == 1 and path[0] in whole:
             place[path[0]] = whole[path[0]]
-        elif change == 4 and isinstance(value, float | int):
+        elif change == 4 and isinstance(value, float | int) and abs(value) < 1e300:
             place[path[-1]] = draw(st.sampled_from([-value, 1e3 * value, 1e-3 * value, value + 1, 0]))
         else:
             place[path[-1]] = draw(HOSTILE)

@@ -1,9 +1,11 @@
 """Files that look right and are not: what would give a wrong result is one sentence instead."""
 
 import fcntl
+import importlib.resources
 import io
 import json
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -20,7 +22,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.springs import saved_springs
-from rrr_oc.codesign.study import _once
+from rrr_oc.codesign.study import Request, _asked, _once
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import check_apart
@@ -33,7 +35,7 @@ from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.report.console import PlainConsole
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.robot.robot import load_robot
-from rrr_oc.storage import check_file, check_folder, new_files, read_npz, read_regular, write_npz, write_text
+from rrr_oc.storage import check_file, check_folder, new_files, plain, read_npz, read_regular, write_npz, write_text
 
 PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
 
@@ -384,6 +386,22 @@ def test_results_of_other_code_are_not_taken(tmp_path):
         assert Run(tmp_path, {"a": 1}, "new").found is None
         assert Run(tmp_path, asked, code).found == {"E1": 1.0}
     assert Run(tmp_path, {}).code == storage.code()
+
+
+def test_limits_of_the_arm_are_among_what_a_design_depends_on(tmp_path):
+    """A task takes from the URDF what it does not say itself."""
+    text = importlib.resources.files("rrr_oc.urdf").joinpath("rrr.urdf").read_text()
+    task = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
+    (tmp_path / "task.json").write_text(
+        json.dumps(task | {"robot": "arm.urdf", "limits": {"joint3": {"range_deg": [-180, 0]}}})
+    )
+    asked = []
+    for speed in ("", "", "9"):
+        (tmp_path / "arm.urdf").write_text(re.sub(r'velocity="', f'velocity="{speed}', text))
+        request = Request(str(tmp_path / "task.json"), tmp_path / "out", ("SA",))
+        asked.append(json.dumps(plain(_asked(request, load_task(request.task)))))
+    assert asked[0] == asked[1] != asked[2]
+    assert "jobs" not in asked[0]
 
 
 @pytest.mark.parametrize("harm", [None, b"{", b"[1]", b'{"asked": {}}', "result", "motion", "settings"])

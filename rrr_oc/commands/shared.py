@@ -13,6 +13,7 @@ from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.schema import HEAVIEST
 
 Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
@@ -48,6 +49,12 @@ def check_window(window: float) -> None:
     """Raise `UserError` unless a window of smoothing is 0 s or more."""
     if not 0 <= window < float("inf"):
         raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
+
+
+def check_payload(payload: float) -> None:
+    """Raise `UserError` unless a payload is one that an arm could hold."""
+    if not 0 <= payload <= HEAVIEST:
+        raise UserError(f"--payload is {payload:g} kg; 0 to {HEAVIEST:g} kg are allowed")
 
 
 def loaded(dataset: Path, output: Output) -> RecordingSet:
