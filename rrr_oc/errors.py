@@ -1,17 +1,13 @@
 """The one error that a user can mend, and how a command ends: with one of `STATUSES`."""
 
 import os
-import platform
 import re
 import shlex
 import signal
 import sys
-import tempfile
 import threading
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import distributions
 from typing import Any
 
 FAULT = 70  # exit status after an exception that nobody expected; of sysexits.h
@@ -63,6 +59,11 @@ def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
 
 def _logged(error: Exception) -> str:
     """A sentence on a fault of this program, with the name of a new log file for a report."""
+    import platform  # these take a moment, in which Ctrl-C would be a traceback
+    import tempfile
+    import traceback
+    from importlib.metadata import distributions
+
     packages = sorted(f"{found.name} {found.version}" for found in distributions())
     text = "\n".join(
         [shlex.join(sys.argv), f"Python {sys.version}", platform.platform(), *packages, "", *traceback.format_exception(error)]

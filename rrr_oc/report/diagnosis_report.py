@@ -17,7 +17,8 @@ from rrr_oc.report.pages.diagnosis_curves import curves
 from rrr_oc.report.pages.diagnosis_page import FIGURES, write_diagnosis_page
 from rrr_oc.storage import new_files, write_json, write_npz, write_text
 
-FILES = ("model.json", "diagnosis.json", "report.html", "*.png", FIGURES, "suggested_*.csv")  # that `write_diagnosis` writes
+# What `write_diagnosis` writes, and takes away of an earlier diagnosis
+FILES = ("model.json", "diagnosis.json", "report.html", "before_after.png", "prediction.png", FIGURES, "suggested_*.csv")
 
 
 def write_diagnosis(
