@@ -395,7 +395,10 @@ def _describe(out: Path, name: str, result: SearchResult, began: float) -> dict[
 def _transferred(study: Study, name: str, design: CoDesign, twin: Twin) -> dict[str, Any]:
     """Metrics of a saved optimum in the calibrated twin."""
     saved = read_npz(study.out / f"{name}.npz")
-    motion, values = SampledMotion(**{key: saved[key] for key in SAVED}), restored(design, study.options, saved).parameters
+    motion, values = (
+        SampledMotion(**dict[str, Any]({key: saved[key] for key in SAVED})),
+        restored(design, study.options, saved).parameters,
+    )
     return plain(describe_transfer(design, motion, values, twin.model, twin.drives))
 
 

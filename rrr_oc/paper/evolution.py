@@ -153,7 +153,8 @@ class _State:
             self.strategy.tell(list(np.array(self.strategy.ask())), costs.tolist())
         if not np.array_equal(self.strategy.mean, saved["mean"]):
             return None
-        best = saved["best"], *map(float, saved["scores"])
+        cost, E1, excess = map(float, saved["scores"])
+        best = saved["best"], cost, E1, excess
         return _State(self.strategy, [*saved["costs"]], [*map(tuple, saved["rows"].tolist())], best, float(saved["wall"]))
 
     def history(self) -> dict[str, np.ndarray]:
