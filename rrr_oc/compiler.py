@@ -11,11 +11,11 @@ import shlex
 import shutil
 import stat
 import subprocess
-import tempfile
 from functools import cache
 from pathlib import Path
 
 from rrr_oc.errors import UserError
+from rrr_oc.storage import new_files
 
 _FLAGS = ("-fPIC", "-shared", "-fvisibility=hidden")
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -92,18 +92,13 @@ def _compiler(otherwise: str) -> tuple[str, ...]:
 
 
 def _compile(command: tuple[str, ...], source: str, flags: tuple[str, ...], path: Path) -> None:
-    try:
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            code, built = Path(folder) / "code.c", Path(folder) / "code.so"
-            code.write_text(source, encoding="utf-8")
-            line = [*command, *flags, str(code), "-o", str(built), "-lm"]
-            done = subprocess.run(line, capture_output=True, text=True)
-            if done.returncode:
-                raise UserError(f"{shlex.join(command)} cannot compile generated code: {done.stderr.strip()[:600]}")
-            built.chmod(0o700)
-            told = Path(folder) / "code.sha256"
-            told.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
-            os.replace(built, path)
-            os.replace(told, _hash_file(path))
-    except OSError as error:
-        raise UserError(f"cannot keep compiled code in {path.parent}: {error}; XDG_CACHE_HOME chooses another") from None
+    with new_files(path.parent, ()) as folder:
+        code, built = folder / "code.c", folder / path.name
+        code.write_text(source, encoding="utf-8")
+        line = [*command, *flags, str(code), "-o", str(built), "-lm"]
+        done = subprocess.run(line, capture_output=True, text=True, errors="replace")
+        if done.returncode:
+            raise UserError(f"{shlex.join(command)} cannot compile generated code: {done.stderr.strip()[:600]}")
+        code.unlink()
+        built.chmod(0o700)
+        _hash_file(built).write_text(hashlib.sha256(built.read_bytes()).hexdigest())
