@@ -6,6 +6,7 @@ which the next one that writes there removes; a lock tells it from one that is s
 
 import fcntl
 import hashlib
+import io
 import json
 import math
 import os
@@ -64,13 +65,14 @@ def read_utf8(path: str | Path) -> bytes:
 
 def read_npz(path: str | Path) -> dict[str, np.ndarray]:
     """The arrays of an npz file; raises `UserError` where it is missing, damaged, of objects or too large when unpacked."""
-    read_regular(path)
+    data = io.BytesIO(read_regular(path))
     try:
-        with zipfile.ZipFile(path) as file:
+        with zipfile.ZipFile(data) as file:
             size = sum(part.file_size for part in file.infolist())
         if size > LARGEST:
             raise UserError(f"{path}: has {size / 1e9:.1f} GB when unpacked; up to {LARGEST / 1e9:g} GB are read")
-        with np.load(path, allow_pickle=False) as file:
+        data.seek(0)
+        with np.load(data, allow_pickle=False) as file:
             return dict(file)
     except (OSError, ValueError, KeyError, EOFError, MemoryError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
         raise UserError(f"{path}: no readable npz file: {error}") from None
