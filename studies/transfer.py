@@ -34,9 +34,9 @@ from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.response import calibrate_response
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import solve_multistart
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, resimulate, sample_motion
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.multistart import solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired

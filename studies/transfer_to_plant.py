@@ -19,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import continue_from
 from rrr_oc.codesign.optimum import SampledMotion, describe, sample_motion
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.multistart import continue_from
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, load_task
 from rrr_oc.codesign.transfer import describe_transfer, reference_phases, repaired
 from rrr_oc.diagnosis.procedure import diagnose

@@ -14,8 +14,8 @@ from test_design_problem import TASK, design_of, solved, trapezoid
 
 from rrr_oc.codesign.certificate import Certificate, certify, exact_cost, reintegrate
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import Optimum
-from rrr_oc.codesign.multistart import SearchResult
+from rrr_oc.codesign.search.local_optima import Optimum
+from rrr_oc.codesign.search.multistart import SearchResult
 from rrr_oc.optimal_control.optimality import Kkt, _factor
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import Refinement, mesh_error, refine

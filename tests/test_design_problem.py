@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.proposals import decode, dimensions, motion_guess
+from rrr_oc.codesign.search.proposals import decode, dimensions, motion_guess
 from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.effects.elastic.biarticular_spring import reduced

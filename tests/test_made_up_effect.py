@@ -25,8 +25,8 @@ from rrr_oc.calibration.response import Response
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import transcribed
-from rrr_oc.codesign.proposals import SearchOptions, motion_guess
+from rrr_oc.codesign.search.local_optima import transcribed
+from rrr_oc.codesign.search.proposals import SearchOptions, motion_guess
 from rrr_oc.codesign.springs import configurations, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands import app

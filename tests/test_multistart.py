@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import same_optimum
-from rrr_oc.codesign.multistart import SearchResult, Start, solve_multistart
-from rrr_oc.codesign.proposals import SearchOptions, decode, dimensions, motion_guess
+from rrr_oc.codesign.search.local_optima import same_optimum
+from rrr_oc.codesign.search.multistart import SearchResult, Start, solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions, decode, dimensions, motion_guess
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.errors import UserError
@@ -183,7 +183,7 @@ def test_progress_sees_every_start():
 
 def test_proposals_cost_what_their_motion_costs():
     """A start's `proposed` is the guess's own cost: here by the trapezoid rule on the guess."""
-    from rrr_oc.codesign.multistart import Polisher
+    from rrr_oc.codesign.search.multistart import Polisher
 
     vector = np.random.default_rng(0).random(dimensions(PEA, OPTIONS.via))
     start = Polisher(PEA, replace(OPTIONS, coarse=40))("sobol", vector)

@@ -11,7 +11,7 @@ from test_evolution import LABELS, SMALL, numbers
 from test_multistart import OPTIONS, PEA
 
 from rrr_oc import parallel
-from rrr_oc.codesign.multistart import solve_multistart
+from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.errors import UserError
 from rrr_oc.paper.experiments import run_evolution
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from rrr_oc.codesign.proposals import motion_guess
+from rrr_oc.codesign.search.proposals import motion_guess
 from rrr_oc.codesign.task import load_task
 from rrr_oc.paper.encoding import Analytic, Encoding
 from rrr_oc.paper.experiments import experiment

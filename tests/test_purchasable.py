@@ -10,9 +10,9 @@ import pytest
 
 from rrr_oc.codesign.catalogue import Catalogue, load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import SearchResult, solve_multistart
-from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
+from rrr_oc.codesign.search.multistart import SearchResult, solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError

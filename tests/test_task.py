@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError

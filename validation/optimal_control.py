@@ -29,7 +29,7 @@ from scipy.optimize import brentq, root
 from scipy.special import j0, j1
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.proposals import motion_guess
+from rrr_oc.codesign.search.proposals import motion_guess
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.proposals import motion_guess
+from rrr_oc.codesign.search.proposals import motion_guess
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh

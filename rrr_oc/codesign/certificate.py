@@ -8,8 +8,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
-from rrr_oc.codesign.local_optima import Optimum
-from rrr_oc.codesign.multistart import SearchResult
+from rrr_oc.codesign.search.local_optima import Optimum
+from rrr_oc.codesign.search.multistart import SearchResult
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.solver import Solution

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import transcribed
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.local_optima import transcribed
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion

@@ -7,10 +7,10 @@ import numpy as np
 
 from rrr_oc.codesign.catalogue import Catalogue, Choice, choices_of
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import Optimum
-from rrr_oc.codesign.multistart import continue_from
-from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.screening import ChoiceSolver, Screened, screened
+from rrr_oc.codesign.search.local_optima import Optimum
+from rrr_oc.codesign.search.multistart import continue_from
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import Solution, SolverFailure
 

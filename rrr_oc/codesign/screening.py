@@ -9,8 +9,8 @@ from scipy.interpolate import RegularGridInterpolator
 
 from rrr_oc.codesign.catalogue import Choice, Choices
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import transcribed
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.local_optima import transcribed
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
 from rrr_oc.parallel import once_per_process, unordered
 

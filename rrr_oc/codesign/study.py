@@ -23,7 +23,6 @@ from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.catalogue import Catalogue, check_offers, load_catalogue
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
 from rrr_oc.codesign.optimum import (
     SAVED,
     SampledMotion,
@@ -36,8 +35,9 @@ from rrr_oc.codesign.optimum import (
     restored,
     sample_motion,
 )
-from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import METHODS, search_catalogue
+from rrr_oc.codesign.search.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS, arrangements
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired

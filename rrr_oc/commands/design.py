@@ -9,8 +9,8 @@ from rich.markdown import Markdown
 
 from rrr_oc import parallel
 from rrr_oc.codesign.design_problem import COSTS
-from rrr_oc.codesign.proposals import SearchOptions
 from rrr_oc.codesign.purchasable import METHODS
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS

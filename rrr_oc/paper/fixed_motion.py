@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.proposals import sobol_points
+from rrr_oc.codesign.search.proposals import sobol_points
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.optimal_control.problem import PhaseGuess

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from rrr_oc.codesign.proposals import dimensions, proposed_guess, sobol_points
+from rrr_oc.codesign.search.proposals import dimensions, proposed_guess, sobol_points
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.numerics import akima
 from rrr_oc.optimal_control.problem import Guess

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.multistart import solve_multistart
-from rrr_oc.codesign.proposals import SearchOptions, decode, dimensions, motion_guess
+from rrr_oc.codesign.search.multistart import solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions, decode, dimensions, motion_guess
 from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.optimal_control.problem import Guess

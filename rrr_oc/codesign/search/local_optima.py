@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.proposals import SearchOptions
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.refinement import mesh_row, refine

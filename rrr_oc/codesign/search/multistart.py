@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.local_optima import Optimum, attached, distinct, follow_to_fine_mesh, hopped, refined, transcribed
-from rrr_oc.codesign.proposals import (
+from rrr_oc.codesign.search.local_optima import Optimum, attached, distinct, follow_to_fine_mesh, hopped, refined, transcribed
+from rrr_oc.codesign.search.proposals import (
     LAYERS,
     SearchOptions,
     cma_strategy,
