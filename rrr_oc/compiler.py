@@ -1,17 +1,24 @@
-"""C code compiled to shared libraries, which are kept in a cache on disk."""
+"""C code compiled to shared libraries, which are kept in a cache on disk.
+
+A library runs with the rights of whoever loads it, and one that is cut off kills the process. So one of the cache is taken only if
+nobody else could have written it and its content is what was compiled; else it is compiled again.
+"""
 
 import hashlib
 import os
 import platform
 import shlex
 import shutil
+import stat
 import subprocess
-import tempfile
+from functools import cache
 from pathlib import Path
 
 from rrr_oc.errors import UserError
+from rrr_oc.storage import new_files
 
 _FLAGS = ("-fPIC", "-shared", "-fvisibility=hidden")
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def digest(*parts: str) -> str:
@@ -24,12 +31,13 @@ def library(name: str, source: str, flags: tuple[str, ...] = (), otherwise: str 
     """The library of this name, compiled from C unless the cache has it; `name` must change with source and flags.
 
     Raises:
-        UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written. `otherwise` tells
-            the user what works without.
+        UserError: There is no C compiler ($CC, cc, gcc or clang), it fails, or the cache cannot be written or belongs to somebody
+            else. `otherwise` tells the user what works without.
     """
-    path = cache_folder() / f"{name}.so"
-    if not path.is_file():
-        _compile(_compiler(otherwise), source, (*flags, *_FLAGS), path)
+    command = _compiler(otherwise)
+    path = _own(cache_folder()) / f"{name}-{digest(_version(command))[:8]}.so"
+    if not _sound(path):
+        _compile(command, source, (*flags, *_FLAGS), path)
     return path
 
 
@@ -37,6 +45,41 @@ def cache_folder() -> Path:
     """Where compiled code is kept: `rrr_oc` in $XDG_CACHE_HOME (if that is an absolute path) or in ~/.cache."""
     home = Path(os.environ.get("XDG_CACHE_HOME", ""))
     return (home if home.is_absolute() else Path.home() / ".cache") / "rrr_oc"
+
+
+def _own(folder: Path) -> Path:
+    """The folder, made if need be and closed to others; raises `UserError` where it belongs to somebody else."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        found = folder.stat()
+        if found.st_uid != os.geteuid():
+            raise UserError(f"{folder} belongs to another user, whose compiled code is not run; XDG_CACHE_HOME chooses another")
+        if found.st_mode & _OTHERS_WRITE:
+            folder.chmod(stat.S_IMODE(found.st_mode) & ~_OTHERS_WRITE)
+    except OSError as error:
+        raise UserError(f"cannot keep compiled code in {folder}: {error}; XDG_CACHE_HOME chooses another") from None
+    return folder
+
+
+def _sound(path: Path) -> bool:
+    """Whether a library is there, only its user could write it, and its content has the hash that stands beside it."""
+    try:
+        found, told = path.lstat(), _hash_file(path).read_text()
+        ours = stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & _OTHERS_WRITE
+        return ours and told == hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, ValueError):  # ValueError: no text
+        return False
+
+
+def _hash_file(path: Path) -> Path:
+    return path.with_suffix(".sha256")
+
+
+@cache
+def _version(command: tuple[str, ...]) -> str:
+    """Which compiler it is, in its own words."""
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True, errors="replace")
+    return shlex.join(command) + done.stdout
 
 
 def _compiler(otherwise: str) -> tuple[str, ...]:
@@ -49,15 +92,13 @@ def _compiler(otherwise: str) -> tuple[str, ...]:
 
 
 def _compile(command: tuple[str, ...], source: str, flags: tuple[str, ...], path: Path) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            code, built = Path(folder) / "code.c", Path(folder) / "code.so"
-            code.write_text(source)
-            line = [*command, *flags, str(code), "-o", str(built), "-lm"]
-            done = subprocess.run(line, capture_output=True, text=True)
-            if done.returncode:
-                raise UserError(f"{shlex.join(command)} cannot compile generated code: {done.stderr.strip()[:600]}")
-            os.replace(built, path)
-    except OSError as error:
-        raise UserError(f"cannot keep compiled code in {path.parent}: {error}; XDG_CACHE_HOME chooses another") from None
+    with new_files(path.parent, ()) as folder:
+        code, built = folder / "code.c", folder / path.name
+        code.write_text(source, encoding="utf-8")
+        line = [*command, *flags, str(code), "-o", str(built), "-lm"]
+        done = subprocess.run(line, capture_output=True, text=True, errors="replace")
+        if done.returncode:
+            raise UserError(f"{shlex.join(command)} cannot compile generated code: {done.stderr.strip()[:600]}")
+        code.unlink()
+        built.chmod(0o700)
+        _hash_file(built).write_text(hashlib.sha256(built.read_bytes()).hexdigest())

@@ -1,6 +1,8 @@
-"""The one error that a user can mend, and how a command ends."""
+"""The one error that a user can mend, and how a command ends: with one of `STATUSES`."""
 
 import os
+import re
+import shlex
 import signal
 import sys
 import threading
@@ -8,14 +10,24 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+FAULT = 70  # exit status after an exception that nobody expected; of sysexits.h
 INTERRUPTED = 130  # exit status after Ctrl-C
 # What the exit statuses of all commands mean.
 STATUSES = {
     0: "done",
-    1: "a fault of this program, with its traceback",
     2: "input that cannot be used, with a sentence that says why",
+    FAULT: "a fault of this program, with a sentence that names a log file for a report",
     INTERRUPTED: "interrupted by Ctrl-C",
 }
+
+
+# Characters that move a terminal's cursor, colour or hide what follows, or turn the direction of writing; lines and tabs are none
+_CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def printable(text: str) -> str:
+    """A text for a terminal: control characters, as names in files may have them, as \\u and their code."""
+    return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 class UserError(Exception):
@@ -23,13 +35,13 @@ class UserError(Exception):
 
 
 def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
-    """A command as its users run it: an error that they can mend is one sentence on stderr and exit status 2."""
+    """A command as its users run it: an error that they can mend is one sentence on stderr and exit status 2; of any other they get a log."""
 
     def run() -> None:
         try:
             command()
         except UserError as error:
-            sys.stderr.write(f"Error: {error}\n")
+            sys.stderr.write(f"Error: {printable(str(error))}\n")
             raise SystemExit(2) from None
         except KeyboardInterrupt:
             sys.stderr.write("Interrupted.\n")
@@ -38,8 +50,33 @@ def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
             if end.code == INTERRUPTED:  # typer says nothing then
                 sys.stderr.write("Interrupted.\n")
             raise
+        except Exception as error:  # whatever nobody expected
+            sys.stderr.write(f"Error: {printable(_logged(error))}\n")
+            raise SystemExit(FAULT) from None
 
     return run
+
+
+def _logged(error: Exception) -> str:
+    """A sentence on a fault of this program, with the name of a new log file for a report."""
+    import platform  # these take a moment, in which Ctrl-C would be a traceback
+    import tempfile
+    import traceback
+    from importlib.metadata import distributions
+
+    packages = sorted(f"{found.name} {found.version}" for found in distributions())
+    text = "\n".join(
+        [shlex.join(sys.argv), f"Python {sys.version}", platform.platform(), *packages, "", *traceback.format_exception(error)]
+    )
+    said = f"rrr-oc failed through a fault of its own, {type(error).__name__}{f' ({error})' * bool(str(error))}"
+    said = " ".join(said.split())[:300]
+    try:
+        descriptor, path = tempfile.mkstemp(prefix="rrr-oc-fault-", suffix=".log")
+        with os.fdopen(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(text)
+    except OSError:  # a full disk, perhaps the fault itself
+        return f"{said}; no log file could be written, so here is its content:\n{text}"
+    return f"{said}; {path} has what a report needs"
 
 
 @contextmanager

@@ -7,8 +7,10 @@ ValueError("key: what is wrong with it").
 
 import importlib.resources
 import json
+import math
 import re
 import reprlib
+import sys
 import tomllib
 import types
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,11 +27,20 @@ T = TypeVar("T")
 FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
 NonNegative = Annotated[float, Meta(ge=0)]
-Positive = Annotated[float, Meta(gt=0)]
+# A smaller one becomes 0 in other units
+Positive = Annotated[float, Meta(ge=1e-12, description="a finite number above 0 is required")]
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_HALF = re.compile("[\ud800-\udfff]")  # surrogates, which JSON may have alone
+DEEPEST = 100  # brackets within each other; doubled, nothing changes for real files
+LARGEST = 1e9  # magnitude of a number that a user writes, in any unit: beyond it nothing is measured, and powers overflow
 Interval = tuple[float, float]
-Vector = tuple[float, float, float]
+_Coordinate = Annotated[
+    float, Meta(ge=-1e4, le=1e4)
+]  # [m] or [m/s²]; ten times the largest arm and gravity there are, and more
+Vector = tuple[_Coordinate, _Coordinate, _Coordinate]
 # What files may call by either name, as they do not agree on whether a key ends with its unit: mass at the tool, and a point
-Payload = Annotated[float, Meta(ge=0, extra={"spellings": ("payload", "payload_kg")})]
+HEAVIEST = 1e4  # [kg] of a payload; doubled, nothing changes for arms that there are
+Payload = Annotated[float, Meta(ge=0, le=HEAVIEST, extra={"spellings": ("payload", "payload_kg")})]
 Position = Annotated[Vector, Meta(extra={"spellings": ("position", "position_m")})]
 
 
@@ -47,11 +58,14 @@ def read_json(path: str | Path, schema: type[T]) -> T:
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Plain data of a TOML file; raises `UserError` where it is missing or no TOML."""
+    """Plain data of a TOML file; raises `UserError` where it is missing or no TOML, or a number in it is not finite or above `LARGEST`."""
+    text = read_utf8(path).decode()
     try:
-        return tomllib.loads(read_utf8(path).decode())
+        return _within(path, tomllib.loads(text), LARGEST)
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path}: not valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets thousands deep
+        raise UserError(f"{path}: not usable TOML: {error}") from None
 
 
 def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schema: type[T]) -> tuple[str, T]:
@@ -66,13 +80,13 @@ def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schem
         where, text = str(source), read_utf8(source).decode()
     else:
         raise UserError(f"no {what} at {str(source)!r}; give the path of a JSON file or a preset: {', '.join(presets)}")
-    return where, validated(where, without_free_text(parsed(where, text)), schema)
+    return where, validated(where, without_free_text(parsed(where, text, LARGEST)), schema)
 
 
-def parsed(where: str | Path, text: str) -> Any:
+def parsed(where: str | Path, text: str, largest: float = sys.float_info.max) -> Any:
     """Plain data from JSON with comments, which go from // to the end of the line.
 
-    Raises `UserError` for broken JSON, a key that stands twice and a number that is not finite.
+    Raises `UserError` for broken JSON, a key that stands twice and a number that is not finite or of a magnitude above `largest`.
     """
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -83,15 +97,11 @@ def parsed(where: str | Path, text: str) -> Any:
         return dict(pairs)
 
     try:
-        data = json.loads(without_comments(text), object_pairs_hook=once)
-        infinite = next(_not_finite("", data), None)
+        return _within(where, json.loads(without_comments(text), object_pairs_hook=once), largest)
     except json.JSONDecodeError as error:
         raise UserError(f"{where}, line {error.lineno}, column {error.colno}: not valid JSON: {error.msg}") from None
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, brackets thousands deep
         raise UserError(f"{where}: not usable JSON: {error}") from None
-    if infinite is not None:
-        raise UserError(f"{_place(where, infinite[0])}: found {reprlib.repr(infinite[1])}; a finite number is required")
-    return data
 
 
 def without_free_text(data: Any) -> Any:
@@ -114,6 +124,12 @@ def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> 
 def without_comments(text: str) -> str:
     """The same text with blanks in place of its comments, so that lines and columns stay; // in quotation marks begins none."""
     return re.sub(r'"(?:\\.|[^"\\\n])*"|//[^\n]*', lambda m: m[0] if m[0][0] == '"' else " " * len(m[0]), text)
+
+
+def decimal(text: str) -> float | None:
+    """The finite number that a text is, as every program reads it: in ASCII, with a decimal point, without blanks; None for any other."""
+    value = float(text) if _DECIMAL.fullmatch(text) else math.inf
+    return value if math.isfinite(value) else None
 
 
 def one_spelling(found: Iterable[str], spellings: Sequence[str], where: str) -> str | None:
@@ -164,12 +180,30 @@ def _place(where: str | Path, path: str) -> str:
     return f"{where}: {path.lstrip('.')}" if path else str(where)
 
 
-def _not_finite(path: str, data: Any) -> Iterator[tuple[str, Any]]:
-    """Numbers that no finite float holds, each with its place."""
+def _within(where: str | Path, data: T, largest: float) -> T:
+    """The same data; raises `UserError` for a number beyond a magnitude and for half a character."""
+    for path, value in _unusable("", data, largest):
+        if isinstance(value, str):
+            raise UserError(f"{where}: found {ascii(value)[:60]}; a text without halves of characters is required")
+        finite = largest <= abs(value) <= sys.float_info.max
+        wanted = f"magnitudes up to {largest:g} are allowed" if finite else "a finite number is required"
+        raise UserError(f"{_place(where, path)}: found {reprlib.repr(value)}; {wanted}")
+    return data
+
+
+def _unusable(path: str, data: Any, largest: float, depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """Numbers beyond a magnitude, those that are none, and texts that UTF-8 has not, each with its place."""
     if isinstance(data, dict | list):
+        if depth > DEEPEST:
+            raise RecursionError(f"brackets stand within each other more than {DEEPEST} deep")
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            yield from _not_finite(f"{path}.{key}" if isinstance(data, dict) else f"{path}[{key}]", value)
-    elif isinstance(data, float | int) and not abs(data) <= 10**308:  # integers may be beyond floats, too
+            if isinstance(key, str):
+                yield from _unusable(path, key, largest)
+            yield from _unusable(f"{path}.{key}" if isinstance(data, dict) else f"{path}[{key}]", value, largest, depth + 1)
+    elif isinstance(data, str):
+        if not data.isascii() and _HALF.search(data):
+            yield path, data
+    elif isinstance(data, float | int) and not abs(data) <= largest:  # integers may be beyond floats, too
         yield path, data
 
 
@@ -249,10 +283,12 @@ def _allowed(schema: Any, meta: Meta) -> str:
     if _is_structure(schema):
         return f"an object with {', '.join(f.encode_name for f in msgspec.structs.fields(schema))} is required"
     if get_origin(schema) is tuple and arguments[1:] != (...,):
-        return f"a list of {len(arguments)} {'numbers' if set(arguments) == {float} else 'entries'} is required"
+        numbers = all(_simplified(None, argument)[0] is float for argument in arguments)
+        return f"a list of {len(arguments)} {'numbers' if numbers else 'entries'} is required"
     if get_origin(schema) in (list, tuple):
         return f"a list{' with at least one entry' if meta.min_length else ''} is required"
     if schema is float:
-        bound = f" of {meta.ge:g} or more" if meta.ge is not None else f" above {meta.gt:g}" if meta.gt is not None else ""
+        least = f" of {meta.ge:g} or more" if meta.ge is not None else f" above {meta.gt:g}" if meta.gt is not None else ""
+        bound = f" from {meta.ge:g} to {meta.le:g}" if None not in (meta.ge, meta.le) else least
         return f"a finite number{bound} is required"
     return {str: "a text", bool: "true or false"}.get(schema, "an object") + " is required"

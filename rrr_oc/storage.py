@@ -1,12 +1,26 @@
-"""Text files read as UTF-8; files and folders written whole or not at all: under a temporary name, then renamed."""
+"""Text files read as UTF-8; files and folders written whole or not at all: under a temporary name, then renamed.
 
+What has its name is on the disk, so that a loss of power does not leave it empty. A process that is killed leaves its temporary file,
+which the next one that writes there removes; a lock tells it from one that is still being written.
+"""
+
+import fcntl
+import hashlib
+import io
 import json
 import math
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping
+import stat
+import time
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,14 +28,32 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 
+TEMPORARY = re.compile(r"\..*\.[0-9a-f]{8}\.rrr_oc", re.DOTALL)  # names of what is being written
+YOUNG = 5.0  # [s] after which a temporary file is surely locked by who writes it; doubled, it is removed later
+RESULTS_DEPEND_ON = ("casadi", "cma", "mujoco", "numpy", "pin", "scipy")
+SHOWN_BY = ("commands", "report")  # folders of this package that show results and compute none
+LARGEST = 2_000_000_000  # [bytes] of a file that is read; doubled, a file of this size may take all memory of a small machine
+
+
+def read_regular(path: str | Path) -> bytes:
+    """The content of a regular file of at most `LARGEST` bytes; raises `UserError` for a missing one, a pipe or a device."""
+    path = Path(path)
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):  # a pipe would be waited for, and a device may have no end
+            raise UserError(
+                f"{path}: is {'a folder' if stat.S_ISDIR(found.st_mode) else 'no regular file'}; a file is required"
+            )
+        if found.st_size > LARGEST:
+            raise UserError(f"{path}: has {found.st_size / 1e9:.1f} GB; files up to {LARGEST / 1e9:g} GB are read")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
 
 def read_utf8(path: str | Path) -> bytes:
     """A text file in UTF-8, less a byte-order mark; raises `UserError` where it is missing or something else."""
-    path = Path(path)
-    try:
-        data = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    data = read_regular(path).removeprefix(b"\xef\xbb\xbf")
     try:
         if not data.isascii():
             data.decode()
@@ -29,6 +61,33 @@ def read_utf8(path: str | Path) -> bytes:
         line = data.count(b"\n", 0, error.start) + 1
         raise UserError(f"{path}, line {line}: found byte 0x{data[error.start]:02x}; text in UTF-8 is required") from None
     return data
+
+
+def read_npz(path: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of an npz file; raises `UserError` where it is missing, damaged, of objects or too large when unpacked."""
+    data = io.BytesIO(read_regular(path))
+    try:
+        with zipfile.ZipFile(data) as file:
+            size = sum(part.file_size for part in file.infolist())
+        if size > LARGEST:
+            raise UserError(f"{path}: has {size / 1e9:.1f} GB when unpacked; up to {LARGEST / 1e9:g} GB are read")
+        data.seek(0)
+        with np.load(data, allow_pickle=False) as file:
+            return dict(file)
+    except (OSError, ValueError, KeyError, EOFError, MemoryError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        raise UserError(f"{path}: no readable npz file: {error}") from None
+
+
+@cache
+def code() -> str:
+    """A hash of what results depend on: the sources of this package that compute, and versions of others."""
+    found, root = hashlib.sha256(), Path(__file__).parent
+    for file in sorted(root.rglob("*.py")):
+        if file.relative_to(root).parts[0] not in SHOWN_BY:
+            found.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    for package in RESULTS_DEPEND_ON:
+        found.update(f"{package} {version(package)}\0".encode())
+    return found.hexdigest()[:24]
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -82,8 +141,7 @@ def check_file(path: str | Path) -> None:
     """Raise `UserError` where no file of this name could be written; for checks before a long computation."""
     path = Path(path).absolute()
     with _as_user_error(path):
-        if path.is_dir():
-            raise UserError(f"{path}: is a folder; the name of a file is required")
+        _check_replaceable(path)
         _check_place(path.parent)
 
 
@@ -96,12 +154,68 @@ def check_folder(path: str | Path) -> None:
         _check_place(path)
 
 
+def _check_replaceable(path: Path) -> None:
+    """Raise `UserError` where something other than a file has a name: what is written would take its place."""
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; the name of a file is required")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path}: is a device or a pipe; the name of a file is required")
+
+
 def _check_place(folder: Path) -> None:
     while not folder.exists():
         folder = folder.parent
+    _remove_stale(folder)
     probe = _beside(folder / "probe")
     probe.open("xb").close()
     probe.unlink()
+
+
+@cache
+def _remove_stale(folder: Path) -> None:
+    """Remove what processes that were killed have left in a folder; once in this process, and as far as it can be done."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if TEMPORARY.fullmatch(path.name):
+                _remove_unused(path)
+
+
+def _remove_unused(path: Path) -> None:
+    """Remove a temporary file or folder unless a process has its lock, or may be about to."""
+    with suppress(OSError):  # that of others, or one that has just gone
+        if time.time() - path.lstat().st_mtime < YOUNG:
+            return
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        finally:
+            os.close(descriptor)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Others see that a temporary file or folder is in use while the block runs, where the file system has locks."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _to_disk(folder: Path) -> None:
+    """Have a folder's names on the disk, where its file system can."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 @contextmanager
@@ -111,10 +225,15 @@ def new_file(path: str | Path) -> Iterator[BinaryIO]:
     temporary = _beside(path)
     try:
         with _as_user_error(path):
+            _check_replaceable(path)
             path.parent.mkdir(parents=True, exist_ok=True)
-            with temporary.open("xb") as file:
+            _remove_stale(path.absolute().parent)
+            with temporary.open("xb") as file, _locked(temporary):
                 yield file
-            os.replace(temporary, path)
+                file.flush()
+                os.fsync(file.fileno())
+                os.replace(temporary, path)
+            _to_disk(path.absolute().parent)
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -134,8 +253,41 @@ def new_folder(folder: str | Path) -> Iterator[Path]:
     try:
         with _as_user_error(folder):
             temporary.mkdir(parents=True)
-            yield temporary
-            os.replace(temporary, folder)
+            _remove_stale(temporary.parent)
+            with _locked(temporary):
+                yield temporary
+                os.replace(temporary, folder)
+            _to_disk(temporary.parent)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def new_files(folder: str | Path, patterns: Sequence[str]) -> Iterator[Path]:
+    """A folder to fill with files that belong together. When the block ends without an error, all files of `folder` whose names have
+    one of the patterns, such as *.png, are removed, and then the new ones put there: old ones are never beside new ones.
+
+    Raises `UserError` where they cannot be written.
+    """
+    folder = Path(folder).absolute()
+    with _as_user_error(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        _remove_stale(folder)
+    temporary = _beside(folder / "new")
+    try:
+        with _as_user_error(folder):
+            temporary.mkdir()
+            with _locked(temporary):
+                yield temporary
+                new = sorted(temporary.iterdir())
+                for path in new:
+                    _check_replaceable(folder / path.name)
+                for path in {old for pattern in patterns for old in folder.glob(pattern) if old.is_file()}:
+                    path.unlink()
+                _to_disk(folder)
+                for path in new:
+                    os.replace(path, folder / path.name)
+            _to_disk(folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -143,7 +295,7 @@ def new_folder(folder: str | Path) -> Iterator[Path]:
 def _beside(path: Path) -> Path:
     """An unused hidden name in the same folder, so that renaming stays within one file system."""
     path = path.absolute()
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.rrr_oc")
 
 
 @contextmanager

@@ -175,12 +175,21 @@ MISTAKES = {
         "0.csv: is a file; a folder is required",
     ),
     "model over": (["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{0}/out/model.json"], "would be overwritten"),
+    "set over by a model": (
+        ["calibrate", "{1}/named", "--out", "{1}/named"],
+        "model.json: is read by this command and would be",
+    ),
+    "set over by a diagnosis": (["diagnose", "{1}/named", "--out", "{1}/named"], "model.json: is read by this command"),
     "header over": (["evaluate", "{0}/out/model.json", "{0}/set", "--out", "{0}/set/recordings.json"], "would be overwritten"),
     "predictions over": (
         ["evaluate", "{0}/out/model.json", "{0}/set", "--predictions", "{0}/out/../set"],
         "0.csv: is read by this command and would be overwritten",
     ),
     "absurd": (["calibrate", "{1}/absurd", "--out", "{1}/o"], "q_joint2 reaches"),
+    "constant no number": (
+        ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a=nan"],
+        "--torque-constant is 'a=nan'",
+    ),
     "constants": (
         ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a:3"],
         "--torque-constant is 'a:3'",
@@ -202,6 +211,10 @@ def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, folder, monkeypat
         (tmp_path / name / "recordings.json").write_text(header)
         for file in ("0.csv", "1.csv"):
             (tmp_path / name / file).write_text(rows)
+    (tmp_path / "named").mkdir()
+    (tmp_path / "named" / "recordings.json").write_text(text.replace("0.csv", "model.json"))
+    (tmp_path / "named" / "model.json").write_text(table)
+    (tmp_path / "named" / "1.csv").write_text(table)
     (tmp_path / "unknown.toml").write_text("[stribek]\nprobability = 0.5\n")
     (tmp_path / "certain.toml").write_text("[stribeck]\nprobability = 1\n")
     arguments, said = MISTAKES[mistake]

@@ -48,6 +48,8 @@ def folder(tmp_path_factory) -> Path:
     recordings = as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(2)])
     save_recordings(recordings, folder / "set")
     save_model(calibrate(recordings), folder / "model.json")
+    for name in ("arm.urdf", "arm.xml"):  # models under names that commands write to
+        (folder / name).write_text((folder / "model.json").read_text())
     return folder
 
 
@@ -185,7 +187,14 @@ MISTAKES = {
     "no acceleration": (["excite", "rrr", "--acceleration", "nan", "--out", "{1}/m.csv"], "--acceleration is nan rad/s²"),
     "no time": (["excite", "rrr", "--duration", "0", "--out", "{1}/m.csv"], "duration must be above 0"),
     "few harmonics": (["excite", "rrr", "--harmonics", "2", "--out", "{1}/m.csv"], "harmonics must be 3 or more"),
-    "payload": (["excite", "rrr", "--payload", "-1", "--out", "{1}/m.csv"], "payload -1.0 kg"),
+    "payload": (["excite", "rrr", "--payload", "-1", "--out", "{1}/m.csv"], "--payload is -1 kg; 0 to 10000 kg are allowed"),
+    "heavy payload": (["excite", "rrr", "--payload", "1e8", "--out", "{1}/m.csv"], "--payload is 1e+08 kg"),
+    "payload exported": (["export", "{0}/model.json", "--payload", "inf", "--out", "{1}/o"], "--payload is inf kg"),
+    "no floor": (["excite", "rrr", "--floor", "nan", "--out", "{1}/m.csv"], "--floor is nan m; a finite height is required"),
+    "high floor": (["excite", "rrr", "--floor", "inf", "--out", "{1}/m.csv"], "--floor is inf m; a finite height is required"),
+    "fast": (["excite", "rrr", "--acceleration", "1e300", "--out", "{1}/m.csv"], "above 0 is required, up to 1e+09"),
+    "robot over": (["excite", "{0}/arm.urdf", "--out", "{0}/arm.urdf"], "would be overwritten"),
+    "model over": (["export", "{0}/arm.xml", "--out", "{0}"], "would be overwritten"),
     "too high": (["excite", "rrr", *QUICK, "--floor", "5", "--out", "{1}/m.csv"], "no motion found that keeps the limits"),
     "motion into a folder": (["excite", "rrr", "--out", "{1}"], "is a folder; the name of a file is required"),
     "no model": (["simulate", "{0}/nowhere.json", "{0}/set", "--out", "{1}/o"], "nowhere.json"),

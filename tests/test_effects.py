@@ -758,8 +758,13 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
 def test_an_effect_survives_model_json(name, arm, tmp_path):
     rng, effect = np.random.default_rng(21), placed(name)
     estimates = tuple(
-        Estimate(float(rng.normal()), float(rng.uniform()), (float(rng.normal()) - 3, 3.0), bool(rng.integers(2)))
-        for _ in effect.parameters
+        Estimate(
+            float(np.clip(rng.normal(), p.lower, p.upper)),
+            float(rng.uniform()),
+            (float(rng.normal()) - 3, 3.0),
+            bool(rng.integers(2)),
+        )
+        for p in effect.parameters
     )
     width = None if effect.width is None else 0.037
     terms = (Term(effect, estimates, width), Term(effect, estimates, width, ("0.csv",), ("a", "b")))

@@ -1,11 +1,12 @@
 """Evolutionary trials: what they find, that a kill changes nothing, and that a cluster gives the same numbers."""
 
 import json
+import pickle
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Analytic, Encoding
 from rrr_oc.paper.evolution import Protocol, evolve
 from rrr_oc.paper.experiments import experiment, run_evolution
+from rrr_oc.paper.run_store import Run
 
 TASK = load_task("paper")
 SMALL = Protocol("analytic", generations=150, population=12, every=3)
@@ -95,6 +97,21 @@ def test_what_was_found_is_taken_from_the_store_only_for_the_same_question(unint
     (tmp_path / "0" / "run.json").write_text("{")
     with pytest.raises(UserError, match="delete its folder"):
         evolve(design, small, 0, tmp_path / "0", {"a": 1})
+
+
+def test_a_checkpoint_runs_no_code(tmp_path):
+    """A results folder may come from somebody else."""
+
+    class Harm:
+        def __reduce__(self):
+            return Path.touch, (tmp_path / "harm",)
+
+    design, small = experiment(TASK, "PEA"), replace(SMALL, generations=3)
+    asked = {**asdict(small), "seed": 0, "start": None}
+    harmful = np.frombuffer(pickle.dumps(Harm()), np.uint8)
+    Run(tmp_path / "0", asked).save({"state": harmful, "costs": np.zeros((1, 1))})
+    assert evolve(design, small, 0, tmp_path / "0", {})["generations"] == 3
+    assert not (tmp_path / "harm").exists()
 
 
 def test_evolution_from_a_design_never_ends_above_it(tmp_path):

@@ -42,12 +42,12 @@ def test_every_key_has_a_type_a_default_and_a_sentence(name):
 @pytest.mark.parametrize(
     ("page", "row"),
     [
-        ("recordings", "| `payload` or `payload_kg` | number | kg | `0.0` | ≥ 0 | Mass at the tool;"),
+        ("recordings", "| `payload` or `payload_kg` | number | kg | `0.0` | ≥ 0 and ≤ 10000 | Mass at the tool;"),
         ("recordings", '| `inertial` | text | – | `"nominal"` | `"nominal"` or `"identify"` | Whether the URDF'),
         ("recordings", "| `radius1_m` | number | m | required | ≥ 1e-06 and ≤ 5 |"),
-        ("task", "| `acceleration_deg_per_s2` | number | °/s² | none | > 0 | Greatest acceleration. |"),
+        ("task", "| `acceleration_deg_per_s2` | number | °/s² | none | ≥ 1e-12 | Greatest acceleration. |"),
         ("task", "`r_2_mm`: bounds [mm]"),
-        ("actuators", "| `viscous_A_s_per_rad` | number | A s/rad | required | any |"),
+        ("actuators", "| `viscous_A_s_per_rad` | number | A s/rad | required | ≥ 0 |"),
         ("priors", "| `probability` | number | – | none | > 0 and < 1 |"),
         ("model", "| `interval` | list of 2 numbers | – | required | any | 95 % interval; null as well. |"),
     ],

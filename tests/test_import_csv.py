@@ -107,7 +107,7 @@ MISTAKES = {
     "key not known": (("zero", "offset"), "columns.q_joint2: unknown key 'offset'; allowed are column, unit, factor, zero"),
     "factor 0": (("factor = -1,", "factor = 0,"), "columns.q_joint2.factor: found 0; a finite number other than 0 is required"),
     "zero not finite": (("zero = 90", "zero = nan"), "columns.q_joint2.zero: found nan; a finite number is required"),
-    "constant not finite": (("[columns]", "torque_constant.joint1 = inf\n[columns]"), "found inf for 'joint1'; a finite number of Nm/A"),
+    "constant not finite": (("[columns]", "torque_constant.joint1 = inf\n[columns]"), "torque_constant.joint1: found inf; a finite number"),
     "constant of no joint": (("[columns]", "torque_constant.elbow = 1\n[columns]"), "torque_constant: unknown joint 'elbow'; allowed"),
     "joint not there": (("\n[columns]", 'joints = ["elbow"]\n[columns]'), "elbow"),
     "kind of torque": (("\n[columns]", 'torque = "voltage"\n[columns]'), "torque: found 'voltage'; allowed are 'motor', 'load', 'current'"),

@@ -416,9 +416,12 @@ def test_what_is_wrong_with_a_csv_file(write, text, parts):
         ({"recordings": [{"file": "/etc/passwd"}]}, ["own folder"]),
         ({"recordings": [{"file": "a\ud800.csv"}]}, ["text"]),
         ({"recordings": [{"payload": 1}]}, ["'file' is missing"]),
-        ({"recordings": [{"file": "a.csv", "payload": -1}]}, ["recordings[0].payload: found -1", "0 or more"]),
+        ({"recordings": [{"file": "a.csv", "payload": -1}]}, ["recordings[0].payload: found -1", "from 0 to 10000"]),
         ({"recordings": [{"file": "a.csv", "payload": float("nan")}]}, ["payload: found nan"]),
         ({"recordings": [{"file": "a.csv", "payload": 10**400}]}, ["payload", "finite"]),
+        ({"recordings": [{"file": "a.csv", "payload": 1e8}]}, ["payload: found 100000000", "from 0 to 10000"]),
+        ({"gravity": [0, 0, -1e300]}, ["gravity[2]: found -1e+300", "up to 1e+09"]),
+        ({"gravity": [0, 0, -1e5]}, ["gravity[2]: found -100000", "from -10000 to 10000"]),
         ({"recordings": [{"file": "a.csv", "payloads": 1}]}, ["unknown key 'payloads'", "payload"]),
     ],
 )
@@ -494,6 +497,12 @@ def test_units(write):
     for factor, unit in ((1e4, "milli"), (1e6, "micro"), (1e9, "nano")):
         assert f"looks like {unit}seconds" in refused(write(a=motion(t) | {"t": t * factor}))
     assert "looks like milliseconds" in refused(write(a=motion(t) | {"t": t * 1e3}))
+    for step in (1.0, 10.0):  # 1000 Hz and 100 Hz, slower than the limits of speed, over less than half a radian
+        slow = {name: x / 2 if name.startswith("q_") else x for name, x in motion(step / 1e3 * np.arange(len(t))).items()}
+        assert "looks like milliseconds" in refused(write(a=slow | {"t": slow["t"] * 1e3}))
+    two = {**ONE, "recordings": [{"file": "a.csv"}, {"file": "b.csv"}]}
+    still = motion(t) | {"t": t * 1e3} | {f"q_{j}": 0 * t for j in JOINTS}
+    assert "b.csv looks like milliseconds" in refused(write(two, a=motion(t), b=still))
     assert "looks like mNm" in refused(write(a=scaled(motion(t), tau_=1e3)))
     speeds = good | {"ddq_joint1": np.degrees(-10.0 * np.sin(5 * t))}
     assert "'ddq_joint1' is in degrees" in refused(write(a=speeds))
@@ -503,7 +512,7 @@ def test_numbers_that_no_sensor_gives(write):
     columns = motion(np.arange(300) * 0.006)
     assert "q_joint1 reaches 1e+200" in refused(write(a=columns | {"q_joint1": 1e200 * np.sign(columns["q_joint1"])}))
     assert "tau_joint2 reaches 2e+12" in refused(write(a=columns | {"tau_joint2": 0 * columns["t"] - 2e12}))
-    assert "payload reaches 1e+300" in refused(write(a=columns | {"payload": 0 * columns["t"] + 1e300}))
+    assert "found 1e+300; up to 10000 kg" in refused(write(a=columns | {"payload": 0 * columns["t"] + 1e300}))
 
 
 def test_units_in_doubt_are_no_error(write):

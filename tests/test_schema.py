@@ -46,7 +46,10 @@ GOOD = {"name": "x"}
         ({"one": {**GOOD, "size": -1}}, "f: one.size: found -1; a finite number of 0 or more is required"),
         ({"one": {**GOOD, "size": True}}, "f: one.size: found True; a finite number of 0 or more is required"),
         ({"one": {**GOOD, "point": [1, 2]}}, "f: one.point: found [1, 2]; a list of 3 numbers is required"),
-        ({"one": {**GOOD, "point": [1, 2, "z"]}}, "f: one.point[2]: found 'z'; a finite number is required"),
+        (
+            {"one": {**GOOD, "point": [1, 2, "z"]}},
+            "f: one.point[2]: found 'z'; a finite number from -10000 to 10000 is required",
+        ),
         (
             {"one": {**GOOD, "bounds": [2, 1]}},
             "f: one.bounds: bounds are crossed: 2 … 1; the lower must not be above the upper",
@@ -84,6 +87,7 @@ def test_numbers_may_be_written_as_integers():
         ('{"a": 1' + 400 * "0" + "}", r"f: a: found 10+\.\.\.0+; a finite number is required"),
         ("9" * 5000, "f: not usable JSON"),
         ("[" * 100_000, "f: not usable JSON"),
+        ("[" * 300 + "]" * 300, "f: not usable JSON: brackets stand within each other more than 100 deep"),
     ],
 )
 def test_broken_json_is_one_sentence(text, message):

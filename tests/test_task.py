@@ -177,7 +177,7 @@ WRONG = {
     "angles and position": ({"start": {"angles_deg": [1, 1], "position_m": [1, 1, 1]}}, 'either "angles_deg" or "position_m"'),
     "too little time": ({"duration_s": [0.2, 1.0]}, r"the task cannot be done: joint3 needs 1\.11 s .* allows 1 s"),
     "below the floor": ({"floor_m": 0.1}, r"at the start the tool stands 0\.0700 m high, below floor_m = 0.1 m"),
-    "negative payload": ({"payload_kg": -1}, "payload_kg: found -1; a finite number of 0 or more"),
+    "negative payload": ({"payload_kg": -1}, "payload_kg: found -1; a finite number from 0 to 10000"),
     "payload is no number": ({"payload_kg": float("nan")}, "payload_kg: found nan; a finite number"),
     "unknown joint": ({"moving": ["joint2", "joint9"]}, "no joint 'joint9'; it has joint1, joint2, joint3"),
     "unknown joint in limits": ({"limits__joint9": {}}, "limits: unknown joint 'joint9'; allowed are joint2, joint3"),

@@ -289,15 +289,53 @@ def test_cache(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     native.compile_effects(model)
     files = list((tmp_path / "rrr_oc").iterdir())
-    assert len(files) == 1  # nothing temporary is left
+    assert sorted(file.suffix for file in files) == [".sha256", ".so"]  # nothing temporary is left
     native.compile_effects(spring_arm(winding=(1, -1))[0])
-    assert len(list((tmp_path / "rrr_oc").iterdir())) == 2
+    assert len(list((tmp_path / "rrr_oc").iterdir())) == 4
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # the XDG rules: ignored
     assert c_library.cache_folder() == Path.home() / ".cache/rrr_oc"
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     with pytest.raises(UserError, match="XDG_CACHE_HOME"):
         native.compile_effects(model)
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def linked(path):
+    path.rename(path.with_suffix(".other"))
+    path.symlink_to(path.with_suffix(".other"))
+
+
+@pytest.mark.parametrize(
+    "harm", [cut, linked, lambda path: path.chmod(0o777), lambda path: path.with_suffix(".sha256").write_bytes(b"\xff")]
+)
+def test_a_library_of_the_cache_is_loaded_only_as_it_was_compiled(monkeypatch, tmp_path, harm):
+    """Half a library would kill the process, and one that others can write may do anything."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source = "int answer(void) { return 42; }"
+    path = c_library.library("answer", source, ("-DGCC_HASCLASSVISIBILITY",))
+    whole, time = path.read_bytes(), path.stat().st_mtime_ns
+    assert c_library.library("answer", source).stat().st_mtime_ns == time
+    harm(path)
+    assert c_library.library("answer", source) == path
+    assert path.read_bytes() == whole
+    assert path.lstat().st_mode & 0o777 == 0o700
+
+
+def test_the_cache_is_closed_to_others_and_knows_its_compiler(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "rrr_oc").mkdir()
+    (tmp_path / "rrr_oc").chmod(0o777)
+    one = c_library.library("one", "int one;")
+    assert (tmp_path / "rrr_oc").stat().st_mode & 0o777 == 0o755
+    monkeypatch.setattr(c_library, "_version", lambda command: "another compiler")
+    assert c_library.library("one", "int one;") != one
+    monkeypatch.setattr(c_library.os, "geteuid", lambda: one.stat().st_uid + 1)
+    with pytest.raises(UserError, match="belongs to another user"):
+        c_library.library("one", "int one;")
 
 
 def test_unusable_input():

@@ -4,21 +4,24 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.errors import UserError
+from rrr_oc.robot.inertial_parameters import is_possible
+from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
-from rrr_oc.schema import Interval, NonNegative, Text, Vector, read_json
+from rrr_oc.schema import Interval, NonNegative, Text, Vector, check_interval, check_names, read_json, validated
 from rrr_oc.storage import number, write_json
 
 FORMAT = "rrr_oc-model/1"
 INERTIAL_ORDER = "m [kg], m c [kg m] (x, y, z), I about the joint's frame [kg m²] (xx, xy, yy, xz, yz, zz)"
+JOINTS = {"joint": (1,), "many": (1,), "pair": (2,), "spring": (1, 2), "arm": (0,)}  # how many an effect has, by its placement
 T = TypeVar("T")
 # Keys that are not known here are ignored, so that files of later versions can be read.
 
@@ -76,11 +79,14 @@ class ParameterEntry(msgspec.Struct):
         at_bound: Whether the estimate lies at a bound of the parameter.
     """
 
-    value: float
+    value: Annotated[float, Meta(ge=-1e12, le=1e12)]
     unit: str
-    std: float | None
+    std: NonNegative | None
     interval: Interval | None
     at_bound: bool
+
+    def __post_init__(self) -> None:
+        check_interval("interval", self.interval)
 
 
 class TermEntry(msgspec.Struct):
@@ -134,8 +140,8 @@ class ModelFile(msgspec.Struct):
     torque_constant: dict[str, float | None]
     inertial: Literal["nominal", "identify"]
     effects: list[TermEntry]
-    noise: dict[str, float | None]
-    nrmse: dict[str, float | None]
+    noise: dict[str, NonNegative | None]
+    nrmse: dict[str, NonNegative | None]
     report: dict[str, Any]
 
 
@@ -198,6 +204,11 @@ def _model(data: ModelFile) -> CalibratedModel:
         file.write_text(described.urdf, encoding="utf-8")
         robot = replace(load_robot(file, joints, inertial=False, gravity=data.gravity), name=described.name)
     inertial = np.array(_by_name("robot.inertial", described.inertial, robot.links), float).T
+    for link, parameters in zip(robot.links, inertial.T, strict=True):
+        if not is_possible(parameters):
+            raise UserError(
+                f"robot.inertial.{link}: found {parameters.tolist()}; mass and inertia of a possible body are required"
+            )
     constants = tuple(_by_name("torque_constant", data.torque_constant, joints))
     if data.torque == "current" and not all(constants):
         raise UserError("torque_constant: torque 'current' needs one for every joint [Nm/A]")
@@ -209,7 +220,7 @@ def _model(data: ModelFile) -> CalibratedModel:
         torque=data.torque,
         torque_constant=constants,
         inertial=data.inertial,
-        terms=tuple(_term(f"effects[{i}]", entry, robot) for i, entry in enumerate(data.effects)),
+        terms=_terms(data.effects, robot),
         noise=np.array(_by_name("noise", data.noise, joints), float),
         nrmse=np.array(_by_name("nrmse", data.nrmse, joints), float),
         report=data.report,
@@ -225,25 +236,64 @@ def _by_name(where: str, found: Mapping[str, T], names: Iterable[str]) -> list[T
     return [found[name] for name in names]
 
 
+def _terms(entries: list[TermEntry], robot: Robot) -> tuple[Term, ...]:
+    """The terms of a model; raises `UserError` for one that stands twice, which would count twice."""
+    terms: list[Term] = []
+    for i, entry in enumerate(entries):
+        term = _term(f"effects[{i}]", entry, robot)
+        same = [
+            k for k, t in enumerate(terms) if (t.effect, t.recordings, t.groups) == (term.effect, term.recordings, term.groups)
+        ]
+        if same and term.effect.placement != "many":
+            raise UserError(f"effects[{i}]: {entry.effect} stands in effects[{same[0]}] already; once per joint is allowed")
+        terms.append(term)
+    return tuple(terms)
+
+
 def _term(where: str, entry: TermEntry, robot: Robot) -> Term:
     if entry.effect not in CATALOGUE:
         raise UserError(f"{where}: unknown effect {entry.effect!r}; this version knows {', '.join(sorted(CATALOGUE))}")
-    options = {key: _as_tuples(value) for key, value in entry.options.items()}
-    try:
-        effect = CATALOGUE[entry.effect](tuple(robot.index(joint) for joint in entry.joints), **options)
-    except (TypeError, ValueError, AttributeError) as error:
-        raise UserError(f"{where}.options: {error}") from None
+    effect = _effect(where, CATALOGUE[entry.effect], entry, robot)
     if effect.width is not None and entry.width is None:
         raise UserError(f"{where}: key 'width' is missing; {entry.effect} has one [{effect.width.unit}]")
+    width = None if effect.width is None or entry.width is None else _quantity(f"{where}.width", effect.width, entry.width)
     parameters = _by_name(f"{where}.parameters", entry.parameters, [p.name for p in effect.parameters])
-    return Term(
-        effect,
-        tuple(Estimate(p.value, p.std, p.interval, p.at_bound) for p in parameters),
-        None if effect.width is None or entry.width is None else entry.width.value,
-        entry.recordings,
-        entry.groups,
-    )
+    for parameter, given in zip(effect.parameters, parameters, strict=True):
+        _quantity(f"{where}.parameters.{parameter.name}", parameter, given)
+    estimates = tuple(Estimate(p.value, p.std, p.interval, p.at_bound) for p in parameters)
+    return Term(effect, estimates, width, entry.recordings, entry.groups)
 
 
-def _as_tuples(value: Any) -> Any:
-    return tuple(_as_tuples(item) for item in value) if isinstance(value, list) else value
+def _effect(where: str, kind: type[Effect], entry: TermEntry, robot: Robot) -> Effect:
+    """An effect on its joints, with its options; raises `UserError` for what the effect does not have."""
+    count, joints = JOINTS[kind.placement], tuple(robot.index(joint) for joint in entry.joints)
+    if len(joints) not in count or len(set(joints)) < len(joints):
+        wanted = (
+            "no joint is" if count == (0,) else f"{' or '.join(map(str, count))} different joint{'s' * (count != (1,))} are"
+        )
+        raise UserError(f"{where}.joints: found {entry.joints}; {wanted} required by {entry.effect}")
+    hints = get_type_hints(kind)
+    check_names(entry.options, [f.name for f in fields(kind) if f.name != "joints"], f"{where}.options", "option")
+    options = {key: validated(f"{where}.options.{key}", value, hints[key]) for key, value in entry.options.items()}
+    for key, value in options.items():
+        allowed = kind.options.get(key)
+        if allowed is not None and not set(value if isinstance(value, tuple) else [value]) <= set(allowed):
+            raise UserError(f"{where}.options.{key}: found {value!r}; allowed are {', '.join(map(str, allowed))}")
+    try:
+        effect = kind(joints, **options)
+        effect.check_options()
+    except (TypeError, ValueError, UserError) as error:
+        raise UserError(f"{where}.options: {error}") from None
+    beyond = [j for _, j in effect.depends_on if j >= robot.n]
+    if beyond:
+        raise UserError(f"{where}.options: found joint {beyond[0]}; 0 to {robot.n - 1} are allowed")
+    return effect
+
+
+def _quantity(where: str, parameter: Parameter, given: ParameterEntry | WidthEntry) -> float:
+    """A value in the unit and within the bounds of a parameter."""
+    if given.unit != parameter.unit:
+        raise UserError(f"{where}.unit: found {given.unit!r}; {parameter.unit!r} is required")
+    if not parameter.lower <= given.value <= parameter.upper:
+        raise UserError(f"{where}.value: found {given.value:g}; {parameter.lower:g} to {parameter.upper:g} are allowed")
+    return given.value

@@ -16,6 +16,7 @@ from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.sparse import csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.errors import UserError
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -95,7 +96,13 @@ class Prepared:
 
 
 def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared, ...]:
-    """All recordings of a set made ready for `regression.rows`."""
+    """All recordings of a set made ready for `regression.rows`; raises `UserError` for one of which the filters leave nothing."""
+    for r in recordings.recordings:
+        if not len(kept_rows(r)[0]):
+            raise UserError(
+                f"{recordings.path / r.file}: {len(r.t)} rows of {np.ptp(r.t):.3g} s are too short for the filters, which take {window:g} s; "
+                "longer recordings are required, and this one must be left out"
+            )
     sharp = [_with_sharp_motion(r, recordings.joints) for r in recordings.recordings]
     spikes = np.zeros(recordings.robot.n, int)
     return tuple(Prepared(r, recordings.output_torque(r), _moving(r), window, spikes) for r in sharp)

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -13,7 +13,7 @@ from rrr_oc.codesign.task import Task
 from rrr_oc.effects import Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
-from rrr_oc.schema import check_names, read_json
+from rrr_oc.schema import Interval, Schema, check_interval, check_names, read_json, validated
 from rrr_oc.storage import plain
 
 
@@ -65,14 +65,18 @@ class SpringBounds:
 
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     """The springs of a configuration (`configurations`) with the task's bounds; raises `UserError` for crossed ones."""
-    every, known = configurations(), [kind.name for kind in design_forms().values()]
+    every, known = configurations(), {kind.name: kind for kind in design_forms().values()}
     kinds = every.get(configuration)
     if kinds is None:
         raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(every)}")
-    for entry in task.springs:
-        if entry.get("effect") not in known:
+    springs = []
+    for i, entry in enumerate(task.springs):
+        if entry.get("effect") not in [*known]:
             raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
-    springs = tuple(_spring(task, entry) for entry in task.springs if entry["effect"] in kinds)
+        kind = known[entry["effect"]]
+        given = validated(f"task {task.name!r}", entry, spring_schema(kind), f".springs[{i}]")
+        if kind.name in kinds:
+            springs.append(_spring(task, kind, given))
     places = [(s.effect.name, s.effect.joints) for s in springs]
     for spring in springs:
         if places.count((spring.effect.name, spring.effect.joints)) > 1:
@@ -81,7 +85,7 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     missing = [kind for kind in kinds if kind not in {s.effect.name for s in springs}]
     if missing:
         raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
-    return springs
+    return tuple(springs)
 
 
 def arrangements(task: Task, configuration: str) -> list[tuple[SpringBounds, ...]]:
@@ -191,31 +195,39 @@ def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray
     return np.concatenate(rows)
 
 
-def _spring(task: Task, entry: Mapping) -> SpringBounds:
-    where = f"task {task.name!r}: {entry['effect']}"
-    kind = next(kind for kind in design_forms().values() if kind.name == entry["effect"])
-    form, place = kind.design, "joints" if kind.placement == "pair" else "joint"
+def spring_schema(kind: type[Effect]) -> Any:
+    """The structure of a spring's entry in a task."""
+    form, pair = kind.design, kind.placement == "pair"
     assert form is not None
-    check_names(entry, ("effect", place, *kind.options, *(q.key for q in form.quantities)), where)
-    if place not in entry:
-        raise UserError(f"{where} lacks the key {place!r}")
-    names = entry[place] if place == "joints" else [entry[place]]
+    keys: list[Any] = [("effect", Literal[kind.name]), ("joints", tuple[str, str]) if pair else ("joint", str)]
+    keys += [(q.key, Interval) for q in form.quantities]
+    for key, allowed in kind.options.items():
+        default, one = getattr(kind, key), Literal[allowed]
+        values: Any = tuple[(one,) * len(default)] if isinstance(default, tuple) else one
+        keys.append((key, values | None, None))
+    return msgspec.defstruct(f"{kind.__name__}Bounds", keys, bases=(Schema,))
+
+
+def _spring(task: Task, kind: type[Effect], given: Any) -> SpringBounds:
+    where, form = f"task {task.name!r}: {kind.name}", kind.design
+    assert form is not None
+    names = given.joints if kind.placement == "pair" else (given.joint,)
+    if len(set(names)) < len(names):
+        raise UserError(f"{where}: joints: found {', '.join(names)}; two different joints are required")
     locked = [joint for joint in names if task.robot.index(joint) not in task.moving]
     if locked:
         raise UserError(f"{where}: {locked[0]} does not move in this task; moving are {', '.join(task.joints)}")
-    options = {key: tuple(v) if isinstance(v := entry[key], list) else v for key in kind.options if key in entry}
+    options = {key: value for key in kind.options if (value := getattr(given, key)) is not None}
     effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
-    bounds = {q.symbol: _bounds(where, entry, q.key, q.unit) for q in form.quantities}
+    bounds = {q.symbol: _bounds(where, q.key, getattr(given, q.key), q.unit) for q in form.quantities}
     if (wrong := form.wrong(bounds)) is not None:
         raise UserError(f"{where}: {wrong}")
     return SpringBounds(effect, *form.box(bounds), bounds if form.derived else {})
 
 
-def _bounds(where: str, entry: Mapping, key: str, unit: float) -> tuple[float, float]:
+def _bounds(where: str, key: str, given: Interval, unit: float) -> tuple[float, float]:
     try:
-        low, high = (float(v) for v in entry[key])
-    except (KeyError, TypeError, ValueError):
-        raise UserError(f"{where}: {key} must be two numbers [lower, upper], got {entry.get(key)!r}") from None
-    if not low <= high:
-        raise UserError(f"{where}: bounds of {key} are crossed: {low:g} … {high:g}; the lower must not be above the upper")
-    return low * unit, high * unit
+        check_interval(key, given)
+    except ValueError as error:
+        raise UserError(f"{where}: {str(error).removeprefix(f'{key}: ').replace('bounds', f'bounds of {key}')}") from None
+    return given[0] * unit, given[1] * unit

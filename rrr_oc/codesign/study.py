@@ -5,6 +5,7 @@ catalogue (the starred designs); published springs are given the best motion on 
 MuJoCo and, where a calibrated model is given, tracked in that. What can be checked is checked before the first solve.
 """
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -45,7 +46,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.robot.drives import Actuators, load_actuators
-from rrr_oc.storage import check_folder, plain, write_json, write_npz
+from rrr_oc.storage import check_folder, code, plain, read_npz, read_utf8, write_json, write_npz
 
 CHEAPER = 1e-4  # [1] share by which a design with idle springs must be cheaper for the stiff arm to be solved from its motion
 Published = Callable[[str], Mapping[str, float]]  # hardware that was published for a configuration, empty where none was
@@ -171,9 +172,18 @@ def _asked(request: Request, task: Task) -> dict[str, Any]:
     asked = {"preset": request.task, "cost": request.cost, "catalogue": request.catalogue}
     read = (request.task, request.catalogue, None if request.cost == "load" else request.actuators)
     read += (str(request.model),) if request.repaired else ()
-    files = [Path(f).read_text(encoding="utf-8") for f in read if f is not None and Path(f).is_file()]
+    files = [read_utf8(f).decode() for f in read if f is not None and Path(f).is_file()]
     asked |= {"options": asdict(request.search), "files": files}
-    return asked | {"robot": [task.robot.placements, task.robot.axes, task.robot.inertial], "version": __version__}
+    robot = [
+        task.robot.placements,
+        task.robot.axes,
+        task.robot.inertial,
+        task.robot.gravity,
+        task.tool.joint,
+        task.tool.position,
+    ]
+    limits = [task.lower, task.upper, task.speed, task.acceleration, task.torque]  # some may be the robot's
+    return asked | {"robot": robot, "limits": limits, "version": __version__, "code": code()}
 
 
 def _check(study: Study) -> None:
@@ -228,14 +238,14 @@ def _with_idle_motion(study: Study, found: dict[str, Any]) -> dict[str, Any]:
     if stiff["interrupted"] or found[cheapest]["cost"] >= stiff["cost"] * (1 - CHEAPER):
         return {}
     began = time.perf_counter()
-    with np.load(study.out / f"{cheapest}.npz") as file:
-        guess = restored(_chosen(designs[cheapest], found[cheapest]), study.options, file).guess()
+    file = read_npz(study.out / f"{cheapest}.npz")
+    guess = restored(_chosen(designs[cheapest], found[cheapest]), study.options, file).guess()
     tried = continue_from([(design, replace(guess, parameters=np.zeros(0)))], study.options)
     if not tried or tried[0][1].cost >= stiff["cost"]:
         return {}
     better = _describe(study.out, "SA", SearchResult(design, (tried[0][1],), (), False), began)
     better |= {key: stiff[key] for key in ("optima", "layers")}
-    save(study, "SA", better)
+    save(study, "SA", better, ["SA"])
     return {"SA": better | _compared(study, "SA", design)}
 
 
@@ -270,30 +280,52 @@ class Kept(Protocol):
 def once(study: Kept, name: str, solve: Callable[[], dict[str, Any]], files: Sequence[str] | None = None) -> dict[str, Any]:
     """A result by name: the one in the folder if a run with the same settings wrote it, else that of `solve`, which is saved at once
     unless it was interrupted. `files` are the npz files that belong to it, by default that of its name."""
-    found = taken(study, name, [name] if files is None else files)
+    files = [name] if files is None else files
+    found = taken(study, name, files)
     if found is not None:
         study.listener.show(f"{name}: taken from the interrupted or repeated run in {study.out}")
         return found
     found = solve()
     if not found.get("interrupted"):
-        save(study, name, found)
+        save(study, name, found, files)
     return found
 
 
 def taken(study: Kept, name: str, files: Sequence[str]) -> dict[str, Any] | None:
     """The result in the folder if a run with the same settings wrote it, with its npz files; else it is removed."""
     saved = study.out / f".{name}.json"
-    if saved.is_file():
-        content = json.loads(saved.read_text())
-        if content["asked"] == _key(study) and all((study.out / f"{n}.npz").is_file() for n in files):
+    if saved.exists():
+        content = _read(saved)
+        same = content is not None and content["asked"] == _key(study)
+        if content is None or (same and content["hash"] != _hash(study.out, content["found"], files)):
+            study.listener.show(f"{name}: what is saved in {study.out} is damaged; it is solved again")
+        elif same:
             return content["found"]
     saved.unlink(missing_ok=True)  # the motion beside it is about to change
     return None
 
 
-def save(study: Kept, name: str, found: dict[str, Any]) -> None:
-    """Keep a result in the folder, with the settings under which it was made."""
-    write_json(study.out / f".{name}.json", {"asked": _key(study), "found": found})
+def save(study: Kept, name: str, found: dict[str, Any], files: Sequence[str]) -> None:
+    """Keep a result in the folder, with the settings under which it was made, and a hash of it and of its npz files."""
+    content = {"asked": _key(study), "hash": _hash(study.out, found, files), "found": found}
+    write_json(study.out / f".{name}.json", content)
+
+
+def _read(saved: Path) -> dict[str, Any] | None:
+    """A saved result with its settings and hash; None where it is damaged."""
+    try:
+        content = json.loads(read_utf8(saved))
+        return {key: content[key] for key in ("asked", "hash", "found")}
+    except (UserError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _hash(folder: Path, found: dict[str, Any], files: Sequence[str]) -> str:
+    """Of a result and of its npz files, so that neither is taken for another's."""
+    result = hashlib.sha256(json.dumps(found, sort_keys=True).encode())
+    for file in files:
+        result.update((folder / f"{file}.npz").read_bytes() if (folder / f"{file}.npz").is_file() else b"missing")
+    return result.hexdigest()
 
 
 def _key(study: Kept) -> dict[str, Any]:
@@ -311,16 +343,15 @@ def _solve(study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[st
     for other, result in before.items():
         if other in study.designs and not result["interrupted"]:
             inner = _chosen(study.designs[other], result)
-            with np.load(study.out / f"{other}.npz") as file:
-                known.append(embedded(restored(inner, study.options, file), inner, design))
+            file = read_npz(study.out / f"{other}.npz")
+            known.append(embedded(restored(inner, study.options, file), inner, design))
     return _describe(study.out, name, _search(study, name, design, [guess for guess in known if guess is not None]), began)
 
 
 def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
     """A starred design, from the saved optimum of its configuration; writes its motion."""
     began = time.perf_counter()
-    with np.load(study.out / f"{name.rstrip('*')}.npz") as file:
-        start = restored(design, study.options, file)
+    start = restored(design, study.options, read_npz(study.out / f"{name.rstrip('*')}.npz"))
     assert study.shop is not None
     with study.listener.count(name) as count:
         bought = search_catalogue(design, start, study.shop, study.options, lambda done: count(done, "problems solved"))
@@ -396,8 +427,11 @@ def _describe(out: Path, name: str, result: SearchResult, began: float, offered:
 
 def _transferred(study: Study, name: str, design: CoDesign, twin: Twin) -> dict[str, Any]:
     """Metrics of a saved optimum in the calibrated twin."""
-    with np.load(study.out / f"{name}.npz") as saved:
-        motion, values = SampledMotion(**{key: saved[key] for key in SAVED}), restored(design, study.options, saved).parameters
+    saved = read_npz(study.out / f"{name}.npz")
+    motion, values = (
+        SampledMotion(**dict[str, Any]({key: saved[key] for key in SAVED})),
+        restored(design, study.options, saved).parameters,
+    )
     return plain(describe_transfer(design, motion, values, twin.model, twin.drives))
 
 

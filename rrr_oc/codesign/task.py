@@ -143,6 +143,7 @@ class Task:
         floor: Height that the tool stays above [m], against gravity; -infinity where nothing stands below.
         springs: The springs that a design may use, as in the file.
         locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
+        files: The files that it was read from.
     """
 
     name: str
@@ -161,6 +162,7 @@ class Task:
     floor: float
     springs: tuple[Mapping[str, Any], ...]
     locked: tuple[float, ...] = ()
+    files: tuple[Path, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -230,6 +232,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         floor=given.floor_m,
         springs=tuple(given.springs),
         locked=_locked(where, robot, given),
+        files=tuple(Path(file) for file in (source, beside if own else given.robot) if Path(file).is_file()),
         **_limits(where, robot, given),
     )
     body = rigid_body(robot)

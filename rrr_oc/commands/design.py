@@ -16,8 +16,8 @@ from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.set_study import SetStudy, prepared_set
 from rrr_oc.codesign.task_sets.task_set import SETS, is_task_set
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Workers, command_line
-from rrr_oc.errors import UserError
+from rrr_oc.commands.shared import Jobs, Workers, check_apart, command_line
+from rrr_oc.errors import UserError, printable
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
 from rrr_oc.report.study_files import write_set_study, write_study
@@ -72,6 +72,8 @@ def design(
     together = is_task_set(task)
     if front and not together:
         raise UserError(f"--front is {front}; it needs a set of tasks, and {task} is a task")
+    read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
+    check_apart(read, [out / name for name in ("summary.json", "report.md", "report.html", "*.png")])
     with parallel.workers(jobs, workers):
         if together:
             _run(prepared_set(request, front, output), output, command_line(context))
@@ -96,7 +98,7 @@ def _run(study: Study | SetStudy, output: Output, command: str) -> None:
             else:
                 summary, text = write_study(study, found, wall_s, command)
             output.result(summary)
-            output.show(Markdown(text.split("## Certificates")[0]))
+            output.show(Markdown(printable(text.split("## Certificates")[0])))
             output.show(
                 f"Everything is in {study.out}: report.html, report.md, summary.json, figures, one npz a configuration."
             )

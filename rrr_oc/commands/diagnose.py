@@ -13,7 +13,7 @@ from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects.priors import load_priors
 from rrr_oc.effects.words import joint_words, words
-from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
 from rrr_oc.report.diagnosis_words import not_claimed, on_prior, plain, rows, unexplained, verdict
 from rrr_oc.storage import check_folder
 
@@ -43,7 +43,7 @@ def diagnose(
     check_folder(out)
     believed = None if priors is None else load_priors(priors)
     recordings = loaded(dataset, output)
-    check_apart(recordings.files, [out / r.file for r in recordings.recordings if Path(r.file).match("suggested_*.csv")])
+    check_apart([*recordings.files, *([] if priors is None else [priors])], [out / name for name in FILES])
     with parallel.workers(jobs, workers), output.steps("reading") as step, parallel.one_thread():
         found = diagnose_recordings(recordings, lambda line: step(words(line)), believed)
         if simulate:

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Joints, Workers, named
+from rrr_oc.commands.shared import Jobs, Joints, Workers, check_apart, check_payload, named
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Excitation, Search
@@ -19,6 +19,7 @@ from rrr_oc.excitation.information import INERTIAL, Information, information, mo
 from rrr_oc.excitation.limits import UNITS, Rig, robot_limits
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import BUNDLED, Robot, load_robot
+from rrr_oc.schema import LARGEST
 from rrr_oc.storage import check_file, write_csv
 
 UNITS_INERTIAL: dict[str, str] = dict(
@@ -34,7 +35,7 @@ def excite(
     out: Annotated[Path, typer.Option(help="CSV file of the motion: t, q, dq and ddq of every joint")],
     joints: Joints = None,
     duration: Annotated[float, typer.Option(help="of the motion \\[s]")] = 20.0,
-    harmonics: Annotated[int, typer.Option(help="of the base frequency 1/duration; more are faster motions")] = 8,
+    harmonics: Annotated[int, typer.Option(max=200, help="of the base frequency 1/duration; more are faster motions")] = 8,
     acceleration: Annotated[float, typer.Option(help="limit of every joint \\[rad/s²]")] = 5.0,
     speed: Annotated[float | None, typer.Option(help="limit of every joint \\[rad/s], if below the URDF's")] = None,
     torque: Annotated[
@@ -56,6 +57,10 @@ def excite(
     output = Output(quiet, as_json)
     search = Search(duration, harmonics, starts, seed=seed)
     check_file(out)
+    check_apart([Path(urdf)], [out])
+    check_payload(payload)
+    if floor is not None and not abs(floor) <= LARGEST:
+        raise UserError(f"--floor is {floor:g} m; a finite height is required")
     robot = load_robot(urdf, named(joints))
     rig = _rig(robot, {"speed": speed, "torque": torque}, acceleration, -math.inf if floor is None else floor, payload)
     for note in (*robot.notes, *_unlimited(robot, rig)):
@@ -84,8 +89,8 @@ def excite(
 def _rig(robot: Robot, less: dict[str, float | None], acceleration: float, floor: float, payload: float) -> Rig:
     """The arm with the effects of every calibrated model, within its limits or the lower ones of `less`."""
     for name, limit in {**less, "acceleration": acceleration}.items():
-        if limit is not None and not limit > 0:
-            raise UserError(f"--{name} is {limit:g} {UNITS[name]}; above 0 is required")
+        if limit is not None and not 0 < limit <= LARGEST:
+            raise UserError(f"--{name} is {limit:g} {UNITS[name]}; above 0 is required{f', up to {LARGEST:g}' * (limit > 0)}")
     effects = tuple(kind((j,)) for j in range(robot.n) for kind in plain_effects())
     model = Model(robot, robot.tool, effects)
     known = robot_limits(robot, acceleration, floor)

@@ -11,6 +11,7 @@ from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.springs import SavedSprings, saved_springs
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.simulation.export import mjcf, urdf
@@ -29,17 +30,20 @@ def export(
     design: Annotated[Path | None, typer.Option(help="summary.json of a design, whose springs are mounted")] = None,
     configuration: Annotated[str | None, typer.Option(help="of --design: which one, such as PEA")] = None,
     task: Annotated[str | None, typer.Option(help="of --design: its task file, or a bundled task")] = None,
-    payload: Annotated[float, typer.Option(min=0.0, help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
+    payload: Annotated[float, typer.Option(help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Write an arm for other programs: MJCF that plain MuJoCo runs, and the URDF with identified inertias."""
     output = Output(quiet, as_json)
     check_folder(out)
+    check_payload(payload)
     found = None if model is None else load_model(model)
     wanted, springs = _designed(design, configuration, task)
     if found is None and wanted is None:
         raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
+    read = [path for path in (model, design) if path is not None]
+    check_apart([*read, *(() if wanted is None else wanted.files)], [out / "arm.xml", out / "arm.urdf"])
     arm, theta, left_out = _arm(found, wanted, springs)
     made = mjcf(arm, theta, payload)
     write_text(out / "arm.xml", made.text)

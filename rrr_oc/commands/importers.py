@@ -11,6 +11,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.recordings.importers import JointStates, import_csv, import_lerobot, import_mcap, import_prototype
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.schema import decimal
 
 app = typer.Typer(help="Turn recordings in other layouts into a recording set.", no_args_is_help=True, add_completion=False)
 
@@ -82,10 +83,11 @@ def lerobot(
 def _constants(text: str | None) -> dict[str, float]:
     if text is None:
         return {}
-    try:
-        return {name.strip(): float(value) for name, value in (pair.split("=") for pair in text.split(","))}
-    except ValueError:
-        raise UserError(f"--torque-constant is {text!r}; JOINT=NUMBER, comma-separated, is required") from None
+    pairs = [pair.partition("=") for pair in text.split(",")]
+    found = {name.strip(): decimal(value.strip()) for name, _, value in pairs}
+    if None in found.values() or len(found) < len(pairs):
+        raise UserError(f"--torque-constant is {text!r}; JOINT=NUMBER, comma-separated, is required")
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _show_set(recordings: RecordingSet, output: Output) -> None:

@@ -11,7 +11,9 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
+from rrr_oc.errors import printable
 from rrr_oc.report.console import wide_console
 
 LINE_EVERY = 10.0  # [s] between two lines of a count where there is no terminal
@@ -47,7 +49,7 @@ class Output:
     def result(self, content: Any) -> None:
         """The result for programs, of plain data without NaN."""
         if self.as_json:
-            typer.echo(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False))
+            typer.echo(printable(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)))
 
     def note(self, sentence: str) -> None:
         """What a user should know beside the result."""
@@ -60,8 +62,8 @@ class Output:
         if self.quiet:
             yield lambda _: None
         elif self._beside.is_terminal:
-            with self._beside.status(first) as status:
-                yield status.update
+            with self._beside.status(Text(printable(first))) as status:
+                yield lambda step: status.update(Text(printable(step)))
         else:
             began = time.monotonic()
 
@@ -77,10 +79,10 @@ class Output:
         if self.quiet:
             yield lambda done, remark: None
         elif self._beside.is_terminal:
-            columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[remark]}")
-            with Progress(TextColumn("{task.description:12}"), *columns, console=self._beside) as progress:
-                row = progress.add_task(name, total=total, remark="")
-                yield lambda done, remark: progress.update(row, completed=done, remark=remark)
+            columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[remark]}", markup=False)
+            with Progress(TextColumn("{task.description:12}", markup=False), *columns, console=self._beside) as progress:
+                row = progress.add_task(printable(name), total=total, remark="")
+                yield lambda done, remark: progress.update(row, completed=done, remark=printable(remark))
         else:
             began, said = time.monotonic(), float("-inf")
 

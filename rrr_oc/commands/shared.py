@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.schema import HEAVIEST
 
 Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
@@ -49,6 +51,12 @@ def check_window(window: float) -> None:
         raise UserError(f"--window is {window:g} s; 0 (no smoothing) or more is required")
 
 
+def check_payload(payload: float) -> None:
+    """Raise `UserError` unless a payload is one that an arm could hold."""
+    if not 0 <= payload <= HEAVIEST:
+        raise UserError(f"--payload is {payload:g} kg; 0 to {HEAVIEST:g} kg are allowed")
+
+
 def loaded(dataset: Path, output: Output) -> RecordingSet:
     """A recording set; what a user should know of how it was read is noted."""
     recordings = load_recordings(dataset)
@@ -58,11 +66,14 @@ def loaded(dataset: Path, output: Output) -> RecordingSet:
 
 
 def check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
-    """Raise `UserError` where what is to be written would take the place of what was read."""
-    inputs = {path.resolve() for path in read}
+    """Raise `UserError` where what is to be written would take the place of what was read; a name may be a pattern such as *.png."""
+    inputs = [place for path in read for place in (path.absolute(), path.resolve())]
     for path in written:
-        if path.resolve() in inputs:
-            raise UserError(f"{path}: is read by this command and would be overwritten; another place is required")
+        folder = path.absolute().parent
+        for one in inputs:
+            same = one == path.resolve() or (fnmatch(one.name, path.name) and one.parent in (folder, folder.resolve()))
+            if same:
+                raise UserError(f"{one}: is read by this command and would be overwritten; another place is required")
 
 
 def shown(value: float | None) -> str:

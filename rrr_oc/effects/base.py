@@ -279,6 +279,9 @@ class Effect:
         """By how much what is recorded lags what is true [s]."""
         return 0.0
 
+    def check_options(self) -> None:
+        """Raise `UserError` for options, as read from a file, with which there is no such law."""
+
     # internal states
 
     def rate(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:

@@ -2,11 +2,10 @@
 
 Population 64, initial standard deviation 0.15 on variables normalised by the region of initial means (`encoding.Encoding.region`), a
 random initial mean there, at most 1000 generations ("The evolution strategy", "Elastic element and trajectory co-optimization"). The
-state of the strategy and of its random numbers is saved every few generations, so that an interrupted trial continues to the same
-result.
+costs of all candidates are saved every few generations. From them and the seed an interrupted trial goes through its generations again
+without evaluating them, and continues to the same result.
 """
 
-import pickle
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -84,7 +83,9 @@ def evolve(
     if (found := run.found) is not None:
         return found
     objective = protocol.objective(encoding)
-    state = _resumed(run) or _begun(encoding, protocol, seed, start, objective)
+    state = _begun(encoding, protocol, seed, start, objective)
+    if (saved := run.saved()) is not None:
+        state = state.replayed(saved) or _begun(encoding, protocol, seed, start, objective)
     while not state.ended(protocol):
         state.step(objective)
         if state.strategy.countiter % protocol.every == 0:
@@ -99,6 +100,7 @@ class _State:
     """A trial between two generations. Times add up over all parts of an interrupted trial."""
 
     strategy: Any
+    costs: list[np.ndarray]  # of the candidates of each generation
     rows: list[tuple[float, float, float, float]]  # evaluations, core seconds, best so far, median
     best: tuple[np.ndarray, float, float, float]  # x, cost, E1, excess
     wall: float
@@ -111,6 +113,7 @@ class _State:
         x = np.array(self.strategy.ask())
         scores: Scores = objective(x)
         self.strategy.tell(list(x), scores.cost.tolist())
+        self.costs.append(scores.cost)
         k = int(np.argmin(scores.cost))
         if scores.cost[k] < self.best[1]:
             self.best = x[k], float(scores.cost[k]), float(scores.E1[k]), float(scores.excess[k])
@@ -120,7 +123,39 @@ class _State:
         self.rows.append((self.strategy.countevals, spent, self.best[1], float(np.median(scores.cost))))
 
     def packed(self) -> dict[str, np.ndarray]:
-        return {"state": np.frombuffer(pickle.dumps(self), np.uint8)}
+        """All that a trial cannot compute again, as plain numbers."""
+        x, *scores = self.best
+        arrays = {
+            "costs": self.costs,
+            "rows": self.rows,
+            "best": x,
+            "scores": scores,
+            "mean": self.strategy.mean,
+            "wall": self.wall,
+        }
+        return {name: np.array(values, float) for name, values in arrays.items()}
+
+    def replayed(self, saved: Mapping[str, np.ndarray]) -> "_State | None":
+        """A trial that has just begun, taken to where `packed` was saved; None where the strategy now goes another way, as of another
+        version. Changes this one."""
+        count, mean = len(saved.get("costs", ())), self.strategy.mean
+        shapes = {
+            "costs": (count, self.strategy.popsize),
+            "rows": (count, 4),
+            "best": mean.shape,
+            "scores": (3,),
+            "mean": mean.shape,
+            "wall": (),
+        }
+        if any(name not in saved or saved[name].shape != shape for name, shape in shapes.items()):
+            return None
+        for costs in saved["costs"]:
+            self.strategy.tell(list(np.array(self.strategy.ask())), costs.tolist())
+        if not np.array_equal(self.strategy.mean, saved["mean"]):
+            return None
+        cost, E1, excess = map(float, saved["scores"])
+        best = saved["best"], cost, E1, excess
+        return _State(self.strategy, [*saved["costs"]], [*map(tuple, saved["rows"].tolist())], best, float(saved["wall"]))
 
     def history(self) -> dict[str, np.ndarray]:
         columns = np.array(self.rows).T
@@ -128,7 +163,7 @@ class _State:
 
 
 class _Normal:
-    """Standard normal numbers for pycma, from a generator that is pickled with the strategy."""
+    """Standard normal numbers for pycma, from a generator of the trial's own."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -153,14 +188,9 @@ def _begun(encoding: Encoding, protocol: Protocol, seed: int, start: np.ndarray 
     options["CMA_stds"] = high - low
     strategy = cma.CMAEvolutionStrategy(mean, protocol.sigma, options)
     if start is None:
-        return _State(strategy, [], (mean, np.inf, np.inf, np.inf), 0.0)
+        return _State(strategy, [], [], (mean, np.inf, np.inf, np.inf), 0.0)
     scores = objective(mean[None])
-    return _State(strategy, [], (mean, float(scores.cost[0]), float(scores.E1[0]), float(scores.excess[0])), 0.0)
-
-
-def _resumed(run: Run) -> _State | None:
-    saved = run.saved()
-    return None if saved is None else pickle.loads(saved["state"].tobytes())
+    return _State(strategy, [], [], (mean, float(scores.cost[0]), float(scores.E1[0]), float(scores.excess[0])), 0.0)
 
 
 def _judged(encoding: Encoding, state: _State, protocol: Protocol) -> dict[str, Any]:

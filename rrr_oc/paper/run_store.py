@@ -7,14 +7,14 @@ shared file system.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.storage import write_json, write_npz
+from rrr_oc.storage import code, read_npz, read_utf8, write_json, write_npz
 
 
 @dataclass(frozen=True)
@@ -24,16 +24,19 @@ class Run:
     Attributes:
         folder: Its folder.
         asked: Its settings, as plain data.
+        code: Hash of the code that makes its results; those of other code are not taken for this run's.
     """
 
     folder: Path
     asked: Mapping[str, Any]
+    code: str = field(default_factory=code)
 
     @property
     def found(self) -> dict[str, Any] | None:
         """Its results; None where it has not ended. Raises `UserError` for a damaged file."""
         content = _read(self.folder / "run.json")
-        return content["found"] if content is not None and content["asked"] == self._plain else None
+        same = content is not None and (content["asked"], content["code"]) == (self._plain, self.code)
+        return content["found"] if content is not None and same else None
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -43,12 +46,12 @@ class Run:
     def finish(self, found: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Write the results, arrays first, and remove the checkpoint."""
         write_npz(self.folder / "arrays.npz", arrays)
-        write_json(self.folder / "run.json", {"asked": self._plain, "found": found})
+        write_json(self.folder / "run.json", {"asked": self._plain, "code": self.code, "found": found})
         (self.folder / "checkpoint.npz").unlink(missing_ok=True)
 
     def save(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Replace the checkpoint."""
-        write_npz(self.folder / "checkpoint.npz", {"asked": np.array(self._key), **arrays})
+        write_npz(self.folder / "checkpoint.npz", {"asked": np.array(self._checkpoint), **arrays})
 
     def saved(self) -> dict[str, np.ndarray] | None:
         """The last checkpoint of this very run, or None."""
@@ -56,7 +59,11 @@ class Run:
         if not path.is_file():
             return None
         arrays = _load(path)
-        return arrays if str(arrays.pop("asked")) == self._key else None
+        return arrays if str(arrays.pop("asked", None)) == self._checkpoint else None
+
+    @property
+    def _checkpoint(self) -> str:
+        return f"{self.code} {self._key}"
 
     @property
     def _key(self) -> str:
@@ -68,24 +75,23 @@ class Run:
 
 
 def all_runs(root: Path) -> list[Run]:
-    """The runs of a store that have ended, in the order of their folders."""
+    """The runs of a store that have ended, with whatever code, in the order of their folders."""
     contents = [(path.parent, _read(path)) for path in sorted(root.rglob("run.json"))]
-    return [Run(folder, content["asked"]) for folder, content in contents if content is not None]
+    return [Run(folder, content["asked"], content["code"]) for folder, content in contents if content is not None]
 
 
 def _read(path: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        content = json.loads(path.read_text())
-        return {"asked": content["asked"], "found": content["found"]}
-    except (ValueError, KeyError, TypeError):
+        content = json.loads(read_utf8(path))
+        return {"asked": content["asked"], "code": content.get("code", ""), "found": content["found"]}
+    except (ValueError, KeyError, TypeError, RecursionError, AttributeError):
         raise UserError(f"{path}: not a run's file; delete its folder, and the run is done anew") from None
 
 
 def _load(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return dict(file)
-    except (OSError, ValueError, KeyError):
-        raise UserError(f"{path}: cannot be read; delete its folder, and the run is done anew") from None
+        return read_npz(path)
+    except UserError as error:
+        raise UserError(f"{error}; delete its folder, and the run is done anew") from None

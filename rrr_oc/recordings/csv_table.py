@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from rrr_oc.errors import UserError
+from rrr_oc.schema import decimal
 from rrr_oc.storage import read_utf8
 
+_WORD = re.compile(r"([+-]?(nan|inf|infinity))?", re.IGNORECASE)  # cells that hold no number; one without end is refused later
 LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 
 
@@ -92,14 +94,16 @@ class Table:
         return [self._cell(number, i, cells[i].strip()) for i in indices]
 
     def _cell(self, number: int, column: int, cell: str) -> float:
-        try:
-            return float(cell) if cell else math.nan
-        except ValueError:
-            found = cell if len(cell) <= 40 else cell[:40] + "…"
-            comma = " with a decimal point," if "," in cell else ""
-            raise UserError(
-                f"{self.path}, line {number}, column {self.names[column]!r}: found {found!r}; a number{comma} or nan is allowed"
-            ) from None
+        value = decimal(cell)
+        if value is not None:
+            return value
+        if _WORD.fullmatch(cell):
+            return float(cell or "nan")
+        found = cell if len(cell) <= 40 else cell[:40] + "…"
+        comma = " with a decimal point," if "," in cell else ""
+        raise UserError(
+            f"{self.path}, line {number}, column {self.names[column]!r}: found {found!r}; a number{comma} or nan is allowed"
+        )
 
 
 def read_table(path: Path) -> Table:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, field
 
 from rrr_oc.effects import Effect
-from rrr_oc.schema import Payload, Position, Schema, Text, Vector, check_names, parsed, validated, without_free_text
+from rrr_oc.schema import LARGEST, Payload, Position, Schema, Text, Vector, check_names, parsed, validated, without_free_text
 from rrr_oc.storage import read_utf8
 
 HEADER = "recordings.json"
@@ -107,7 +107,7 @@ class Header(Schema, frozen=True):
 
 def read_header(path: Path) -> Header:
     """Read and check `recordings.json`; raises `UserError` that names the key, what was found and what is allowed."""
-    data = without_free_text(parsed(path, read_utf8(path).decode()))
+    data = without_free_text(parsed(path, read_utf8(path).decode(), LARGEST))
     header = validated(path, data, Header)
     check_names(header.actuators, header.joints, f"{path}: actuators", "joint")
     return header

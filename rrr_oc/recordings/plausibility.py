@@ -22,7 +22,11 @@ FACTORS = (  # measured derivative over computed one, and the unit that explains
 TOLERANCE = 0.1  # relative, of a factor; noise and filters change it by less; doubled, rates that are 20 % off would be taken for a unit
 CORRELATION = 0.95  # signals correlated above it are taken to be proportional; at 0.9, very noisy speeds would be judged, too
 LONGEST_STEP = 10.0  # [s], of a median step; longer ones are another unit of time; doubled, slow logs in seconds would pass
-SLOW_STEP, SLOW_SPEED, SLOW_TRAVEL = 0.5, 0.003, 0.5  # [s], [rad/s], [rad]: long steps, far travel and no faster: milliseconds
+SLOW_STEP, SLOW_TRAVEL = 0.5, 0.05  # [s], [rad]: where a joint travels so far in so long steps, and it might be milliseconds …
+USUAL_SPEED = (
+    10.0  # [rad/s], … as a thousand times its speed is below the joint's limit, or this; doubled, slower logs are refused
+)
+ALIKE = 300.0, 3000.0  # ratio of steps within a set from which one is in milliseconds; doubled, sets of more mixed rates pass
 TORQUE_FACTOR = 10.0  # a median torque above so many effort limits is in mNm or mA; doubled, limits 50 times too low would pass
 ABSURD = 1e9  # in any unit: above it a number is no measurement, and its powers overflow; doubled, nothing changes
 STILL = 1e-3  # [rad] of travel, below which a joint stands still; doubled, slow short motions would be taken for standstill
@@ -48,13 +52,25 @@ def check_time(where: str, t: np.ndarray) -> None:
         )
 
 
-def check_slowness(where: str, t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
+def check_slowness(where: str, robot: Robot, t: np.ndarray, q: np.ndarray, dq: np.ndarray) -> None:
     """Raise `UserError` where t (K,) in milliseconds explains a slow motion q (n, K) whose speeds dq (n, K) were computed from it."""
-    step, speed = float(np.median(np.diff(t))), float(np.max(np.abs(dq)))
-    if step >= SLOW_STEP and np.max(np.ptp(q, axis=1)) >= SLOW_TRAVEL and speed < SLOW_SPEED:
+    step, speeds = float(np.median(np.diff(t))), np.max(np.abs(dq), axis=1)
+    known = np.isfinite(robot.velocity) & (robot.velocity > 0)
+    limits = np.where(known, robot.velocity, USUAL_SPEED)
+    if step >= SLOW_STEP and np.max(np.ptp(q, axis=1)) >= SLOW_TRAVEL and np.all(1e3 * speeds < 1.5 * limits):
         raise UserError(
-            f"{where}: column 't' has a median step of {step:g}, and no joint is faster than {speed:.2g} rad/s; "
+            f"{where}: column 't' has a median step of {step:g}, and no joint is faster than {speeds.max():.2g} rad/s; "
             "the unit is s, it looks like milliseconds"
+        )
+
+
+def check_alike(steps: Mapping[str, float]) -> None:
+    """Raise `UserError` where the median step [s] of one recording, by file, is a thousand times that of another."""
+    long, short = max(steps, key=steps.__getitem__), min(steps, key=steps.__getitem__)
+    if ALIKE[0] < steps[long] / steps[short] < ALIKE[1]:
+        raise UserError(
+            f"{long}: column 't' has a median step of {steps[long]:g}, and that of {short} {steps[short]:g}; the unit is s, "
+            f"{long} looks like milliseconds"
         )
 
 

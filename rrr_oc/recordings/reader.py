@@ -16,7 +16,7 @@ from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, read_header
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
-from rrr_oc.schema import Payload, one_spelling, spellings
+from rrr_oc.schema import HEAVIEST, Payload, one_spelling, spellings
 
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
@@ -39,9 +39,10 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
     source = listed if robot is None else robot
     arm, tool = _robot(file, source, header)
     loaded = tuple(
-        _recording(folder / entry.file, entry, springs, header, arm)
+        _recording(folder, entry, springs, header, arm)
         for entry, springs in zip(header.recordings, read_springs(file, header), strict=True)
     )
+    plausibility.check_alike({str(folder / r.file): float(np.median(np.diff(r.t))) for r in loaded})
     return RecordingSet(arm, source, header.torque, header.inertial, tool, header.torque_constant, loaded, folder)
 
 
@@ -55,7 +56,10 @@ def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolP
         raise UserError(f"{file}: robot {str(source)!r} cannot be read: {error.strerror}") from None
 
 
-def _recording(path: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
+def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
+    path = folder / entry.file
+    if not path.resolve().is_relative_to(folder.resolve()):  # a message may show what stands in it
+        raise UserError(f"{path}: is a link that leads out of the set's folder; a recording must lie in it")
     table = _one_payload(read_table(path))
     recorded = tuple(f"{'current' if header.torque == 'current' else 'tau'}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
@@ -129,6 +133,9 @@ def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.nd
         if payload.min() < 0:
             i = int(np.argmax(payload < 0))
             raise _wrong_cell(table, int(rows[i]), "payload", f"{payload[i]:g}", "0 kg or more is allowed")
+        if payload.max() > HEAVIEST:
+            i = int(np.argmax(payload))
+            raise _wrong_cell(table, int(rows[i]), "payload", f"{payload[i]:g}", f"up to {HEAVIEST:g} kg are allowed")
     return rows
 
 
@@ -190,7 +197,7 @@ def _check_units(path: Path, recording: Recording, robot: Robot, header: Header,
             if rate[0] not in r.computed and value[0] not in r.computed:
                 plausibility.check_derivative(where, r.t, r.segments, value, rate)
     if all(f"dq_{joint}" in r.computed for joint in robot.joints):
-        plausibility.check_slowness(where, r.t, r.q, r.dq)
+        plausibility.check_slowness(where, robot, r.t, r.q, r.dq)
     unit = "A" if header.torque == "current" else "Nm"
     constants = np.array(header.torque_constant, float) if unit == "A" else np.ones(robot.n)
     plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)

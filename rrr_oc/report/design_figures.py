@@ -162,7 +162,7 @@ def draw_landscape(summary: dict) -> Any:
                     alpha=0.8,
                 )
                 axis.annotate(
-                    str(o["reached"] or "hop"),
+                    str(o["reached"]),
                     (o["durations"][phase], o["cost"]),
                     textcoords="offset points",
                     xytext=(7, 3),
@@ -177,7 +177,7 @@ def draw_landscape(summary: dict) -> Any:
             axis.ticklabel_format(useOffset=False)
     for axis in axes[:, 0]:
         axis.set_ylabel("{} [{}]".format(*summary["quantity"]))
-    note = "filled: refined to the mesh tolerance; open: on the first fine mesh; number and size: starts that ended there (0: found from others)"
+    note = "filled: refined to the mesh tolerance; open: on the first fine mesh; number and size: starts that ended there"
     figure.text(0.5, -0.02, note, ha="center", **FOOTER)
     figure.tight_layout()
     return figure

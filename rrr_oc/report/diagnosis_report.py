@@ -15,13 +15,16 @@ from rrr_oc.report.diagnosis_figures import draw_errors, draw_prediction
 from rrr_oc.report.figures import save_figure
 from rrr_oc.report.pages.diagnosis_curves import curves
 from rrr_oc.report.pages.diagnosis_page import FIGURES, write_diagnosis_page
-from rrr_oc.storage import write_json, write_npz, write_text
+from rrr_oc.storage import new_files, write_json, write_npz, write_text
+
+# What `write_diagnosis` writes, and takes away of an earlier diagnosis
+FILES = ("model.json", "diagnosis.json", "report.html", "before_after.png", "prediction.png", FIGURES, "suggested_*.csv")
 
 
 def write_diagnosis(
     diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, Any] | None = None, command: str = ""
 ) -> dict[str, Any]:
-    """Write model.json, the figures, report.html and, when all else is there, diagnosis.json.
+    """Write model.json, the figures, report.html and diagnosis.json, all in one step, in place of those of an earlier diagnosis.
 
     Args:
         simulated: What `in_closed_loop` returns; None leaves that part out.
@@ -33,6 +36,12 @@ def write_diagnosis(
     found = {**to_json(diagnosis), "bootstrap": intervals(diagnosis), "alone": _alone(diagnosis)}
     if simulated is not None:
         found["simulated"] = dict(simulated)
+    with new_files(folder, FILES) as made:
+        _write(diagnosis, made, found, command)
+    return found
+
+
+def _write(diagnosis: Diagnosis, folder: Path, found: dict[str, Any], command: str) -> None:
     save_model(diagnosis.model, folder / "model.json")
     shown = curves(diagnosis) | {"subject": np.array(about(diagnosis.recordings)), "command": np.array(command)}
     write_npz(folder / FIGURES, shown)
@@ -45,7 +54,6 @@ def write_diagnosis(
         write_text(folder / entry["trajectory"], "\n".join([header, *lines]) + "\n")
     write_diagnosis_page(folder, found)
     write_json(folder / "diagnosis.json", found)
-    return found
 
 
 def _alone(diagnosis: Diagnosis) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp
-from rrr_oc.schema import Schema, read_preset
+from rrr_oc.schema import NonNegative, Positive, Schema, read_preset
 
 STEEPNESS = 20.0  # [s/rad], of tanh in place of the sign, as in the authors' code
 LOAD_WIDTH = 0.05  # [Nm] within which |tau_l| is rounded; doubled, friction at small loads is smoother and larger
@@ -26,19 +26,23 @@ class Drive(Schema, frozen=True):
         viscous_A_s_per_rad: Viscous friction, nu of Eq. 9.
         c_v2_A_s2_per_rad2: Friction with the square of speed.
         c_1_A_per_Nm: Current by load torque.
-        c_12_A_per_Nm: Friction by load torque.
+        c_12_A_per_Nm: Friction by load torque, less than c_1 in magnitude.
         inertia_A_s2_per_rad: Inertia of rotor and gear, J_m of Eq. 7.
         resistance_Ohm: Of the windings; electrical energy needs it.
     """
 
-    torque_constant_Nm_per_A: float
-    c_0_A: float
-    viscous_A_s_per_rad: float
+    torque_constant_Nm_per_A: Positive
+    c_0_A: NonNegative
+    viscous_A_s_per_rad: NonNegative
     c_v2_A_s2_per_rad2: float
-    c_1_A_per_Nm: float
+    c_1_A_per_Nm: Positive
     c_12_A_per_Nm: float
-    inertia_A_s2_per_rad: float
-    resistance_Ohm: float = math.nan
+    inertia_A_s2_per_rad: NonNegative
+    resistance_Ohm: Positive = math.nan
+
+    def __post_init__(self) -> None:
+        if abs(self.c_12_A_per_Nm) >= self.c_1_A_per_Nm:  # Eq. 10 divides by c_1 ± c_12
+            raise ValueError(f"c_12_A_per_Nm: found {self.c_12_A_per_Nm:g}; a magnitude below c_1_A_per_Nm is required")
 
 
 @dataclass(frozen=True, eq=False)

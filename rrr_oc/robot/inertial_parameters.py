@@ -10,6 +10,7 @@ import numpy as np
 from rrr_oc.numerics.rank import independent_columns
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import Robot
+from rrr_oc.robot.urdf import LARGEST, possible
 
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # the rows of `Robot.inertial`
 UNITS = ("kg", *["kg m"] * 3, *["kg m²"] * 6)
@@ -97,6 +98,13 @@ def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def is_physical(parameters: np.ndarray) -> bool:
     """Whether ten inertial parameters are physically consistent: finite, with a positive definite pseudo-inertia."""
     return bool(np.all(np.isfinite(parameters)) and np.linalg.eigvalsh(pseudo_inertia(parameters))[0] > 0)
+
+
+def is_possible(parameters: np.ndarray) -> bool:
+    """As `is_physical`, up to rounding, and with bodies without extent, as URDFs have them: mass above 0, moments of a body."""
+    if not (np.all(np.isfinite(parameters)) and parameters[0] > 0 and np.all(np.abs(parameters) <= LARGEST)):
+        return False
+    return possible(np.linalg.eigvalsh(about_centre(parameters)[1]))
 
 
 @cache

@@ -16,6 +16,8 @@ import pinocchio as pin
 
 from rrr_oc.errors import UserError
 from rrr_oc.robot.mjcf import ENDLESS, mjcf_as_urdf
+from rrr_oc.robot.urdf import Elements, possible
+from rrr_oc.storage import read_regular
 
 # pyright: reportAttributeAccessIssue=false
 # (pin's wheel has no stubs)
@@ -26,7 +28,7 @@ _TOOL = re.compile(  # usual names of a tool frame
     r"(^|[_/])(tool0?|tcp|ee|end_effector|flange|attachment|attachment_site)($|[_/])", re.IGNORECASE
 )
 
-_MJCF = re.compile(r"(\s|<\?.*?\?>|<!--.*?-->)*<mujoco[\s>]", re.DOTALL)  # how such a file begins
+_MJCF = re.compile(r"(?>\s+|<\?.*?\?>|<!--.*?-->)*+<mujoco[\s>]", re.DOTALL)  # how such a file begins; without backtracking
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ class Robot:
         frames: For each link of the URDF, or body and site of the MJCF, the joint that moves it (-1: the base) and its pose in
             that joint's frame.
         gravity: Acceleration of gravity in the base frame [m/s²], shape (3,).
-        notes: What a user should know of the file, a sentence each: limits that it does not give, of any of its joints, and what
-            it says beyond kinematics, inertia and limits, which is not used.
+        notes: What a user should know of the file, a sentence each: limits that it does not give, of any of its joints, links whose
+            inertia no body has, and what it says beyond kinematics, inertia and limits, which is not used.
     """
 
     name: str
@@ -121,16 +123,21 @@ def load_robot(
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's, or `GRAVITY`.
 
     Raises:
-        UserError: The file is missing or neither URDF nor MJCF; a joint kept is not revolute; the chain branches; a moving link has no mass;
-            `joints` names one that is not there or is out of order.
+        UserError: The file is missing or neither URDF nor MJCF; a number in it is missing or not finite; a joint kept is not revolute, or
+            its limits are crossed; the chain branches; a moving link has no mass; `joints` names one that is not there or is out of order.
     """
     name = str(source) if str(source) in BUNDLED else Path(source).stem
-    root = _root(name, urdf_text(source))
-    notes = (*_missing_limits(root), *(str(note.text) for note in root.findall("note")))
+    elements = Elements(name, urdf_text(source))
+    root = elements.root
+    notes = (
+        *_missing_limits(root),
+        *(str(note.text) for note in root.findall("note")),
+        *(elements.doubts() if inertial else ()),
+    )
     masses, own = _masses(root), root.find("gravity")
     if gravity is None:
         gravity = GRAVITY if own is None else [float(x) for x in own.get("xyz", "").split()]
-    model = _lock_all_but(name, _parse(name, root, joints), joints)
+    model = _lock_all_but(name, _parse(name, elements, joints), joints)
     if model.nq == 0:
         raise UserError(f"robot {name!r} has no revolute joint; at least one is needed")
     parameters = np.array([model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]).T  # (10, n)
@@ -162,12 +169,9 @@ def urdf_text(source: str | Path) -> str:
     if str(source) in BUNDLED:
         return importlib.resources.files("rrr_oc.urdf").joinpath(f"{source}.urdf").read_text(encoding="utf-8")
     path = Path(source)
-    if not path.is_file():
+    if path.is_dir() or not path.exists():
         raise UserError(f"no robot at {str(source)!r}; give the path of a URDF or MJCF, or one of {', '.join(BUNDLED)}")
-    try:
-        text = _decoded(path, path.read_bytes())
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}; the path of a URDF or MJCF is needed") from None
+    text = _decoded(path, read_regular(path))
     return mjcf_as_urdf(path) if _MJCF.match(text) else text
 
 
@@ -179,16 +183,6 @@ def _decoded(path: Path, data: bytes) -> str:
             return ElementTree.tostring(ElementTree.fromstring(data), encoding="unicode")
         except (ElementTree.ParseError, LookupError, ValueError):
             raise UserError(f"{path}: not a text file, so neither URDF nor MJCF ({error.reason})") from None
-
-
-def _root(name: str, text: str) -> ElementTree.Element:
-    try:
-        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))  # a text has no encoding any more
-    except ElementTree.ParseError as error:
-        raise UserError(f"robot {name!r}: not well-formed XML: {error}") from None
-    if root.tag != "robot":
-        raise UserError(f"robot {name!r}: the outer element is <{root.tag}>; a URDF has <robot>, and an MJCF <mujoco>")
-    return root
 
 
 def _missing_limits(root: ElementTree.Element) -> tuple[str, ...]:
@@ -214,25 +208,26 @@ def _number(element: ElementTree.Element | None, key: str, default: str) -> floa
 
 
 def _masses(root: ElementTree.Element) -> dict[str, str]:
-    """What is wrong with the mass of each link whose mass is missing or no number."""
+    """What is missing of the inertia of each link where something is; what is incomplete is removed."""
     wrong = {}
     for link in root.iter("link"):
         inertial = link.find("inertial")
-        mass = None if inertial is None else inertial.find("mass")
+        mass, inertia = (None, None) if inertial is None else (inertial.find("mass"), inertial.find("inertia"))
         if inertial is None:
             wrong[link.get("name", "")] = "has no <inertial>"
-        elif mass is None or mass.get("value") is None:
+            continue
+        if mass is None or mass.get("value") is None:
             wrong[link.get("name", "")] = "has an <inertial> without the mass, <mass value='…'/>"
-        elif _number(mass, "value", "") is None:
-            wrong[link.get("name", "")] = f"has the mass {mass.get('value')!r}, which is no number"
+        elif inertia is None:
+            wrong[link.get("name", "")] = "has an <inertial> without the moments, <inertia ixx='…' …/>"
+        if link.get("name", "") in wrong:
+            link.remove(inertial)  # the parser would complain
     return wrong
 
 
-def _parse(name: str, root: ElementTree.Element, joints: Sequence[str] | None) -> pin.Model:
-    for joint in root.iter("joint"):
+def _parse(name: str, elements: Elements, joints: Sequence[str] | None) -> pin.Model:
+    for joint in elements.root.findall("joint"):
         kind = joint.get("type")
-        if kind is None:
-            continue  # <joint> of a <transmission>
         turns, mimic, tied = kind in ("fixed", "revolute", "continuous"), joint.find("mimic"), joint.find("tied")
         if joints is not None and joint.get("name") not in joints and not (turns and mimic is None and tied is None):
             joint.set("type", "fixed")  # locked at zero, as a gripper's fingers
@@ -254,15 +249,32 @@ def _parse(name: str, root: ElementTree.Element, joints: Sequence[str] | None) -
             limit = ElementTree.SubElement(joint, "limit") if limit is None else limit
             unlimited = dict.fromkeys(("effort", "velocity"), ENDLESS)
             limit.attrib = {**unlimited, **limit.attrib, "lower": f"-{ENDLESS}", "upper": ENDLESS}
-        elif kind == "revolute" and joint.find("limit") is None:
-            raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
+        elif kind == "revolute":
+            _check_limit(name, elements, joint)
     said: list[str] = []
+    model = None
     try:
         with _captured_stderr(said):
-            return pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+            model = pin.buildModelFromXML(ElementTree.tostring(elements.root, encoding="unicode"))
     except (RuntimeError, ValueError) as error:
-        why = "; ".join(said[:2]) or str(error).strip()
-        raise UserError(f"robot {name!r}: not a usable URDF: {why}") from None
+        said = said or [str(error).strip()]
+    if said or model is None:  # after a complaint the parser goes on with 0
+        about = elements.named(" ".join(said))
+        why = f"not a usable URDF: {'; '.join(said[:2])}"
+        raise UserError(f"robot {name!r}: {why}") if about is None else elements.fault(about, about, f"makes it {why}")
+    return model
+
+
+def _check_limit(name: str, elements: Elements, joint: ElementTree.Element) -> None:
+    limit = joint.find("limit")
+    if limit is None:
+        raise UserError(f"robot {name!r}: revolute joint {joint.get('name')!r} has no <limit>; URDF requires one")
+    low, high = (float(limit.get(key, "0")) for key in ("lower", "upper"))
+    if low > high:
+        raise elements.fault(limit, joint, f"has crossed limits: lower {low:g} is above upper {high:g} rad")
+    for key in ("effort", "velocity"):
+        if float(limit.get(key, "0")) < 0:
+            raise elements.fault(limit, joint, f"has the limit {key}={limit.get(key)!r}; 0 or more is required")
 
 
 def _check_axis(name: str, joint: ElementTree.Element) -> None:
@@ -340,7 +352,7 @@ def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None
             )
         inertia = model.inertias[i + 1].inertia
         moments = np.linalg.eigvalsh(inertia)
-        if moments[0] < -1e-9 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-6) + 1e-9:
+        if not possible(moments):
             raise UserError(
                 f"robot {name!r}: link {_moved_link(model, i + 1)!r} has principal moments of inertia "
                 f"{', '.join(f'{m:.3g}' for m in moments)} kg m²; they must be positive and none above the sum of the other two"

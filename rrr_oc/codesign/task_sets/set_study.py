@@ -43,7 +43,7 @@ from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.solver import Solution, SolverFailure
 from rrr_oc.parallel import ordered, unordered
 from rrr_oc.robot.drives import load_actuators
-from rrr_oc.storage import check_folder, plain, write_npz
+from rrr_oc.storage import check_folder, code, plain, read_utf8, write_npz
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +112,10 @@ def prepared_set(request: Request, points: int, listener: Listener) -> SetStudy:
         check_simulation(ways[0].first)
     asked = {"set": tasks.contents, "cost": request.cost, "options": asdict(request.search), "front": points}
     read = [None if request.cost == "load" else request.actuators, request.model]
-    asked |= {"files": [Path(f).read_text(encoding="utf-8") for f in read if f is not None and Path(f).is_file()]}
+    asked |= {"files": [read_utf8(f).decode() for f in read if f is not None and Path(f).is_file()]}
     robot = first.task.robot
     asked |= {"robot": [robot.placements, robot.axes, robot.inertial], "repaired": request.repaired, "version": __version__}
+    asked |= {"limits": [[t.lower, t.upper, t.speed, t.acceleration, t.torque] for t in tasks.tasks], "code": code()}
     twin = None if model is None else Twin(model, drives)
     return SetStudy(request.out, tasks, designs, asked, request.search, twin, points, request.cost, listener)
 
@@ -183,7 +184,7 @@ def _alone(study: SetStudy, name: str, design: SetDesign) -> list[Optimum]:
                 raise UserError(f"no motion of task {task!r} was found within its limits: {optimum}")
             multipliers = {"lam_g": optimum.solution.lam_g, "lam_w": optimum.solution.lam_w}
             write_npz(study.out / f".{names[t]}.npz", restart_arrays(optimum.solution) | multipliers)
-            save(study, names[t], plain({"meshes": optimum.meshes}))
+            save(study, names[t], plain({"meshes": optimum.meshes}), [f".{names[t]}"])
             count(done, "tasks alone")
     return [_restored(study, one, own) for one, own in zip(names, design.designs, strict=True)]
 
@@ -198,8 +199,8 @@ def _search(task: int, design: CoDesign, options: SearchOptions) -> tuple[int, O
 def _restored(study: SetStudy, name: str, design: CoDesign) -> Optimum:
     found = taken(study, name, [f".{name}"])
     assert found is not None
-    with np.load(study.out / f".{name}.npz") as file:
-        solution = replace(restored(design, study.options, file), lam_g=file["lam_g"], lam_w=file["lam_w"])
+    file = read_npz(study.out / f".{name}.npz")
+    solution = replace(restored(design, study.options, file), lam_g=file["lam_g"], lam_w=file["lam_w"])
     return Optimum(solution, found["meshes"])
 
 

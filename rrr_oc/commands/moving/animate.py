@@ -7,7 +7,7 @@ import typer
 
 from rrr_oc.commands.moving.sources import chosen, designed, recorded
 from rrr_oc.commands.output import Output, Quiet
-from rrr_oc.commands.shared import loaded
+from rrr_oc.commands.shared import check_apart, loaded
 from rrr_oc.report.moving.animation import Renderer, animate
 from rrr_oc.storage import check_file
 
@@ -33,8 +33,10 @@ def command(
     check_file(out)
     if source.is_dir():
         recordings = loaded(source, output)
+        check_apart(recordings.files, [out])
         scene = recorded(recordings, chosen(recordings, recording))
     else:
+        check_apart([source, *([] if task is None else [Path(task)])], [out])
         scene = designed(source, task)
     with output.steps("drawing"):
         used, why = animate(scene, out, renderer)

@@ -12,6 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.report.moving.scene import Scene, ShownSpring
+from rrr_oc.storage import read_npz
 
 SUMMARY = "summary.json"  # of a study, beside the npz of its designs
 
@@ -22,9 +23,9 @@ def designed(source: Path, name: str | None) -> Scene:
         raise UserError("--task is missing: the task file of the design, or a bundled task, is required")
     task = load_task(name)
     try:
-        with np.load(source) as file:
-            t, q, load, own, payload = (file[key] for key in ("t", "q", "tau_load", "tau_spring", "payload"))
-    except (OSError, ValueError, KeyError):
+        file = read_npz(source)
+        t, q, load, own, payload = (file[key] for key in ("t", "q", "tau_load", "tau_spring", "payload"))
+    except (UserError, KeyError):
         raise UserError(f"{source}: is no npz of a design; one that `rrr-oc design` wrote is required") from None
     if len(q) != len(task.joints):
         raise UserError(

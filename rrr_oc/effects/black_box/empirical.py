@@ -9,12 +9,15 @@ from typing import Literal
 import numpy as np
 
 from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
+from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import cos, fmax, fmin, sign
 from rrr_oc.robot.parameters import Parameter
 
 EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # of the trials, as a share of the variable's range
 STRAIGHT = ((1, 0.0, 1), (-1, 1.0, 1))  # the edges of a straight line over a whole range
 Direction = Literal["either", "turned", "upwards", "downwards"]
+KINDS = ("q", "dq", "ddq", "load", "motor", "time")  # of variables
+HIGHEST = 60  # order of a series; a diagnosis tries lower ones
 EITHER: tuple[Direction, ...] = ("either", "turned")
 ONE_WAY: tuple[Direction, ...] = ("upwards", "downwards")
 
@@ -62,6 +65,20 @@ class Empirical(Effect):
     def __post_init__(self) -> None:
         if self.on_link:
             object.__setattr__(self, "side", "link")
+
+    def check_options(self):
+        ranges = [*zip(self.low, self.high, strict=False)]
+        of_one = len(self.variables) == 1 and all(s in (-1, 1) and 0 <= e <= 1 and 0 <= p <= 9 for s, e, p in self.edges)
+        known = all(kind in KINDS and j >= -(kind == "time") for kind, j in self.variables)
+        orders = len(self.orders) == len(self.variables) and all(0 <= order <= HIGHEST for order in self.orders)
+        if not (known and len(self.low) == len(self.high) == len(self.variables) and all(low < high for low, high in ranges)):
+            raise UserError(
+                f"found variables {self.variables} from {self.low} to {self.high}; a rising range for each is required"
+            )
+        if self.variables and not (of_one if self.edges else orders):
+            raise UserError(
+                f"found orders {self.orders} and edges {self.edges} for {len(self.variables)} variables, which do not fit"
+            )
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:

@@ -319,7 +319,7 @@ class _Allowed:
 
 def _bounds(meta: msgspec.Meta) -> list[str]:
     signs = (("≥", meta.ge), (">", meta.gt), ("≤", meta.le), ("<", meta.lt))
-    found = [f"{sign} {value:.4g}" for sign, value in signs if value is not None]
+    found = [f"{sign} {value:.5g}" for sign, value in signs if value is not None]
     found += [f"at least {meta.min_length} entries"] * bool(meta.min_length and meta.min_length > 1)
     return found + ["at least one entry"] * (meta.min_length == 1)
 
