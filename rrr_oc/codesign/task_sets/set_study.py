@@ -43,7 +43,7 @@ from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.solver import Solution, SolverFailure
 from rrr_oc.parallel import ordered, unordered
 from rrr_oc.robot.drives import load_actuators
-from rrr_oc.storage import check_folder, code, plain, read_utf8, write_npz
+from rrr_oc.storage import check_folder, code, plain, read_npz, read_utf8, write_npz
 
 
 @dataclass(frozen=True, eq=False)
