@@ -22,7 +22,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.springs import saved_springs
-from rrr_oc.codesign.study import Request, _asked, _once
+from rrr_oc.codesign.study import Request, _asked, once
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import check_apart
@@ -413,7 +413,7 @@ def test_a_damaged_result_is_solved_again(tmp_path, harm):
         write_npz(tmp_path / "SA.npz", {"x": np.ones(1)})
         return {"E1": 0.1 + len(said), "interrupted": False}
 
-    first, saved = _once(study, "SA", solve), tmp_path / ".SA.json"
+    first, saved = once(study, "SA", solve), tmp_path / ".SA.json"
     if harm == "result":
         saved.write_text(saved.read_text().replace("0.1", "0.2"))
     elif harm == "motion":
@@ -422,7 +422,7 @@ def test_a_damaged_result_is_solved_again(tmp_path, harm):
         study.asked = {"code": "2"}
     elif harm:
         saved.write_bytes(harm)
-    found = _once(study, "SA", solve)
+    found = once(study, "SA", solve)
     assert (found == first) == (harm in (None, "settings"))
     assert [line.split(" ")[1] for line in said] == {None: ["taken"], "settings": []}.get(harm, ["what"])
 
