@@ -27,7 +27,7 @@ KINDS = ("PEA", "BPEA", "PEA+BPEA")
 
 @pytest.fixture(scope="module")
 def optima() -> dict[str, tuple[CoDesign, Solution]]:
-    return {name: (design := design_of(name), solved(design, 12)) for name in ("SA", *KINDS)}
+    return {name: (design := design_of(name), solved(design, 30)) for name in ("SA", *KINDS)}
 
 
 def random_hardware(configuration: str, count: int) -> list[dict[str, float]]:

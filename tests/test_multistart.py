@@ -3,6 +3,7 @@
 import gc
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.search.local_optima import same_optimum
 from rrr_oc.codesign.search.motions import MotionSearch
-from rrr_oc.codesign.search.multistart import SearchResult, Start, solve_multistart
+from rrr_oc.codesign.search.multistart import SearchResult, Springs, Start, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions, decode, dimensions, motion_guess
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import Task, load_task
@@ -149,6 +150,14 @@ def test_the_best_motions_never_lose():
         np.testing.assert_array_equal(some[0].solution.parameters, springs)
         ends = some[0].solution.at(0, np.array([0.0, 1.0]))[0][:2].T
         np.testing.assert_allclose(ends, TASK.ends(phase), atol=1e-9)
+
+
+def test_springs_are_told_apart_by_their_torque():
+    """The equilibrium of a spring without stiffness, and a thousandth of stiffness, make no difference."""
+    values = ([0.0, 1.0, 1.0, 0.1], [0.0, -1.0, 1.0, 0.1], [0.0, 1.0, 1.001, 0.1], [5.0, 1.0, 1.0, 0.1], [5.0, 1.0, 1.0, 1.0])
+    optima = [SimpleNamespace(number=i, solution=SimpleNamespace(parameters=np.array(v))) for i, v in enumerate(values)]
+    assert [o.number for o in Springs(PEA).others(optima)] == [0, 3, 4]
+    assert [o.number for o in Springs(PEA).others(optima, tried=optima[1:2])] == [3, 4]
 
 
 def test_an_infeasible_task_names_the_constraint():

@@ -73,9 +73,7 @@ class MotionSearch:
             skip: Number of proposed motions that earlier calls have used.
             known: Result of an earlier call, maybe with other springs, whose motions are solved again.
         """
-        phases = range(len(self.solver.solvers))
-        coarse = self._solved(COARSE, parameters, [[(w, 1) for w in self._proposed(i, parameters, skip)] for i in phases])
-        coarse = self._hopped(COARSE, parameters, coarse)
+        coarse = self._hopped(COARSE, parameters, self.proposed(parameters, self.options.motions, skip))
         transcriptions = [solvers[FINE].transcription for solvers in self.solver.solvers]
         starts = [
             [(t.pack(o.solution.guess()), o.reached) for o in (*some[:FOLLOWED], *others[:FOLLOWED])]
@@ -83,9 +81,23 @@ class MotionSearch:
         ]
         return self._hopped(FINE, parameters, self._solved(FINE, parameters, starts))
 
-    def _proposed(self, phase: int, parameters: np.ndarray, skip: int) -> list[np.ndarray]:
+    def proposed(self, parameters: np.ndarray, count: int, skip: int = 0, known: Sequence[Solution] = ()) -> Motions:
+        """The motions of each phase on the coarse mesh to which `count` proposed ones lead, the first `skip` left out, and those of
+        known solutions, which may have other springs."""
+        starts = [
+            [(w, 1) for w in self._starts(i, parameters, count, skip)] + [(self._packed(i, s), 0) for s in known]
+            for i in range(len(self.solver.solvers))
+        ]
+        return self._solved(COARSE, parameters, starts)
+
+    def _packed(self, phase: int, solution: Solution) -> np.ndarray:
+        """Scaled variables of a solution's motion of one phase on the coarse mesh."""
+        guess = solution.guess()
+        return self.solver.solvers[phase][COARSE].transcription.pack(Guess((guess.phases[phase],), guess.parameters))
+
+    def _starts(self, phase: int, parameters: np.ndarray, count: int, skip: int) -> list[np.ndarray]:
         """Scaled variables of proposed motions on the coarse mesh."""
-        m, count, starts = len(self.design.task.moving), -(-self.options.motions // len(VIAS)), []
+        m, count, starts = len(self.design.task.moving), -(-count // len(VIAS)), []
         for via in VIAS:
             for vector in sobol_points(2 + m * via, skip + count, self.options.seed)[skip:]:
                 guess = Guess((phase_guess(self.design.task, phase, vector),), parameters)
@@ -147,8 +159,8 @@ def _scheme(options: SearchOptions):
     return scheme(options.scheme, options.stages)
 
 
-def combined(motions: Motions, parameters: np.ndarray, count: int) -> list[tuple[Guess, int]]:
-    """Motions put together: the best of every phase, then those with the next best of one phase, `count` in all at most.
+def combined(motions: Motions, parameters: np.ndarray, next_best: int = 2) -> list[tuple[Guess, int]]:
+    """Motions put together: the best of every phase, then those with one of the next best of one phase.
 
     Returns:
         Each with the least number of starts that led to any of its motions; nothing where a phase has no motion.
@@ -156,10 +168,10 @@ def combined(motions: Motions, parameters: np.ndarray, count: int) -> list[tuple
     if not all(motions):
         return []
     choices = [[0] * len(motions)]
-    for rank in range(1, max(map(len, motions))):
+    for rank in range(1, next_best + 1):
         choices += [[rank * (i == j) for i in range(len(motions))] for j, some in enumerate(motions) if rank < len(some)]
     result = []
-    for choice in choices[:count]:
+    for choice in choices:
         chosen = [some[i] for some, i in zip(motions, choice, strict=True)]
         guess = Guess(tuple(o.solution.guess().phases[0] for o in chosen), parameters)
         result.append((guess, min(o.reached for o in chosen)))

@@ -13,7 +13,6 @@ from rrr_oc.codesign.search.local_optima import (
     distinct,
     follow_to_fine_mesh,
     refined,
-    same_springs,
     transcribed,
 )
 from rrr_oc.codesign.search.motions import LEAST_GAIN, MotionSearch, combined
@@ -32,9 +31,10 @@ from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailu
 from rrr_oc.parallel import once_per_process, ordered, unordered
 
 SPRINGS = 2  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
-APART = (
-    0.1  # [1] of its range by which a parameter differs for springs to be others; halved, more of them that are nearly the same
-)
+APART = 0.1  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
+POSTURES = 64  # in which their torque is compared; doubled, springs that differ in a few postures only are told apart
+FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
+SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
 FEW = 2  # meshes to which all optima close to the best are refined; more tell them apart better and take longer
 TRIED = 4  # starts for each way to mount the springs; doubled, choosing among them takes twice as long and errs less often
 
@@ -44,7 +44,7 @@ class Start:
     """A starting point and the optimum that IPOPT found from it.
 
     Attributes:
-        layer: Its source (`LAYERS`).
+        layer: Its source: of `LAYERS`, or "motions" for the best motions of each phase put together.
         proposed: Cost of the starting point itself; its motion may exceed limits.
         polished: Cost after IPOPT, on the coarse mesh; infinite where IPOPT found no optimum.
         message: IPOPT's status.
@@ -115,9 +115,13 @@ class Polisher:
         self.data = design.data(options.width)
 
     def __call__(self, layer: str, vector: np.ndarray) -> Start:
-        """Polish one starting point."""
+        """Polish one starting point of a layer."""
+        return self.polished(layer, proposed_guess(self.design, vector, self.options.via))
+
+    def polished(self, layer: str, guess: Guess) -> Start:
+        """Polish a guess that has a layer as its source."""
         transcription = self.solver.transcription
-        w = transcription.pack(proposed_guess(self.design, vector, self.options.via))
+        w = transcription.pack(guess)
         cost = float(transcription.functions["nlp"](w, self.data)[0]) * self.design.problem.cost_scale
         try:
             solution = self.solver.solve(w, self.data)
@@ -255,13 +259,17 @@ def _best_optima(polisher: Polisher, starts: list[Start], known: Sequence[Guess]
     """The distinct optima on a fine mesh, the best of them refined; cheapest first."""
     design, options = polisher.design, polisher.options
     found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
-    coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in found)[: 1 if interrupted else options.kept]
-    guesses = [(o.solution.guess(), o.reached) for o in coarse] + [(guess, 0) for guess in known]
+    coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in found)[: 1 if interrupted else None]
+    improving = bool(options.motions) and not interrupted
+    search = MotionSearch(design, options) if improving else None
+    if search is not None:
+        coarse = _with_better_springs(polisher, search, coarse)
+    guesses = [(o.solution.guess(), o.reached) for o in coarse[: options.kept]] + [(guess, 0) for guess in known]
     optima = _followed(design, options, guesses)
     if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
-    if not interrupted and options.motions:
-        optima = _with_best_motions(design, options, optima)
+    if search is not None:
+        optima = _with_best_motions(search, optima)
     for rounds, within in ((FEW, options.within), (options.refinement.rounds, options.within / 10)):
         some = replace(options, refinement=replace(options.refinement, rounds=min(rounds, options.refinement.rounds)))
         close = sum(o.cost <= optima[0].cost * (1 + within) for o in optima)
@@ -276,28 +284,65 @@ def _followed(design: CoDesign, options: SearchOptions, guesses: list[tuple[Gues
     return distinct(replace(attached(design, options, o), reached=reached) for o, reached in pairs)
 
 
-def _with_best_motions(design: CoDesign, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
+def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[Optimum]) -> list[Optimum]:
+    """Optima on the coarse mesh, and those to which good motions for their springs lead; cheapest first.
+
+    Most starts end with the same few springs, of which one motion makes the cheapest and others would make better ones. So the
+    cheapest optimum with springs not tried before is taken, again and again: a few proposed motions and those of other optima are
+    solved for its springs, and from the best of these all is solved together.
+    """
+    options, springs, tried = polisher.options, Springs(polisher.design), []
+    for _ in range(options.springs):
+        new = next(iter(springs.others(optima, tried)), None)
+        if new is None:
+            break
+        tried.append(new)
+        parameters, known = new.solution.parameters, [o.solution for o in optima[:SHARED]]
+        guesses = combined(search.proposed(parameters, options.motions // FEWER, known=known), parameters)
+        starts = [(polisher.polished("motions", guess), reached) for guess, reached in guesses]
+        optima = distinct([*optima, *(Optimum(polisher.solution(s), [], reached) for s, reached in starts if s.w.size)])
+    return optima
+
+
+def _with_best_motions(search: MotionSearch, optima: list[Optimum]) -> list[Optimum]:
     """Optima, and those to which the best motions for their springs lead; cheapest first.
 
     Springs and motions are improved in turn: the springs of the best optima get the best motion of each phase, and from these all is
     solved together. Then new motions are proposed for the best springs, as long as the cost falls.
     """
-    search, final, motions = MotionSearch(design, options), replace(options, widths=options.widths[-1:]), None
+    design, options, motions = search.design, search.options, None
+    final, springs = replace(options, widths=options.widths[-1:]), Springs(design)
     for number in range(options.rounds):
         best = optima[0].cost
-        for o in optima[:1] if number else _with_other_springs(optima)[:SPRINGS]:
-            springs = o.solution.parameters
-            motions = search.best(springs, number * options.motions, motions)
-            optima = distinct([*optima, *_followed(design, final, combined(motions, springs, 1 + 2 * len(motions)))])
+        for o in optima[:1] if number else springs.others(optima)[:SPRINGS]:
+            parameters = o.solution.parameters
+            motions = search.best(parameters, number * options.motions, motions)
+            optima = distinct([*optima, *_followed(design, final, combined(motions, parameters))])
         if number and optima[0].cost > best * (1 - LEAST_GAIN):
             break
     return optima
 
 
-def _with_other_springs(optima: list[Optimum]) -> list[Optimum]:
-    """Those of which none before has nearly the same springs."""
-    others: list[Optimum] = []
-    for o in optima:
-        if not any(same_springs(o.solution, other.solution, APART) for other in others):
-            others.append(o)
-    return others
+class Springs:
+    """Tells springs apart by their torque in postures all over the joints' ranges, where parameters may differ without effect."""
+
+    def __init__(self, design: CoDesign) -> None:
+        lower, upper = design.task.lower[:, None], design.task.upper[:, None]
+        self._q = lower + (upper - lower) * sobol_points(len(lower), POSTURES, 0).T
+        self._torques, self._widths = design.torques, np.zeros(design.model.widths.size)
+
+    def others(self, optima: Sequence[Optimum], tried: Sequence[Optimum] = ()) -> list[Optimum]:
+        """Those optima of which none before, and none of those tried, has nearly the same springs."""
+        torques = [self._torque(o) for o in tried]
+        kept = []
+        for o in optima:
+            torque = self._torque(o)
+            if not any(np.linalg.norm(torque - t) <= APART * max(np.linalg.norm(torque), np.linalg.norm(t)) for t in torques):
+                kept.append(o)
+                torques.append(torque)
+        return kept
+
+    def _torque(self, optimum: Optimum) -> np.ndarray:
+        """Of the springs and of whatever the arm has [Nm], (m, number of postures)."""
+        still = np.zeros_like(self._q)
+        return np.array(self._torques(self._q, still, still, 0.0, optimum.solution.parameters, self._widths)[1])

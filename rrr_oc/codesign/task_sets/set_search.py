@@ -158,7 +158,7 @@ def _held(design: CoDesign, options: SearchOptions, starts: list[Guess], skip: i
     springs, final = design.problem.p_lower, replace(options, widths=options.widths[-1:])
     followed = [follow_to_fine_mesh(design, options, replace(guess, parameters=springs)) for guess in starts]
     if options.motions:
-        together = combined(MotionSearch(design, options).best(springs, skip), springs, 1)
+        together = combined(MotionSearch(design, options).best(springs, skip), springs, 0)
         followed += [follow_to_fine_mesh(design, final, guess) for guess, _ in together]
     return min((one for one in followed if one is not None), key=lambda o: o.cost, default=None)
 

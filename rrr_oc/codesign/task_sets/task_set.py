@@ -115,7 +115,7 @@ class TaskSet:
     @property
     def contents(self) -> list[Any]:
         """All that the set says, as plain data, to tell whether two sets are the same."""
-        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool")]
+        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files")]
         tasks = [{name: getattr(task, name) for name in of} | {"tool": task.tool.position} for task in self.tasks]
         return plain([tasks, self.weights, self.objective, self.payload, self.model])
 
