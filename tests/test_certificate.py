@@ -374,10 +374,7 @@ def test_reintegration_of_an_arm(certified):
             block, lengths = solution.transcription.blocks[i], solution.transcription.mesh[i] * solution.durations[i]
             state = solution.values[block.nodes[:, 0]]
             for k, h in enumerate(lengths):
-                u = [
-                    Polynomial.fit(h * solution.transcription.scheme.c, solution.values[block.stage_u[j, :, k]], 3)
-                    for j in (0, 1)
-                ]
+                u = [Polynomial.fit(h * solution.transcription.scheme.c, solution.controls(i)[j, :, k], 3) for j in (0, 1)]
                 dq = [p.integ(k=state[2 + j], lbnd=0) for j, p in enumerate(u)]
                 q = [p.integ(k=state[j], lbnd=0) for j, p in enumerate(dq)]
                 t = np.linspace(0, h, 400)

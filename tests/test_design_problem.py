@@ -199,7 +199,7 @@ def test_limits_and_ends_are_kept(optima, name):
     """At the collocation points to IPOPT's 1e-8 of the scales; at the ends rest."""
     _, solution = optima[name]
     for i, (block, phase) in enumerate(zip(solution.transcription.blocks, solution.problem.phases, strict=True)):
-        x, u = solution.values[block.stage_x], solution.values[block.stage_u]
+        x, u = solution.values[block.stage_x], solution.controls(i)
         for value, low, high in ((x, phase.x_lower, phase.x_upper), (u, phase.u_lower, phase.u_upper)):
             flat = value.reshape(len(value), -1)
             assert np.all(flat >= low[:, None] - 1e-6)
@@ -208,7 +208,7 @@ def test_limits_and_ends_are_kept(optima, name):
         ends = solution.at(i, np.array([0.0, 1.0]))[0]
         np.testing.assert_allclose(ends.T, [np.r_[start, 0, 0], np.r_[end, 0, 0]], atol=1e-7)
     assert np.all((solution.durations >= 1 - 1e-7) & (solution.durations <= 5 + 1e-6))
-    hardest = np.degrees(np.abs(solution.values[solution.transcription.blocks[0].stage_u])).max()
+    hardest = np.degrees(np.abs(solution.controls(0))).max()
     assert hardest == pytest.approx(180, abs=0.1)  # the limit binds in both, so that the test above has a point
 
 
@@ -251,7 +251,7 @@ def test_a_torque_limit_holds():
 
     def peak(solution: Solution) -> float:
         block = solution.transcription.blocks[0]
-        x, u = solution.values[block.stage_x].reshape(4, -1), solution.values[block.stage_u].reshape(2, -1)
+        x, u = solution.values[block.stage_x].reshape(4, -1), solution.controls(0).reshape(2, -1)
         return float(np.abs(torque_by_hand({}, x[:2], x[2:], u, 5.0)[0]).max())
 
     free, limited = solved(design_of("SA")), solved(design_of("SA", replace(TASK, torque=np.array([28.0, np.inf]))))

@@ -113,7 +113,7 @@ def test_interpolation_is_the_collocation_polynomial(method):
     np.testing.assert_allclose(solution.at(0, edges[1:] - 1e-13)[0], solution.values[block.nodes[:, 1:]], **close)
     t, x, dx, u = solution.sample(0, method.c)
     np.testing.assert_allclose(x, solution.values[block.stage_x].swapaxes(1, 2), **close)
-    np.testing.assert_allclose(u, solution.values[block.stage_u].swapaxes(1, 2), **close)
+    np.testing.assert_allclose(u, solution.controls(0).swapaxes(1, 2), **close)
     np.testing.assert_allclose(t, T * (edges[:-1, None] + method.c / 9), rtol=1e-13)
     x1, x2 = x
     np.testing.assert_allclose(dx, np.array([x2, -x1 + x2 * (1.4 - 0.14 * x2**2) + 4 * u[0]]), **close)
@@ -199,6 +199,23 @@ def test_free_time_and_bounded_control(method):
     solution = solve(Problem((ph,)), guess(ph, 3), 8, method, TIGHT)
     assert solution.durations[0] == pytest.approx(2, abs=1e-7)  # IPOPT widens the bounds by 1e-8
     assert solution.cost == pytest.approx(solution.durations[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("method", [scheme("gauss", 3), scheme("lobatto", 4)], ids=lambda s: s.name)
+def test_refined_motions_keep_limits_between_the_nodes(method):
+    """Least time over 1 with −1 ≤ u ≤ 2 is √3, switching at a third of it, which is no node; with a speed of at most 0.8 as well, it is
+    0.4 + 0.65 + 0.8: 0.16 while speeding up, 0.52 at that speed, 0.32 while slowing down."""
+    for fastest, least in ((np.inf, np.sqrt(3)), (0.8, 0.4 + 0.52 / 0.8 + 0.8)):
+        limits: dict[str, Any] = {"u_lower": -np.ones(1), "u_upper": np.full(1, 2.0), "x_upper": np.array([np.inf, fastest])}
+        ph = phase(lambda x, u, p, d: ((x[1], u), 1, ()), [0, 0], [1, 0], (0.5, 9), **limits)
+        first = solve(Problem((ph,)), guess(ph, 3), 8, method)
+        last, rows = refine(first, Refinement(tolerance=1e-6))
+        assert rows[-1]["converged"]
+        assert rows[-1]["violation"] <= 1e-5 < rows[0]["violation"]
+        _, x, _, u = last.sample(0, np.linspace(0, 1, 101))
+        assert -1 - 1e-7 <= u.min() <= u.max() <= 2 + 1e-7  # rounding of the interpolation
+        assert x[1].max() <= fastest + 1e-5
+        assert last.cost == pytest.approx(least, rel=1e-5)
 
 
 def test_state_and_path_constraint_are_the_same():

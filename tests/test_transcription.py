@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.interpolate import BPoly
 
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
@@ -54,7 +55,10 @@ TABLES = {
 }
 SCHEMES = [scheme("hermite-simpson"), scheme("lobatto", 2), scheme("lobatto", 4), scheme("gauss", 1), scheme("gauss", 3)]
 SCHEMES += [scheme("radau", 1), scheme("radau", 2), scheme("radau", 3)]
-each_scheme = pytest.mark.parametrize("method", SCHEMES, ids=lambda s: f"{s.name}-{s.d}")
+EVERYWHERE = [scheme("lobatto", 4, everywhere=True), scheme("gauss", 3, everywhere=True)]
+each_scheme = pytest.mark.parametrize(
+    "method", [*SCHEMES, *EVERYWHERE], ids=lambda s: f"{s.name}-{s.d}{'-everywhere' * s.everywhere}"
+)
 
 
 @pytest.mark.parametrize("key", TABLES, ids=lambda k: f"{k[0]}-{k[1]}")
@@ -150,6 +154,14 @@ def problem() -> Problem:
 MESH = (np.array([0.2, 0.5, 0.3]), np.array([0.6, 0.4]))
 
 
+def basis(method) -> np.ndarray:
+    """Stage values themselves, or Bernstein's polynomials at the stages by scipy."""
+    d = method.d
+    if not method.everywhere:
+        return np.eye(d)
+    return np.column_stack([BPoly(np.eye(d)[k][:, None], [0, 1])(method.c) for k in range(d)])
+
+
 def point(t: Transcription, seed: int = 5):
     """Random scaled variables (durations near 1), datum and multipliers."""
     rng = np.random.default_rng(seed)
@@ -166,12 +178,12 @@ def test_program_is_what_a_plain_loop_says(problem, method):
     value, cost, rows = w * t.scale, 0.0, []
     p = value[:2]
     for ph, block, fractions in zip(problem.phases, t.blocks, MESH, strict=True):
-        T = value[block.duration]
+        T, controls = value[block.duration], np.einsum("dk,ukn->udn", basis(method), value[block.controls])
         for n, fraction in enumerate(fractions):
             h = T * fraction
             x0, x1 = value[block.nodes[:, n]], value[block.nodes[:, n + 1]]
             X = [value[block.stage_x[:, i, n]] for i in range(method.d)]
-            rates = [[np.array(o).ravel() for o in ph.rates(x, value[block.stage_u[:, i, n]], p, d)] for i, x in enumerate(X)]
+            rates = [[np.array(o).ravel() for o in ph.rates(x, controls[:, i, n], p, d)] for i, x in enumerate(X)]
             cost += h * sum(b * r[1][0] for b, r in zip(method.b, rates, strict=True))
             for i, x in enumerate(X):
                 if method.c[i] == 0:
@@ -264,8 +276,9 @@ def test_pack_samples_the_guess_at_nodes_and_stages(problem, method):
         for i, c in enumerate(method.c):
             s = nodes[:-1] + c * fractions
             np.testing.assert_allclose(value[block.stage_x[:, i]], moved.states(s), atol=1e-14)
-            np.testing.assert_allclose(value[block.stage_u[:, i]], moved.controls(s), atol=1e-14)
-        seen += [np.array([block.duration]), block.nodes.ravel(), block.stage_x.ravel(), block.stage_u.ravel()]
+            controls = value[block.controls].swapaxes(1, 2) @ basis(method)[i]
+            np.testing.assert_allclose(controls, moved.controls(s), atol=1e-13)
+        seen += [np.array([block.duration]), block.nodes.ravel(), block.stage_x.ravel(), block.controls.ravel()]
     np.testing.assert_array_equal(np.unique(np.concatenate(seen)), np.arange(t.size))  # every variable stands somewhere
 
 
@@ -283,8 +296,8 @@ def test_bounds_of_the_variables(problem, method):
         free = np.r_[block.nodes[1:, 0], block.nodes[:-1, -1], block.nodes[:, 1:-1].ravel()]
         np.testing.assert_allclose(lower[free], -3, **exact)
         np.testing.assert_allclose(upper[free], 4, **exact)
-        np.testing.assert_allclose(lower[block.stage_u], -5, **exact)
-        np.testing.assert_allclose(upper[block.stage_u], 6, **exact)
+        np.testing.assert_allclose(lower[block.controls], -5, **exact)
+        np.testing.assert_allclose(upper[block.controls], 6, **exact)
 
 
 @each_scheme

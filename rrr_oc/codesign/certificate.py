@@ -170,7 +170,7 @@ def _motion_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
             inner = [np.setdiff1d(np.r_[b.nodes[row], b.stage_x[row].ravel()], b.nodes[row, [0, -1]]) for b in t.blocks]
             for side, sign, value in zip(("lower", "upper"), (-1, 1), limits, strict=True):
                 yield f"the {side} {kind} limit of {joint}", value, unit, _positive(sign * force, inner)
-        controls = [np.unique(b.stage_u[j]) for b in t.blocks]
+        controls = [np.unique(b.controls[j]) for b in t.blocks]
         if np.isfinite(task.acceleration[j]):
             total = _positive(-force, controls) + _positive(force, controls)
             yield f"the acceleration limit of {joint}", task.acceleration[j], "rad/s²", total
@@ -228,7 +228,7 @@ def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float
 def _rates_in_interval(solution: Solution, i: int, k: int, span: tuple[float, float]) -> Callable:
     """(t, y) -> dy/dt of y = (states, costs) in interval k of phase i, which lasts from span[0] to span[1] [s]."""
     phase, (start, end) = solution.problem.phases[i], span
-    controls = solution.values[solution.transcription.blocks[i].stage_u[:, :, k]]
+    controls = solution.controls(i)[:, :, k]
     p, d, scheme = solution.parameters, solution.problem.data, solution.transcription.scheme
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:

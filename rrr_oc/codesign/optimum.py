@@ -121,16 +121,17 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
 
 
 def restart_arrays(solution: Solution) -> dict[str, np.ndarray]:
-    """The variables and the mesh of an optimum by name, from which `restored` makes it again."""
-    mesh = {f"mesh_{phase}": fractions for phase, fractions in zip(PHASES, solution.transcription.mesh, strict=True)}
-    return {"variables": solution.w, "cost": np.array(solution.cost), **mesh}
+    """The variables, the mesh and the kind of controls of an optimum by name, from which `restored` makes it again."""
+    t = solution.transcription
+    mesh = {f"mesh_{phase}": fractions for phase, fractions in zip(PHASES, t.mesh, strict=True)}
+    return {"variables": solution.w, "cost": np.array(solution.cost), "everywhere": np.array(t.scheme.everywhere), **mesh}
 
 
 def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.ndarray]) -> Solution:
     """An optimum from its `restart_arrays`, without multipliers; `options` are those of its search."""
     mesh = tuple(arrays[f"mesh_{phase}"] for phase in PHASES)
     problem = replace(design.problem, data=design.data(options.widths[-1]))
-    transcription = replace(transcribed(design, options, 1), problem=problem, mesh=mesh)
+    transcription = replace(transcribed(design, options, 1, bool(arrays["everywhere"])), problem=problem, mesh=mesh)
     empty, cost = np.empty(0), float(arrays["cost"])
     return Solution(transcription, arrays["variables"], empty, empty, cost, "", 0, 0.0)
 

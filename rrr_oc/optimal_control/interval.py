@@ -5,16 +5,18 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+import scipy.sparse
 
 from rrr_oc.compiler import digest, library
 from rrr_oc.optimal_control.problem import Phase
-from rrr_oc.optimal_control.scatter import nonzeros_of, sum_into
+from rrr_oc.optimal_control.scatter import multiplied, nonzeros_of
 from rrr_oc.optimal_control.scheme import Scheme
 
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Functions of the unscaled variables of one interval, z = (p, T, x_0, x_1, stages that are no nodes, controls); dense outputs.
+    """Functions of the unscaled variables of one interval, z = (p, T, x_0, x_1, stages that are no nodes, variables of the
+    controls); dense outputs.
 
     Rows: the defects of the stages, the defect of the step where the last stage is not the node, then the path constraints of each
     stage. Defects are divided by the states' scales.
@@ -43,7 +45,8 @@ def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, compiled: bo
     p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)
     x0, x1, X, U = ca.SX.sym("x0", nx), ca.SX.sym("x1", nx), ca.SX.sym("X", nx, len(s.inner)), ca.SX.sym("U", nu, s.d)
     stages = [*([x0] if s.shares_first else []), *ca.horzsplit(X), *([x1] if s.shares_last else [])]
-    rates = [phase.rates(x, U[:, i], p, d) for i, x in enumerate(stages)]
+    controls = U @ ca.DM(s.basis.T)
+    rates = [phase.rates(x, controls[:, i], p, d) for i, x in enumerate(stages)]
     F, step = ca.horzcat(*[r[0] for r in rates]), h * T
     defects = [x - x0 - step * (F @ ca.DM(s.A[i])) for i, x in enumerate(stages) if not (i == 0 and s.shares_first)]
     if not s.shares_last:
@@ -82,25 +85,52 @@ def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int):
     i, j = nonzeros_of(second.sparsity())
 
     shared, controls = np.arange(n_p + 1), n_p + 1 + (2 + len(s.inner)) * nx
-    places = []  # of each stage's y in z
+    nz, n_defects = controls + d * nu, s.defects
+    places = []  # each stage's y as a linear function of z, (y, nz)
     for k in range(d):
         position = 0 if k == 0 and s.shares_first else 1 if k == d - 1 and s.shares_last else 2 + k - s.shares_first
-        places.append(np.r_[shared, n_p + 1 + position * nx + np.arange(nx), controls + k * nu + np.arange(nu)])
-    nz, n_defects = controls + d * nu, s.defects
+        place = np.zeros((y.numel(), nz))
+        copied = np.r_[shared, n_p + 1 + position * nx + np.arange(nx)]
+        place[np.arange(copied.size), copied] = 1.0
+        place[copied.size :, controls:] = np.kron(s.basis[k], np.eye(nu))
+        places.append(place)
     z, h, c = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("d", n_d)
     lam_f, lam_g = ca.MX.sym("lam_f", nc), ca.MX.sym("lam_g", nx * n_defects + ng * d)
     weights = np.vstack([s.A[int(s.shares_first) :], *([] if s.shares_last else [s.b])])  # (n_defects, d)
     nu_all = ca.reshape(lam_g[: nx * n_defects], nx, n_defects) @ ca.DM(weights) * h / phase.x_scale
     mu_all = ca.reshape(lam_g[nx * n_defects :], ng, d)
-    ys = [z[k.tolist()] for k in places]
+    ys = [multiplied(scipy.sparse.coo_array(place), z) for place in places]
+    transposed = scipy.sparse.coo_array(np.hstack([place.T for place in places]))
     slopes = [slope(ys[k], c, h * float(s.b[k])) for k in range(d)]
-    summed = ca.horzcat(*[sum_into(nz, np.concatenate(places), ca.vertcat(*[one[:, k] for one in slopes])) for k in range(nc)])
-    gradient = ca.Function("gradient", [z, h, c], [ca.densify(summed)])  # nodes that are no stages have none
+    summed = [multiplied(transposed, ca.vertcat(*[one[:, cost] for one in slopes])) for cost in range(nc)]
+    gradient = ca.Function("gradient", [z, h, c], [ca.densify(ca.horzcat(*summed))])  # nodes that are no stages have none
     curvatures = [curvature(ys[k], c, h * float(s.b[k]) * lam_f, nu_all[:, k], mu_all[:, k]) for k in range(d)]
-    ends = [np.sort(np.vstack([k[i], k[j]]), axis=0) for k in places]
-    keys, slot = np.unique(np.hstack([a * nz + b for a, b in ends]), return_inverse=True)
-    hessian = ca.Function("hessian", [z, h, c, lam_f, lam_g], [sum_into(keys.size, slot, ca.vertcat(*curvatures))])
-    return gradient, hessian, (keys // nz, keys % nz)
+    matrix, hessian_at = _congruence(places, i, j)
+    hessian = ca.Function("hessian", [z, h, c, lam_f, lam_g], [multiplied(matrix, ca.vertcat(*curvatures))])
+    return gradient, hessian, hessian_at
+
+
+def _congruence(places: list[np.ndarray], i: np.ndarray, j: np.ndarray):
+    """The map from the entries (i, j) of one triangle of every stage's Hessian H to those of one triangle of Σ Cᵀ H C.
+
+    Args:
+        places: C of each stage, (y, nz); each column belongs to one row.
+
+    Returns:
+        The matrix, and the rows and columns in z of the entries that it gives.
+    """
+    rows, columns, factors, count, nz = [], [], [], 0, places[0].shape[1]
+    for C in places:
+        for a, b in zip(i, j, strict=True):
+            first, second = (ends.ravel() for ends in np.meshgrid(np.flatnonzero(C[a]), np.flatnonzero(C[b]), indexing="ij"))
+            once = first <= second if a == b else np.full(first.size, True)
+            rows.append(np.minimum(first, second)[once] * nz + np.maximum(first, second)[once])
+            columns.append(np.full(rows[-1].size, count))
+            factors.append((C[a, first] * C[b, second])[once])
+            count += 1
+    keys, slot = np.unique(np.concatenate(rows), return_inverse=True)
+    matrix = scipy.sparse.coo_array((np.concatenate(factors), (slot, np.concatenate(columns))), (keys.size, count))
+    return matrix, (keys // nz, keys % nz)
 
 
 def _as_c(functions: list[ca.Function]) -> list[ca.Function]:

@@ -92,8 +92,8 @@ class Kkt:
         t = self.solution.transcription
         weights = np.ones(t.size)
         for block, fractions in zip(t.blocks, t.mesh, strict=True):
-            for stages in (block.stage_x, block.stage_u):
-                weights[stages] = np.maximum(fractions * t.scheme.b[:, None], 1e-12)
+            for variables, share in ((block.stage_x, t.scheme.b), (block.controls, t.scheme.basis.T @ t.scheme.b)):
+                weights[variables] = np.maximum(fractions * share[:, None], 1e-12)
             weights[block.nodes] = np.maximum(np.r_[fractions, fractions[-1]] / 4, 1e-12)
         return weights
 

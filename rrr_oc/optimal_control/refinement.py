@@ -4,7 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rrr_oc.optimal_control.scheme import scheme
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
+
+SMALL = 0.1  # [1] of the tolerance of the cost that an interval may lose by one switch; doubled, more rounds, fewer intervals
+NEAR = 1e-4  # [1] of its scale: a control this close to a limit is at it; doubled, more intervals are split that need not be
 
 
 @dataclass(frozen=True)
@@ -17,12 +21,14 @@ class MeshError:
         largest: The largest of them.
         quadrature: Relative difference between the cost with the scheme's weights and by fine quadrature on the same motion.
             Not the cost's distance from the optimum: that shows in its change from mesh to mesh.
+        excess: For each phase, the largest excess of a state's bound in each interval, relative to its scale (N,).
         violation: Largest excess of bounds between the nodes, relative to the variables' scales; of paths, in their own unit.
     """
 
     intervals: tuple[np.ndarray, ...]
     largest: float
     quadrature: float
+    excess: tuple[np.ndarray, ...]
     violation: float
 
 
@@ -30,7 +36,7 @@ def mesh_error(solution: Solution) -> MeshError:
     """Integrate the residual of the interpolants (Betts, "Practical Methods for Optimal Control", section 4.7)."""
     nodes, weights = np.polynomial.legendre.leggauss(2 * solution.transcription.scheme.d + 3)
     inside, weights = (nodes + 1) / 2, weights / 2
-    intervals, fine_total, violation = [], np.zeros(len(solution.problem.groups)), 0.0
+    intervals, excesses, fine_total, violation = [], [], np.zeros(len(solution.problem.groups)), 0.0
     scale = _magnitude(solution)
     for i, (phase, block) in enumerate(zip(solution.problem.phases, solution.transcription.blocks, strict=True)):
         _, x, dx, u = solution.sample(i, inside)
@@ -38,7 +44,7 @@ def mesh_error(solution: Solution) -> MeshError:
         h = solution.transcription.mesh[i] * solution.durations[i]
         defect = np.einsum("xnk,k,n->xn", np.abs(dx - f), weights, h)
         magnitude = phase.x_scale + np.abs(solution.values[block.nodes]).max(axis=1)
-        coarse = solution.rates(i, solution.values[block.stage_x], solution.values[block.stage_u])[1]
+        coarse = solution.rates(i, solution.values[block.stage_x], solution.controls(i))[1]
         fine = np.einsum("cnk,k,n->cn", cost, weights, h)
         quadrature = np.abs(fine - np.einsum("cdn,d,n->cn", coarse, solution.transcription.scheme.b, h)) * phase.weight / scale
         intervals.append(np.maximum((defect / magnitude[:, None]).max(axis=0), quadrature.max(axis=0)))
@@ -50,8 +56,11 @@ def mesh_error(solution: Solution) -> MeshError:
         ):
             excess = np.maximum(lower[:, None, None] - value, value - upper[:, None, None]) / size[:, None, None]
             violation = max(violation, float(excess.max(initial=0.0)))
+            if value is x:
+                excesses.append(excess.max(axis=(0, 2), initial=0.0))
     largest = max(float(e.max()) for e in intervals)
-    return MeshError(tuple(intervals), largest, abs(solution.problem.cost(fine_total) - solution.cost) / scale, violation)
+    quadrature = abs(solution.problem.cost(fine_total) - solution.cost) / scale
+    return MeshError(tuple(intervals), largest, quadrature, tuple(excesses), violation)
 
 
 @dataclass(frozen=True)
@@ -60,11 +69,13 @@ class Refinement:
 
     Attributes:
         tolerance: Relative tolerance of the error between the nodes and of the cost's change from mesh to mesh.
+        excess: Excess of a state's bound between the nodes, relative to its scale, that is small enough.
         rounds: Largest number of finer meshes.
         largest: Largest number of intervals a phase.
     """
 
     tolerance: float = 1e-6
+    excess: float = 1e-5
     rounds: int = 12
     largest: int = 640
 
@@ -72,31 +83,34 @@ class Refinement:
 def refine(
     solution: Solution, refinement: Refinement | None = None, options: Options | None = None
 ) -> tuple[Solution, list[dict]]:
-    """Solve on finer meshes until the error between the nodes and the change of the cost are below the tolerance.
+    """Solve on finer meshes until the error between the nodes, the change of the cost and the states' excess are below their tolerances.
 
-    Intervals whose error is too large are split into two to four by the scheme's order. The barrier parameter starts small, so
+    Intervals whose error is too large are split into two to four by the scheme's order, and so are those in which
+    a control leaves a limit, because from the second mesh on limits of controls hold everywhere. The barrier parameter starts small, so
     that a refined solve does not move to another optimum of nearly the same cost. IPOPT's tolerance is a thousandth of the
     mesh's, because its barrier adds to the cost in proportion to the number of bounds.
 
     Returns:
         The last solution, and one row a mesh: intervals, cost, error, quadrature, violation, iterations and seconds; from the
         second row on also the relative `change` of the cost and whether the mesh has `converged`. It has not where `rounds`
-        or `largest` ended the refinement. Limits hold at nodes and stages; `violation` is their largest excess in between,
-        and no part of the tolerance.
+        or `largest` ended the refinement. Limits of controls hold everywhere, those of states and paths at nodes and stages;
+        `violation` is their largest excess in between. That of paths is no part of the tolerances.
     """
     refinement, options = refinement or Refinement(), options or Options()
     options = replace(options, barrier=1e-8, tolerance=min(options.tolerance, 1e-3 * refinement.tolerance))
     error = mesh_error(solution)
     rows = [mesh_row(solution, error)]
+    method = scheme(solution.transcription.scheme.name, solution.transcription.scheme.d, everywhere=True)
     for _ in range(refinement.rounds):
         mesh = _split(solution, error, refinement)
         if mesh is None:
             break
-        finer = replace(solution.transcription, mesh=mesh)
+        finer = replace(solution.transcription, scheme=method, mesh=mesh)
         previous, solution = solution, Solver(finer, options).solve(solution.guess())
         error = mesh_error(solution)
         change = abs(solution.cost - previous.cost) / _magnitude(solution)
-        converged = max(error.largest, change) <= refinement.tolerance
+        excess = max(e.max() for e in error.excess)
+        converged = max(error.largest, change) <= refinement.tolerance and excess <= refinement.excess
         rows.append(mesh_row(solution, error) | {"change": change, "converged": converged})
         if converged:
             break
@@ -121,13 +135,33 @@ def _magnitude(solution: Solution) -> float:
     return max(abs(solution.cost), 1e-12 * solution.problem.cost_scale)
 
 
+def _slowed(solution: Solution) -> list[np.ndarray]:
+    """For each phase about how much of the cost, relative, each interval loses because a control leaves a limit there not at once, as
+    it might, but as a polynomial (N,): the square of the share of time, times the change."""
+    result = []
+    for phase, block, fractions in zip(
+        solution.problem.phases, solution.transcription.blocks, solution.transcription.mesh, strict=True
+    ):
+        u, scale = solution.values[block.controls], phase.u_scale[:, None, None]
+        gap = np.minimum(u - phase.u_lower[:, None, None], phase.u_upper[:, None, None] - u) / scale
+        change = np.where(gap.min(axis=1) < NEAR, gap.max(axis=1), 0.0).max(axis=0)
+        result.append(change * fractions**2)
+    return result
+
+
 def _split(solution: Solution, error: MeshError, refinement: Refinement) -> tuple[np.ndarray, ...] | None:
-    """A finer mesh; None where it would be too fine. If every interval is within the tolerance, the worst third is split."""
+    """A finer mesh; None where it would be too fine. If no interval has a reason to be split, the third with the largest errors is."""
     order = solution.transcription.scheme.d + 1
-    threshold = min(refinement.tolerance, np.quantile(np.concatenate(error.intervals), 2 / 3))
-    meshes = []
-    for fractions, errors in zip(solution.transcription.mesh, error.intervals, strict=True):
-        pieces = np.clip(np.ceil((errors / refinement.tolerance) ** (1 / order)), 2, 4)
-        pieces = np.where(errors > threshold, pieces, 1).astype(int)
-        meshes.append(np.repeat(fractions / pieces, pieces))
-    return None if max(len(m) for m in meshes) > refinement.largest else tuple(meshes)
+    pieces = []
+    for errors, excess, slowed in zip(error.intervals, error.excess, _slowed(solution), strict=True):
+        by_error = np.clip(np.ceil((errors / refinement.tolerance) ** (1 / order)), 1, 4)
+        by_excess = np.clip(
+            np.ceil(np.sqrt(excess / refinement.excess)), 1, 4
+        )  # it falls with the square of an interval's length
+        by_switches = np.clip(np.ceil(np.sqrt(slowed / (SMALL * refinement.tolerance))), 1, 4)  # so does this
+        pieces.append(np.max([by_error, by_excess, by_switches], axis=0).astype(int))
+    if all((p == 1).all() for p in pieces):
+        threshold = np.quantile(np.concatenate(error.intervals), 2 / 3)
+        pieces = [np.where(errors > threshold, 2, 1) for errors in error.intervals]
+    meshes = tuple(np.repeat(f / p, p) for f, p in zip(solution.transcription.mesh, pieces, strict=True))
+    return None if max(len(m) for m in meshes) > refinement.largest else meshes

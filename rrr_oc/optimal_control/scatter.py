@@ -2,6 +2,7 @@
 
 import casadi as ca
 import numpy as np
+import scipy.sparse
 
 
 class Scatter:
@@ -22,8 +23,15 @@ class Scatter:
 
 def sum_into(size: int, places: np.ndarray, values: ca.MX) -> ca.MX:
     """A vector (size,) to whose element places[k] value k is added."""
-    rows = places.ravel(order="F").tolist()
-    return ca.MX(ca.DM(ca.Sparsity.triplet(size, len(rows), rows, list(range(len(rows)))), 1)) @ ca.vec(values)
+    rows = places.ravel(order="F")
+    return multiplied(
+        scipy.sparse.coo_array((np.ones(rows.size), (rows, np.arange(rows.size))), (size, rows.size)), ca.vec(values)
+    )
+
+
+def multiplied(matrix: scipy.sparse.coo_array, values: ca.MX) -> ca.MX:
+    """A constant sparse matrix times a vector."""
+    return ca.MX(ca.DM(scipy.sparse.csc_matrix(matrix))) @ values
 
 
 def nonzeros_of(sparsity: ca.Sparsity) -> tuple[np.ndarray, np.ndarray]:

@@ -5,13 +5,18 @@ stages, x_i = x_0 + h Σ_j A_ij f_j and x_1 = x_0 + h Σ_j b_j f_j; the cost is 
 Lobatto IIIA with three stages. The first and last stages of Lobatto's methods are the nodes, so neighbouring intervals share
 them, controls included. Lobatto IIIA, Gauss–Legendre and Radau IIA have a chosen number of stages. See Betts, "Practical
 Methods for Optimal Control", ch. 4; Hairer & Wanner II, IV.5.
+
+A control is a polynomial of degree d − 1 on an interval. Its variables are its values at the stages, where alone its limits hold
+then; or its Bernstein coefficients, between which it lies (Farin, "Curves and Surfaces for CAGD", ch. 6), so that limits hold at
+every instant. The latter needs short intervals where a control switches from one limit to another.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
+from scipy.special import comb
 
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Problem
@@ -29,6 +34,7 @@ class Scheme:
         A, b: Runge–Kutta coefficients, shapes (d, d) and (d,).
         order: Order of the Runge–Kutta method. For smooth problems the optimal cost converges with it; so do the states, except
             that controls shared at the nodes limit the states of Lobatto's methods to order 4.
+        everywhere: Whether limits of controls hold at every instant, else at the stages.
     """
 
     name: str
@@ -36,6 +42,7 @@ class Scheme:
     A: np.ndarray
     b: np.ndarray
     order: int
+    everywhere: bool = False
 
     @property
     def d(self) -> int:
@@ -62,6 +69,14 @@ class Scheme:
         """Number of defects of each state in an interval: of the stages that are not its start, and of its end unless it is a stage."""
         return self.d - self.shares_first + (not self.shares_last)
 
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """Values of a control at the stages = basis @ its variables in an interval, (d, d)."""
+        if not self.everywhere:
+            return np.eye(self.d)
+        k, c = np.arange(self.d), self.c[:, None]
+        return comb(self.d - 1, k) * c**k * (1 - c) ** (self.d - 1 - k)
+
     def at(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Interpolation inside an interval at s in [0, 1], (K,): weights of stage values and of stage rates.
 
@@ -76,8 +91,9 @@ class Scheme:
 
 
 @lru_cache
-def scheme(name: str = "gauss", stages: int = 3) -> Scheme:
-    """A collocation scheme with `stages` stages; Hermite–Simpson always has 3. Raises `UserError` for unknown ones."""
+def scheme(name: str = "gauss", stages: int = 3, everywhere: bool = False) -> Scheme:
+    """A collocation scheme with `stages` stages; Hermite–Simpson always has 3. Limits of controls hold at the stages or `everywhere`.
+    Raises `UserError` for unknown ones."""
     if name not in SCHEMES:
         raise UserError(f"unknown collocation scheme {name!r}; there are {', '.join(SCHEMES)}")
     fewest = 2 if name == "lobatto" else 1
@@ -96,7 +112,7 @@ def scheme(name: str = "gauss", stages: int = 3) -> Scheme:
     inverse = np.linalg.inv(np.vander(c, d, increasing=True))
     integrals = np.vander(c, d, increasing=True) * c[:, None] / np.arange(1, d + 1)
     b = (1 / np.arange(1, d + 1)) @ inverse
-    return Scheme(name, c, integrals @ inverse, b, order)
+    return Scheme(name, c, integrals @ inverse, b, order, everywhere)
 
 
 def uniform_mesh(problem: Problem, intervals: int) -> tuple[np.ndarray, ...]:

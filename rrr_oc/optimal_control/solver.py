@@ -100,6 +100,11 @@ class Solution:
         """Duration of each phase [s]."""
         return np.array([self.values[block.duration] for block in self.transcription.blocks])
 
+    def controls(self, phase: int) -> np.ndarray:
+        """Controls of a phase at the stages, (nu, d, N)."""
+        variables = self.values[self.transcription.blocks[phase].controls]
+        return np.einsum("dk,ukn->udn", self.transcription.scheme.basis, variables)
+
     def sample(self, phase: int, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The collocation method's own interpolants at points inside every interval of a phase.
 
@@ -114,7 +119,7 @@ class Solution:
         block, s = transcription.blocks[phase], transcription.scheme
         T, mesh = self.durations[phase], transcription.mesh[phase]
         lagrange, integrals = s.at(np.asarray(inside))
-        x_stages, u_stages = self.values[block.stage_x], self.values[block.stage_u]  # (·, d, N)
+        x_stages, u_stages = self.values[block.stage_x], self.controls(phase)  # (·, d, N)
         f = self.rates(phase, x_stages, u_stages)[0]
         h = mesh * T
         t = T * (np.r_[0, np.cumsum(mesh)[:-1]][:, None]) + h[:, None] * inside
@@ -145,7 +150,7 @@ class Solution:
         inside = (s - edges[k]) / (edges[k + 1] - edges[k])
         block, method = self.transcription.blocks[phase], self.transcription.scheme
         lagrange, integrals = method.at(inside)
-        u_stages = self.values[block.stage_u]
+        u_stages = self.controls(phase)
         f = self.rates(phase, self.values[block.stage_x], u_stages)[0]
         h = self.transcription.mesh[phase] * self.durations[phase]
         x = self.values[block.nodes[:, k]] + np.einsum("kd,xdk,k->xk", integrals, f[:, :, k], h[k])

@@ -19,7 +19,7 @@ class _Block:
     duration: int
     nodes: np.ndarray  # (nx, N + 1)
     stage_x: np.ndarray  # (nx, d, N)
-    stage_u: np.ndarray  # (nu, d, N)
+    controls: np.ndarray  # (nu, d, N), see `Scheme.basis`
     rows: slice
     gather: np.ndarray  # (nz, N): variables of each interval
 
@@ -62,22 +62,22 @@ class Transcription:
                 return indices
 
             nodes = take(nx, N + 1)
-            stage_x, stage_u = np.empty((nx, s.d, N), int), np.empty((nu, s.d, N), int)
+            stage_x, controls = np.empty((nx, s.d, N), int), np.empty((nu, s.d, N), int)
             stage_x[:, s.inner] = own = take(nx, len(s.inner), N)
             if s.shares_last:
                 stage_x[:, -1] = nodes[:, 1:]
             if s.shares_first:  # controls at nodes are shared too: the control is continuous
                 stage_x[:, 0], node_u = nodes[:, :-1], take(nu, N + 1)
-                stage_u[:, 0], stage_u[:, -1] = node_u[:, :-1], node_u[:, 1:]
-                stage_u[:, s.inner] = take(nu, len(s.inner), N)
+                controls[:, 0], controls[:, -1] = node_u[:, :-1], node_u[:, 1:]
+                controls[:, s.inner] = take(nu, len(s.inner), N)
             else:
-                stage_u[:] = take(nu, s.d, N)
+                controls[:] = take(nu, s.d, N)
             shared = np.repeat(np.r_[np.arange(n_p), duration][:, None], N, axis=1)
-            inside = [x.reshape(-1, N, order="F") for x in (own, stage_u)]
+            inside = [x.reshape(-1, N, order="F") for x in (own, controls)]
             gather = np.vstack([shared, nodes[:, :-1], nodes[:, 1:], *inside])
             rows = slice(row, row + self._interval(phase).rows * N)
             row = rows.stop
-            blocks.append(_Block(duration, nodes, stage_x, stage_u, rows, gather))
+            blocks.append(_Block(duration, nodes, stage_x, controls, rows, gather))
         return tuple(blocks)
 
     @cached_property
@@ -103,7 +103,7 @@ class Transcription:
         for phase, block in zip(self.problem.phases, self.blocks, strict=True):
             scale[block.nodes] = phase.x_scale[:, None]
             scale[block.stage_x] = phase.x_scale[:, None, None]
-            scale[block.stage_u] = phase.u_scale[:, None, None]
+            scale[block.controls] = phase.u_scale[:, None, None]
         return scale
 
     @cached_property
@@ -117,7 +117,7 @@ class Transcription:
             for side, x, u in ((lower, phase.x_lower, phase.u_lower), (upper, phase.x_upper, phase.u_upper)):
                 side[block.nodes] = x[:, None]
                 side[block.stage_x] = x[:, None, None]
-                side[block.stage_u] = u[:, None, None]
+                side[block.controls] = u[:, None, None]
             for node, values in ((0, phase.start), (-1, phase.end)):
                 fixed = np.flatnonzero(~np.isnan(values))
                 lower[block.nodes[fixed, node]] = upper[block.nodes[fixed, node]] = values[fixed]
@@ -175,7 +175,8 @@ class Transcription:
             w[block.duration] = motion.duration
             w[block.stage_x] = motion.states(stages.ravel()).reshape(block.stage_x.shape)
             w[block.nodes] = motion.states(np.clip(start, 0, 1))
-            w[block.stage_u] = motion.controls(stages.ravel()).reshape(block.stage_u.shape)
+            values = motion.controls(stages.ravel()).reshape(block.controls.shape)
+            w[block.controls] = np.einsum("kd,udn->ukn", np.linalg.inv(self.scheme.basis), values)
         w /= self.scale
         if self.levels:  # while the levels are 0, these rows are the costs
             costs = np.array(self.functions["nlp"](w, self.problem.data)[1]).ravel()[-self.leveled :]

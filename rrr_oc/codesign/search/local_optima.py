@@ -59,9 +59,10 @@ class Optimum:
         return self.solution.cost
 
 
-def transcribed(design: Solvable, options: SearchOptions, intervals: int) -> Transcription:
-    """The problem on a uniform mesh with the search's scheme, its functions compiled."""
-    method, mesh = scheme(options.scheme, options.stages), uniform_mesh(design.problem, intervals)
+def transcribed(design: Solvable, options: SearchOptions, intervals: int, everywhere: bool = False) -> Transcription:
+    """The problem on a uniform mesh with the search's scheme, its functions compiled; limits of controls hold at the stages or
+    `everywhere`."""
+    method, mesh = scheme(options.scheme, options.stages, everywhere), uniform_mesh(design.problem, intervals)
     return Transcription(design.problem, method, mesh, compiled=True)
 
 
@@ -100,7 +101,8 @@ def attached(design: Solvable, options: SearchOptions, optimum: Optimum) -> Opti
     """An optimum of `design` that another process found, on this process's own problem and scheme, whose functions exist already."""
     s = optimum.solution
     problem = replace(design.problem, data=s.problem.data)
-    transcription = replace(transcribed(design, options, 1), problem=problem, mesh=s.transcription.mesh)
+    own = transcribed(design, options, 1, s.transcription.scheme.everywhere)
+    transcription = replace(own, problem=problem, mesh=s.transcription.mesh)
     return replace(optimum, solution=replace(s, transcription=transcription))
 
 
