@@ -155,7 +155,7 @@ def test_the_derivatives_of_the_decomposition_are_exact(three):
     """Of the cost of the best motion by the springs: gradient and curvature along one direction by central differences."""
     design = set_of(PAPER)
     solve, scale = other_way.HeldSprings(design), design.problem.p_scale
-    springs = three.parameters + 0.05 * (0.5 * (design.problem.p_lower + design.problem.p_upper) - three.parameters)
+    springs = three.parameters + 0.1 * (0.5 * (design.problem.p_lower + design.problem.p_upper) - three.parameters)
     (held,) = solve(springs, [replace(three.motions[0].solution.guess(), parameters=springs)])
     step = 1e-3 * np.array([1.0, -0.5, 0.1, 0.3]) * (design.problem.p_upper - design.problem.p_lower) / scale
     up, down = (solve(springs + sign * step * scale, [held])[0].solution.cost for sign in (1, -1))
