@@ -111,7 +111,8 @@ def columns_in_words(quantity: Quantity, beside: bool) -> dict[str, str]:
         "engine": f"{quantity.engine}re-simulated in MuJoCo with feed-forward and the paper's P-controllers, load torque read from "
         "the engine.",
         "mesh error": "between the nodes, relative.",
-        "over limits": "the largest excess of a limit between the nodes, relative to its scale (the mesh is not refined for it).",
+        "over limits": "the largest excess of a limit between the nodes, relative to its scale; meshes are refined for limits of range, "
+        "speed and acceleration.",
         "smoothing": "exact, non-smooth springs on the same motion against the smoothed ones.",
         "2nd order": "strict is sufficient for a local optimum; weak is less, some bound is touched with next to no multiplier.",
     }
