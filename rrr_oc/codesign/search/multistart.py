@@ -30,8 +30,8 @@ from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.parallel import once_per_process, ordered, unordered
 
-SPRINGS = 4  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
-APART = 0.1  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
+SPRINGS = 3  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
+APART = 0.03  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
 POSTURES = 64  # in which their torque is compared; doubled, springs that differ in a few postures only are told apart
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
 SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
