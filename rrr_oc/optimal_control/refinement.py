@@ -85,10 +85,10 @@ def refine(
 ) -> tuple[Solution, list[dict]]:
     """Solve on finer meshes until the error between the nodes, the change of the cost and the states' excess are below their tolerances.
 
-    Intervals whose error is too large are split into two to four by the scheme's order, and so are those in which
-    a control leaves a limit, because from the second mesh on limits of controls hold everywhere. The barrier parameter starts small, so
-    that a refined solve does not move to another optimum of nearly the same cost. IPOPT's tolerance is a thousandth of the
-    mesh's, because its barrier adds to the cost in proportion to the number of bounds.
+    Intervals whose error is too large are split into two to four by the scheme's order, and so are those in which a control leaves a
+    limit, because from the second mesh on limits of controls hold everywhere. The barrier parameter starts small, so that a refined
+    solve does not move to another optimum of nearly the same cost. IPOPT's tolerance is a thousandth of the mesh's, because its
+    barrier adds to the cost in proportion to the number of bounds.
 
     Returns:
         The last solution, and one row a mesh: intervals, cost, error, quadrature, violation, iterations and seconds; from the
@@ -151,15 +151,15 @@ def _slowed(solution: Solution) -> list[np.ndarray]:
 
 def _split(solution: Solution, error: MeshError, refinement: Refinement) -> tuple[np.ndarray, ...] | None:
     """A finer mesh; None where it would be too fine. If no interval has a reason to be split, the third with the largest errors is."""
-    order = solution.transcription.scheme.d + 1
-    pieces = []
+    order, small, pieces = solution.transcription.scheme.d + 1, SMALL * refinement.tolerance, []
     for errors, excess, slowed in zip(error.intervals, error.excess, _slowed(solution), strict=True):
-        by_error = np.clip(np.ceil((errors / refinement.tolerance) ** (1 / order)), 1, 4)
-        by_excess = np.clip(
-            np.ceil(np.sqrt(excess / refinement.excess)), 1, 4
-        )  # it falls with the square of an interval's length
-        by_switches = np.clip(np.ceil(np.sqrt(slowed / (SMALL * refinement.tolerance))), 1, 4)  # so does this
-        pieces.append(np.max([by_error, by_excess, by_switches], axis=0).astype(int))
+        by_error, by_excess, by_switches = (
+            (errors / refinement.tolerance) ** (1 / order),
+            excess / refinement.excess,
+            slowed / small,
+        )
+        needed = np.max([by_error, np.sqrt(by_excess), np.sqrt(by_switches)], axis=0)  # both fall with the square of the length
+        pieces.append(np.clip(np.ceil(needed), 1, 4).astype(int))
     if all((p == 1).all() for p in pieces):
         threshold = np.quantile(np.concatenate(error.intervals), 2 / 3)
         pieces = [np.where(errors > threshold, 2, 1) for errors in error.intervals]
