@@ -65,6 +65,7 @@ NOT_RUN = {
     "rrr-oc view": ("it serves until it is stopped", "tests/test_viewer.py"),
     "rrr-oc import lerobot": ("needs a data set of LeRobot", "tests/test_import_lerobot.py"),
     "python -m pytest tests/benchmarks": ("benchmarks, for idle machines", "tests/benchmarks"),
+    "validation/search_seeds.py": ("an hour", "tests/test_multistart.py"),
     "studies/pea_bpea.py": ("minutes", "tests/test_study.py"),
     "studies/calibration.py": ("needs the authors' recordings", "tests/test_calibration_study.py"),
     "studies/concealed_physics.py": ("hours", "tests/test_concealed_study.py"),
