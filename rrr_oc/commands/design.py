@@ -10,7 +10,7 @@ from rich.markdown import Markdown
 from rrr_oc import parallel
 from rrr_oc.codesign.design_problem import COSTS
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import CONFIGURATIONS
+from rrr_oc.codesign.springs import allowed_configurations
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.set_study import SetStudy, prepared_set
@@ -33,9 +33,10 @@ def design(
         str, typer.Argument(help=f"a file with a task or a set of tasks, or a bundled one: {', '.join((*PRESETS, *SETS))}")
     ],
     out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
-    configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
-        CONFIGURATIONS
-    ),
+    configurations: Annotated[
+        str | None,
+        typer.Option(help=f"comma-separated, each {allowed_configurations()}; default: all whose springs the task offers"),
+    ] = None,
     starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
     motions: Annotated[int, typer.Option(min=0, help="proposed motions of each phase, for springs that starts led to")] = 48,
@@ -67,7 +68,7 @@ def design(
     """
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
-    names = tuple(name.strip() for name in configurations.split(",") if name.strip())
+    names = None if configurations is None else tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, model, repaired)
     together = is_task_set(task)
     if front and not together:

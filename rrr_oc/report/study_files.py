@@ -8,7 +8,7 @@ from typing import Any
 
 from rrr_oc import __version__
 from rrr_oc.codesign.design_problem import COST_UNITS
-from rrr_oc.codesign.springs import CONFIGURATIONS
+from rrr_oc.codesign.springs import configurations
 from rrr_oc.codesign.study import Study
 from rrr_oc.codesign.task import Task
 from rrr_oc.codesign.task_sets.set_study import SetStudy
@@ -32,7 +32,8 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
         wall_s: How long it took [s].
         command: What makes the study again.
     """
-    names = sorted(found, key=lambda name: (name.endswith("*"), list(CONFIGURATIONS).index(name.rstrip("*"))))
+    order = list(configurations())
+    names = sorted(found, key=lambda name: (name.endswith("*"), order.index(name.rstrip("*"))))
     cost = study.asked["cost"]
     summary = {
         "preset": study.task.name,
