@@ -339,6 +339,15 @@ class Effect:
         """Set up the `mujoco.MjsJoint` by which the link moves relative to its drive; the engine's step can follow `stiffest` [Nm/rad]."""
         raise NotImplementedError
 
+    # as a part that is made for a design
+
+    def profile(self, q: np.ndarray, theta: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Columns of the table by which the spring is made, over angles q (K,) of its joint [rad]; empty where there is no such table.
+
+        The ending of a column's name is its unit.
+        """
+        return {}
+
     # as a spring that a recording lists
 
     def lever(self, theta: Mapping[str, Any]) -> tuple[Any, ...]:
