@@ -1,13 +1,4 @@
-"""Cable spring across one joint over a pulley whose radius changes with the angle, for co-designs.
-
-The radius is the lever of the cable about the joint. As a function of the angle it is a sum of five bumps, one every 72°,
-
-    r(q) = Σ_i radius_i b(q − q_i),   b(u) = 2/15 (1 + cos u)²,   Σ_i b(q − q_i) = 1,
-
-the cyclic basis of Róth, Juhász, Schicho and Hoffmann (2009), so that it lies between the least and the greatest of the five. So does
-the radius of curvature of the pulley's outline, r + r'' = Σ_i radius_i (1 − cos 2(q − q_i)) / 5: the outline is closed, smooth and
-convex, and the cable lies on all of it. |r'| is at most the difference between the greatest and the least radius, |r''| twice that.
-"""
+"""Cable spring across one joint over a pulley whose radius changes with the angle, for co-designs."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -30,8 +21,16 @@ class PulleySpring(Effect):
     """Unilateral tension spring whose cable winds over a pulley of changing radius (Schmit and Okada 2012).
 
     With the length l(q) = ∫ r dq that is wound off, and the tension T = stiffness max(l(equilibrium) − l(q), 0), the torque is T r(q)
-    (`active="below"`); `active="above"` is its mirror image. With equal radii it is the parallel spring, whose stiffness is then
-    stiffness r².
+    (`active="below"`); `active="above"` is its mirror image. With equal radii r it is a parallel spring of stiffness × r² [Nm/rad].
+
+    The radius is the lever of the cable about the joint, a sum of five bumps, one every 72°: r(q) = Σ_i radius_i b(q − q_i) with
+    b(u) = 2/15 (1 + cos u)² and Σ_i b(q − q_i) = 1, the cyclic basis of Róth, Juhász, Schicho and Hoffmann (2009). So r lies between
+    the least and the greatest of the five radii. So does the radius of curvature of the pulley's outline,
+    r + r'' = Σ_i radius_i (1 − cos 2(q − q_i)) / 5: the outline is closed, smooth and convex, and the cable lies on all of it.
+    |r'| is at most the difference between the greatest and the least radius, |r''| at most twice that.
+
+    A stiffer spring on a smaller pulley of the same shape gives the same torque; which of the two a design has is open where the bounds
+    leave both.
     """
 
     name = "pulley_spring"

@@ -200,9 +200,9 @@ def _prior(kind: type[Effect]) -> str:
 
 
 def _look(of: Example) -> list[str]:
-    """Its picture, and the sentence of a diagnosis that finds it."""
-    told_by_a_diagnosis = of.effect.role in SOUGHT
-    size = "its size is that in the sentence below" if not told_by_a_diagnosis else "its amplitude has the typical size"
+    """Its picture, and a sentence about it, for most effects that of a diagnosis that finds it."""
+    sought = of.effect.role in SOUGHT
+    size = "its amplitude has the typical size" if sought else "its size is that in the sentence below"
     if len(of.curves) > 1:
         size = "each curve has one amplitude of typical size, the others 0"
     caption = [
@@ -217,9 +217,7 @@ def _look(of: Example) -> list[str]:
     if "friction" in of.effect.inputs:
         caption.append(f"Joint 2 has dry friction of {DRY[1]:g} Nm and viscous friction of {VISCOUS[1]:g} Nm s/rad.")
     said = of.sentence()
-    told = (
-        [f"A diagnosis that finds it would say:\n\n> {said}"] if said and told_by_a_diagnosis else [f"> {said}"] if said else []
-    )
+    told = [f"A diagnosis that finds it would say:\n\n> {said}" if sought else f"> {said}"] if said else []
     return ["## What it looks like", f"<figure>{svg(of)}</figure>", " ".join(caption), *told]
 
 

@@ -129,7 +129,7 @@ def _sizes(term: Term) -> np.ndarray:
 
 @cache
 def example(name: str) -> Example | None:
-    """The example of an effect of the catalogue; None where a diagnosis would not try it on this arm."""
+    """The example of an effect of the catalogue; None where a diagnosis that looks for it would not try it on this arm."""
     arm, kind = _arm(), CATALOGUE[name]
     recording = arm.prepared.recording
     of = [t for t in arm.trials(name) if t.effect.joints[:1] in ((), (J,))] if kind.role in SOUGHT else []
