@@ -25,7 +25,7 @@ from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.prediction_error import error, recorded_controller
 from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
 from rrr_oc.calibration.term_fit import labels
-from rrr_oc.codesign.springs import CONFIGURATIONS
+from rrr_oc.codesign.springs import configurations
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split
 from rrr_oc.paper.published import published
@@ -160,7 +160,7 @@ def coverage(
 
 def _place(file: Path) -> tuple[bool, int, str]:
     """Where a configuration's file stands: as in the paper's tables, starred ones last, others by name."""
-    name, known = file.stem.rstrip("*"), list(CONFIGURATIONS)
+    name, known = file.stem.rstrip("*"), list(configurations())
     return file.stem.endswith("*"), known.index(name) if name in known else len(known), name
 
 

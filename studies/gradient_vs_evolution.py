@@ -27,7 +27,6 @@ from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from rrr_oc import parallel
-from rrr_oc.codesign.springs import CONFIGURATIONS
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.errors import UserError, entry_point
@@ -251,7 +250,7 @@ def _race(store: Path, preset: str, names: list[str], size: Size) -> Iterable[Jo
 
 def _fixed(store: Path, preset: str, names: list[str], size: Size) -> Iterable[Job]:
     for duration in size.durations:
-        for name in (n for n in CONFIGURATIONS if n in names):
+        for name in (n for n in EXPERIMENTS if n in names and not n.endswith("*")):
             yield run_fixed, (store, _labels(preset, name, "rest", f"fixed-{duration:g}s"), duration, 0)
 
 

@@ -37,7 +37,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, resimulate, sample_motion
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
+from rrr_oc.codesign.springs import offered, spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.commands.shared import Jobs, Workers
@@ -600,9 +600,7 @@ def main(
     arms: Annotated[
         str, typer.Option(help="comma-separated, of drives, payload, spring, harness")
     ] = "drives,payload,spring,harness",
-    configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
-        CONFIGURATIONS
-    ),
+    configurations: Annotated[str, typer.Option(help="comma-separated, of those that the task offers; default: all")] = "",
     preset: Annotated[str, typer.Option(help="the task: a preset of the prototype's robot, or a task file")] = "prototype",
     seconds: Annotated[float, typer.Option(min=10, help="of each sweep; the paper's take 60")] = 60.0,
     starts: Annotated[int, typer.Option(min=1, help="of each search for a design")] = 12,
@@ -614,10 +612,11 @@ def main(
     """Writes report.md, summary.json, truth.json, figures, and a folder of recordings, models and designs for each arm."""
     known, names = prototypes(seed), [n.strip() for n in configurations.split(",") if n.strip()]
     chosen = [a.strip() for a in arms.split(",") if a.strip()]
-    for given, allowed, option in ((chosen, known, "--arms"), (names, CONFIGURATIONS, "--configurations")):
+    task = load_task(preset)
+    names = names or list(offered(task))
+    for given, allowed, option in ((chosen, known, "--arms"), (names, offered(task), "--configurations")):
         if not given or not set(given) <= set(allowed):
             raise UserError(f"{option} is {', '.join(given) or 'empty'}; allowed are {', '.join(allowed)}")
-    task = load_task(preset)
     if task.robot.name != "rrr_prototype":
         raise UserError(f"--preset {preset} is a task of the robot {task.robot.name!r}; the arm here is 'rrr_prototype'")
     asked = {"preset": preset, "seconds": seconds, "starts": starts, "tolerance": tolerance, "seed": seed}

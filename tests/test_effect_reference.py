@@ -7,7 +7,7 @@ import pytest
 from recorded import Plant
 
 from rrr_oc.effects import CATALOGUE
-from rrr_oc.effects.base import View
+from rrr_oc.effects.base import SOUGHT, View
 from rrr_oc.report.reference import effects
 from rrr_oc.report.reference.examples import ARMATURE, DRY, PAYLOAD, SPRING, VISCOUS, Example, example, followed
 from rrr_oc.robot.robot import load_robot
@@ -37,7 +37,7 @@ def test_a_page_says_what_the_file_declares(name):
     for parameter in kind.parameters if isinstance(kind.parameters, tuple) else ():
         (row,) = re.findall(rf"^\| `{parameter.name}` \| (.*?) \|", text, re.M)
         assert row == ("–" if parameter.unit == "1" else parameter.unit)
-    if kind.role != "plain":
+    if kind.role in SOUGHT:
         assert f"taken as {kind.prior.probability:g} before" in text
         assert kind.prior.source in text
         assert all(f"{number:g}" in text for number, _ in kind.prior.typical.values())

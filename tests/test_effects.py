@@ -401,7 +401,7 @@ each_effect = pytest.mark.parametrize("name", CATALOGUE)
 
 
 def test_catalogue_has_the_effects_of_the_contract():
-    """By exactly their names; beside them only what every calibrated model has, and what stands for no law."""
+    """By exactly their names; beside them only what every calibrated model has, what stands for no law, and springs of designs."""
     beside = {name for name, kind in CATALOGUE.items() if kind.role != "law"}
     assert set(CATALOGUE) - beside == set(CONTRACT)
     for name, parameters in CONTRACT.items():

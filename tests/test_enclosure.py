@@ -53,6 +53,16 @@ def test_a_box_that_is_a_point_has_one_value():
         np.testing.assert_allclose(found.value[1], value, atol=1e-14)
 
 
+def test_a_total_counts_slopes_that_are_the_same_at_all_instants():
+    """Σ_k w_k (T_k − a) over a box of a: the slope is −Σ w, and the values follow."""
+    weights = np.linspace(-1.0, 2.0, T.size)
+    found = (T - enclosures(np.array([[0.2]]), np.array([[0.5]]))[0]).total(weights)
+    np.testing.assert_allclose(np.ravel(found.slopes), [-weights.sum()] * 2)
+    ends = sorted(float(weights @ (T - a)) for a in (0.2, 0.5))
+    assert found.value[0] <= ends[0] + 1e-12
+    assert found.value[1] >= ends[1] - 1e-12
+
+
 def test_a_total_of_signed_weights_lies_within():
     rng = np.random.default_rng(1)
     weights, lower, upper = rng.normal(size=T.size), np.array([[-1.0], [0.5]]), np.array([[-0.5], [0.9]])

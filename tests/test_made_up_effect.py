@@ -27,7 +27,7 @@ from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions, motion_guess
-from rrr_oc.codesign.springs import configurations, spring_bounds
+from rrr_oc.codesign.springs import offered, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands import app
 from rrr_oc.diagnosis.procedure import diagnose
@@ -133,10 +133,10 @@ def band(added):
 def test_it_is_part_of_co_designs(band, tmp_path):
     """By its label, alone and with others; its bounds are kept, and it lowers the cost."""
     one, two = ["SA", "PEA", "BAND", "BPEA"], ["PEA+BAND", "PEA+BPEA", "BAND+BPEA"]
-    assert list(configurations()) == [*one, *two, "PEA+BAND+BPEA"]
     task = load_task("paper")
     entry = {"effect": "rubber_band", "joint": "joint2", "stiffness_Nm_per_rad3": [0, 3], "rest_deg": [-90, 180]}
     task = replace(task, springs=(*task.springs, entry))
+    assert list(offered(task)) == [*one, *two, "PEA+BAND+BPEA"]
     options, costs = SearchOptions(coarse=10), {}
     for name in ("SA", "BAND"):
         design = CoDesign(task, spring_bounds(task, name))

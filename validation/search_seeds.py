@@ -9,7 +9,6 @@ are kept seed by seed: the same command goes on where it was.
 
 import json
 import time
-from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -20,9 +19,9 @@ from rich.progress import track
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.multistart import best_arranged, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import CONFIGURATIONS, arrangements
+from rrr_oc.codesign.springs import arrangements, offered
 from rrr_oc.codesign.task import load_task
-from rrr_oc.errors import UserError, entry_point
+from rrr_oc.errors import entry_point
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import check_folder, write_json, write_text
@@ -36,18 +35,6 @@ def searched(task: str, configuration: str, seed: int, options: SearchOptions) -
     ways = [CoDesign(load_task(task), springs) for springs in arrangements(load_task(task), configuration)]
     best = solve_multistart(best_arranged(ways, options), options).whole().best
     return {"cost": best.cost, "reached": best.reached, "seconds": time.process_time() - began}
-
-
-def offered(task: str) -> list[str]:
-    """The configurations whose springs a task offers."""
-    result = []
-    for name in CONFIGURATIONS:
-        try:
-            arrangements(load_task(task), name)
-        except UserError:
-            continue
-        result.append(name)
-    return result
 
 
 def row(label: str, name: str, found: list[dict[str, float]]) -> list[str]:
@@ -69,7 +56,7 @@ def main(
 ) -> None:
     """Search from every seed and write the table."""
     check_folder(out)
-    wanted = {t: [n for n in offered(t) if not configurations or n in configurations.split(",")] for t in tasks}
+    wanted = {t: [n for n in offered(load_task(t)) if not configurations or n in configurations.split(",")] for t in tasks}
     cases = [(t, n, seed) for seed in range(seeds) for t in tasks for n in wanted[t]]
     results: dict[tuple[str, str], list[dict[str, float]]] = {}
     for task, name, seed in track(cases, "searches"):
@@ -78,7 +65,7 @@ def main(
             options = SearchOptions(starts=starts, seed=seed, refinement=Refinement(tolerance))
             write_json(file, searched(task, name, seed, options))
         results.setdefault((task, name), []).append(json.loads(file.read_text()))
-        rows = [row(load_task(t).name, n, results[t, n]) for t, n in product(tasks, CONFIGURATIONS) if (t, n) in results]
+        rows = [row(load_task(t).name, n, results[t, n]) for t in tasks for n in wanted[t] if (t, n) in results]
         header = ["task", "springs", "best E1", "within 0.1 %", "worst", "reached once", "processor [s]"]
         write_text(out / "seeds.md", markdown(header, rows) + "\n")
     print((out / "seeds.md").read_text())

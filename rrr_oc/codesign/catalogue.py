@@ -150,6 +150,11 @@ def choices_of(design: CoDesign, catalogue: Catalogue) -> Choices:
     return Choices(design, [kinds for kinds, _ in offers], int(np.prod([count for _, count in offers], dtype=int)))
 
 
+def can_be_bought(design: CoDesign) -> bool:
+    """Whether a design has springs, and catalogues may list all of them."""
+    return bool(design.springs) and all(spring.known or spring.form.shop for spring in design.springs)
+
+
 def check_offers(design: CoDesign, catalogue: Catalogue) -> None:
     """Raise `UserError` where a catalogue has nothing within the task's bounds for a spring of a design."""
     for spring in design.springs:

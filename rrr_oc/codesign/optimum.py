@@ -101,6 +101,22 @@ def mounted(design: CoDesign) -> dict[str, dict[str, Any]]:
     return {design.model.label(effect): {key: getattr(effect, key) for key in effect.options} for effect in springs}
 
 
+def profiles(design: CoDesign, parameters: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, np.ndarray]]:
+    """Tables by which springs are made (`Effect.profile`), by label, over one turn from the least angle of the joint.
+
+    Args:
+        parameters: Values by label and name.
+    """
+    tables = {}
+    for spring in design.springs:
+        label, low = design.model.label(spring.effect), np.full(design.task.robot.n, -np.pi)
+        low[list(design.task.moving)] = np.where(np.isfinite(design.task.lower), design.task.lower, -np.pi)
+        if not spring.known:
+            turn = low[spring.effect.joints[0]] + np.radians(np.arange(361.0))
+            tables[label] = spring.effect.profile(turn, parameters[label])
+    return {label: columns for label, columns in tables.items() if columns}
+
+
 def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:
     """Why a spring does nothing along a motion, by its label, for each that does nothing: its exact torque stays below `IDLE` of the
     largest torque that the motion needs."""

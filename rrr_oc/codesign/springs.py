@@ -24,7 +24,15 @@ def configurations() -> dict[str, tuple[str, ...]]:
     return {"SA": ()} | {"+".join(labels): tuple(kinds[label] for label in labels) for labels in some}
 
 
-CONFIGURATIONS = configurations()  # of the springs registered when this module is imported
+def allowed_configurations() -> str:
+    """The names of configurations, in words."""
+    return f"SA, which has no springs, or one or more of {', '.join(design_forms())}, in this order and joined by '+'"
+
+
+def offered(task: Task) -> tuple[str, ...]:
+    """The configurations whose springs a task offers, those of the fewest kinds first."""
+    kinds = {entry.get("effect") for entry in task.springs}
+    return tuple(name for name, needed in configurations().items() if kinds.issuperset(needed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +76,7 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     every, known = configurations(), {kind.name: kind for kind in design_forms().values()}
     kinds = every.get(configuration)
     if kinds is None:
-        raise UserError(f"unknown configuration {configuration!r}; there are {', '.join(every)}")
+        raise UserError(f"unknown configuration {configuration!r}; it is {allowed_configurations()}")
     springs = []
     for i, entry in enumerate(task.springs):
         if entry.get("effect") not in [*known]:
@@ -200,7 +208,7 @@ def spring_schema(kind: type[Effect]) -> Any:
     form, pair = kind.design, kind.placement == "pair"
     assert form is not None
     keys: list[Any] = [("effect", Literal[kind.name]), ("joints", tuple[str, str]) if pair else ("joint", str)]
-    keys += [(q.key, Interval) for q in form.quantities]
+    keys += [(key, Interval) for key in dict.fromkeys(q.key for q in form.quantities)]
     for key, allowed in kind.options.items():
         default, one = getattr(kind, key), Literal[allowed]
         values: Any = tuple[(one,) * len(default)] if isinstance(default, tuple) else one

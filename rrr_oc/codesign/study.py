@@ -20,7 +20,7 @@ import numpy as np
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
-from rrr_oc.codesign.catalogue import Catalogue, check_offers, load_catalogue
+from rrr_oc.codesign.catalogue import Catalogue, can_be_bought, check_offers, load_catalogue
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import (
@@ -39,7 +39,7 @@ from rrr_oc.codesign.optimum import (
 from rrr_oc.codesign.purchasable import search_catalogue
 from rrr_oc.codesign.search.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import CONFIGURATIONS, arrangements
+from rrr_oc.codesign.springs import allowed_configurations, arrangements, offered
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
 from rrr_oc.errors import UserError
@@ -71,7 +71,7 @@ class Request:
     Attributes:
         task: A bundled task, or the path of a task file.
         out: Folder of the results.
-        configurations: Of `CONFIGURATIONS`.
+        configurations: Names as in `rrr_oc.codesign.springs.configurations`; None for all that the task offers.
         search: Options of every search.
         cost: Of `COSTS`.
         actuators, catalogue: A JSON file, "prototype" or "none"; by default the prototype's for the bundled tasks and none for others.
@@ -81,7 +81,7 @@ class Request:
 
     task: str
     out: Path
-    configurations: tuple[str, ...] = tuple(CONFIGURATIONS)
+    configurations: tuple[str, ...] | None = None
     search: SearchOptions = field(default_factory=SearchOptions)
     cost: str = "load"
     actuators: str | None = None
@@ -90,8 +90,8 @@ class Request:
     repaired: bool = False
 
     def __post_init__(self) -> None:
-        if not self.configurations:
-            raise UserError(f"--configurations names none; there are {', '.join(CONFIGURATIONS)}")
+        if self.configurations == ():
+            raise UserError(f"--configurations names none; a configuration is {allowed_configurations()}")
         if self.repaired and self.model is None:
             raise UserError("--repaired needs --model, the file of the model that the designs are to be made for")
         for name in ("actuators", "catalogue"):
@@ -158,7 +158,7 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
     twin = None if request.model is None else Twin(load_model(request.model), drives)
     needed = None if request.cost == "load" else drives
     designs = {}
-    for name in request.configurations:
+    for name in request.configurations or offered(task):
         ways = [CoDesign(task, springs, request.cost, needed) for springs in arrangements(task, name)]
         designs[name] = ways if twin is None or not request.repaired else [repaired(way, twin.model, ("", "")) for way in ways]
     own, shop = next(iter(designs.values()))[0].task, None if request.catalogue is None else load_catalogue(request.catalogue)
@@ -189,7 +189,7 @@ def _asked(request: Request, task: Task) -> dict[str, Any]:
 def _check(study: Study) -> None:
     """Raise `UserError` for what would end the study after its first design was solved."""
     for design, *_ in study.designs.values():
-        if study.shop is not None:
+        if study.shop is not None and can_be_bought(design):
             check_offers(design, study.shop)
         check_simulation(design)
     if study.twin is not None:
@@ -211,7 +211,7 @@ def _results(
     if not solved["interrupted"]:
         solved |= _compared(study, name, design)
         yield name, solved
-    if study.shop is None or not design.springs or solved["interrupted"]:
+    if study.shop is None or not can_be_bought(design) or solved["interrupted"]:
         return
     starred = f"{name}*"
     try:

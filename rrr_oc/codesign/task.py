@@ -27,7 +27,7 @@ from rrr_oc.schema import (
     read_preset,
 )
 
-PRESETS = ("paper", "prototype")
+PRESETS = ("paper", "prototype", "more_springs")
 PHASES = ("go", "return")
 
 

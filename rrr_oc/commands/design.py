@@ -10,7 +10,7 @@ from rich.markdown import Markdown
 from rrr_oc import parallel
 from rrr_oc.codesign.design_problem import COSTS
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import CONFIGURATIONS
+from rrr_oc.codesign.springs import allowed_configurations
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.set_study import SetStudy, prepared_set
@@ -33,9 +33,10 @@ def design(
         str, typer.Argument(help=f"a file with a task or a set of tasks, or a bundled one: {', '.join((*PRESETS, *SETS))}")
     ],
     out: Annotated[Path, typer.Option(help="folder of the results; the same command resumes an interrupted run")],
-    configurations: Annotated[str, typer.Option(help="comma-separated, of " + ", ".join(CONFIGURATIONS))] = ",".join(
-        CONFIGURATIONS
-    ),
+    configurations: Annotated[
+        str | None,
+        typer.Option(help=f"comma-separated, each {allowed_configurations()}; default: all whose springs the task offers"),
+    ] = None,
     starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
     motions: Annotated[int, typer.Option(min=0, help="proposed motions of each phase, for springs that starts led to")] = 48,
@@ -59,15 +60,15 @@ def design(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Springs in parallel with joints (PEA), across two of them (BPEA) or both, and the motion of least cost for each.
+    """Springs across one joint (PEA, VPEA, TPEA), across two (BPEA) or of several kinds, and the motion of least cost for each.
 
     For a set of tasks the springs are the same in all of them, and each task has a motion of its own.
 
-    Writes report.html, tables, figures, summary.json and one npz a configuration and task.
+    Writes report.html, tables, figures, summary.json, one npz a configuration and task, and the profile of each pulley as CSV.
     """
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
-    names = tuple(name.strip() for name in configurations.split(",") if name.strip())
+    names = None if configurations is None else tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, model, repaired)
     together = is_task_set(task)
     if front and not together:

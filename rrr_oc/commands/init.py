@@ -282,6 +282,7 @@ def _task(name: str, robot: Robot, joints: tuple, ends: tuple[str, str]) -> str:
 {bounds}
   }},
   "springs": [ // that a design may use, each with bounds; make them those of springs that you can mount
+    // kinds: {", ".join(kind.name for kind in design_forms().values())}
 {springs}
   ]
 }}

@@ -13,6 +13,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import REST_SPEED, Prepared
 from rrr_oc.effects import CATALOGUE, Signals, Trial, View
+from rrr_oc.effects.base import SOUGHT
 from rrr_oc.robot.rigid_body import rigid_body
 
 SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
@@ -70,7 +71,7 @@ def dry_friction(model: CalibratedModel, torque: np.ndarray, speed: np.ndarray) 
 
 def trials(seen: View, torque: str) -> list[Trial]:
     """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive."""
-    kinds = [kind for kind in CATALOGUE.values() if kind.role != "plain" and not (torque == "load" and kind.side == "drive")]
+    kinds = [kind for kind in CATALOGUE.values() if kind.role in SOUGHT and not (torque == "load" and kind.side == "drive")]
     return [trial for kind in kinds for trial in kind.trials(seen)]
 
 

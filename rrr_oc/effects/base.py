@@ -29,7 +29,8 @@ PLACEMENTS = {
     "arm": "the arm as a whole, no single joint",
 }
 Input = Literal["load", "friction", "springs"]
-Role = Literal["plain", "law", "black_box"]
+Role = Literal["plain", "law", "black_box", "design"]
+SOUGHT: tuple[Role, ...] = ("law", "black_box")  # what a diagnosis looks for
 Scope = Literal["everywhere", "set_up", "some", "mounted"]
 # Probability that an effect that is present is so in some recordings only, by `Effect.scope`
 PARTLY: dict[Scope, float] = {"everywhere": 0.0, "set_up": 0.1, "mounted": 0.5, "some": 1.0}
@@ -205,7 +206,7 @@ class Effect:
             load; "friction", the plain friction of its joint; "springs", those that a recording lists.
         provides: Which of these signals its torque is part of: "friction", "springs" (which a recording may list), or "".
         role: "plain": part of every calibrated model. "law": a diagnosis looks for it. "black_box": no law of the catalogue; it
-            stands for a torque that none explains.
+            stands for a torque that none explains. "design": a co-design may use it; a diagnosis does not look for it.
         scope: In which recordings it may be present. "everywhere": all or none. "set_up": all, none, or those of some set-ups.
             "some": never all, where it would be what every model has. "mounted": as "set_up", and it is put on and taken off between
             recordings, so that it is more probable where only some have it.
@@ -337,6 +338,15 @@ class Effect:
     def gear(self, twist: Any, theta: Mapping[str, float], stiffest: float) -> None:
         """Set up the `mujoco.MjsJoint` by which the link moves relative to its drive; the engine's step can follow `stiffest` [Nm/rad]."""
         raise NotImplementedError
+
+    # as a part that is made for a design
+
+    def profile(self, q: np.ndarray, theta: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Columns of the table by which the spring is made, over angles q (K,) of its joint [rad]; empty where there is no such table.
+
+        The ending of a column's name is its unit.
+        """
+        return {}
 
     # as a spring that a recording lists
 

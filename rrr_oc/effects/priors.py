@@ -10,7 +10,7 @@ from msgspec import Meta
 from msgspec import field as key
 
 from rrr_oc.effects import CATALOGUE
-from rrr_oc.effects.base import Effect, Prior, Trial, View
+from rrr_oc.effects.base import SOUGHT, Effect, Prior, Trial, View
 from rrr_oc.schema import Schema, check_names, read_toml, validated
 
 # Neither 0 nor 1, which no recording could contradict
@@ -89,7 +89,7 @@ def load_priors(path: str | Path) -> Priors:
     """
     tables = read_toml(path)
     context = validated(path, tables.pop("context", {}), Context, "context")
-    check_names(tables, (name for name, kind in CATALOGUE.items() if kind.role != "plain"), path, "effect")
+    check_names(tables, (name for name, kind in CATALOGUE.items() if kind.role in SOUGHT), path, "effect")
     found = validated(path, tables, dict[str, Given])
     given = {name: _changed(path, CATALOGUE[name], one) for name, one in found.items()}
     return Priors(given, context.springs, context.inertias == "exact", str(path))

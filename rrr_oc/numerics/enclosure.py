@@ -36,11 +36,11 @@ class Enclosure(NDArrayOperatorsMixin):
         return rule(*inputs)
 
     def total(self, weights: np.ndarray) -> "Enclosure":
-        """The sum over the last axis with weights (K,)."""
+        """The sum over the last axis with weights (K,); what has one entry there is the same for all."""
         up, down = np.maximum(weights, 0), np.minimum(weights, 0)
 
         def summed(pair: Pair) -> Pair:
-            low, high = pair
+            low, high = (np.broadcast_to(end, (*np.shape(end)[:-1], weights.size)) for end in pair)
             return low @ up + high @ down, high @ up + low @ down
 
         return Enclosure(summed(self.value), None if self.slopes is None else summed(self.slopes))

@@ -17,7 +17,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_simulation, sample_motion
 from rrr_oc.codesign.search.multistart import Start, solve_multistart, starts_to_reach
 from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, motion_guess
-from rrr_oc.codesign.springs import CONFIGURATIONS, spring_bounds
+from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Encoding, load_torque
@@ -27,7 +27,7 @@ from rrr_oc.paper.parametrised import RestrictedDesign, proposals
 from rrr_oc.paper.published import published_springs
 from rrr_oc.paper.run_store import Run
 
-EXPERIMENTS = (*CONFIGURATIONS, *(f"{name}*" for name in CONFIGURATIONS if name != "SA"))
+EXPERIMENTS = ("SA", "PEA", "BPEA", "PEA+BPEA", "PEA*", "BPEA*", "PEA+BPEA*")
 ENDS = ("rest", "free")
 GRADIENT = {"multistart": (LAYERS[0],), "cma-ipopt": (LAYERS[1],)}
 PER_INTERVAL = 30  # samples of a candidate's motion between two path points

@@ -8,7 +8,10 @@ import numpy as np
 
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.report.figures import COLOURS, FOOTER, plt, save_figure
+from rrr_oc.report.tables import spring_unit
 from rrr_oc.robot.rigid_body import rigid_body
+
+ONE_JOINT = ("k_p", "k_v", "k_t")  # stiffnesses of springs across one joint
 
 
 def draw_all(folder: Path, task: Task) -> list[Path]:
@@ -94,8 +97,11 @@ def draw_arm(name: str, m: dict, task: Task, springs: dict[str, float]) -> Any:
     """The arm as a stick figure at equal times of each phase, the tool's path, and the springs at their joints."""
     body = rigid_body(task.robot)
     figure, axes = plt.subplots(1, len(PHASES), figsize=(12, 5), sharex=True, sharey=True)
+    own = {joint: [k for k in ONE_JOINT if f"{k}{n}" in springs] for n, joint in enumerate(task.robot.joints, 1)}
     stiff = [
-        f"{joint}: k_p = {springs[k]:.3g} Nm/rad" for n, joint in enumerate(task.robot.joints, 1) if (k := f"k_p{n}") in springs
+        f"{joint}: {k} = {springs[f'{k}{n}']:.3g} {spring_unit(k)[2]}"
+        for n, (joint, symbols) in enumerate(own.items(), 1)
+        for k in symbols
     ]
     for i, axis in enumerate(axes):
         k = np.flatnonzero(m["phase"] == i)
@@ -119,7 +125,7 @@ def draw_arm(name: str, m: dict, task: Task, springs: dict[str, float]) -> Any:
                     ls="-.",
                 )
         for joint in task.moving:
-            if f"k_p{joint + 1}" in springs:
+            if own[task.robot.joints[joint]]:
                 for column in (0, -1):
                     x, _, z = _joints(body, q[:, column], task)[joint + 1]
                     axis.plot(x, z, "o", mfc="none", mec="crimson", ms=13, mew=1.2)

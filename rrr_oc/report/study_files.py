@@ -1,14 +1,16 @@
 """The files of a study: its summary as JSON, its report in Markdown and as a page, and its figures."""
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from rrr_oc import __version__
-from rrr_oc.codesign.design_problem import COST_UNITS
-from rrr_oc.codesign.springs import CONFIGURATIONS
+from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
+from rrr_oc.codesign.optimum import mounted, profiles
+from rrr_oc.codesign.springs import configurations
 from rrr_oc.codesign.study import Study
 from rrr_oc.codesign.task import Task
 from rrr_oc.codesign.task_sets.set_study import SetStudy
@@ -18,7 +20,7 @@ from rrr_oc.report.design_report import report
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.report.pages.set_page import write_set_page
 from rrr_oc.report.set_figures import draw_set
-from rrr_oc.storage import plain, write_json, write_text
+from rrr_oc.storage import plain, write_csv, write_json, write_text
 
 COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}  # in the summary
 QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
@@ -32,7 +34,8 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
         wall_s: How long it took [s].
         command: What makes the study again.
     """
-    names = sorted(found, key=lambda name: (name.endswith("*"), list(CONFIGURATIONS).index(name.rstrip("*"))))
+    order = list(configurations())
+    names = sorted(found, key=lambda name: (name.endswith("*"), order.index(name.rstrip("*"))))
     cost = study.asked["cost"]
     summary = {
         "preset": study.task.name,
@@ -50,6 +53,7 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
         "configurations": {name: found[name] for name in names},
     }
     write_json(study.out / "summary.json", summary)
+    _write_profiles(study.out, study.designs, found)
     text = report(summary)
     write_text(study.out / "report.md", text)
     draw_all(study.out, study.task)
@@ -83,11 +87,21 @@ def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, co
         "configurations": dict(found),
     }
     write_json(study.out / "summary.json", summary)
+    _write_profiles(study.out, {name: [way.first for way in ways] for name, ways in study.designs.items()}, found)
     text = set_report.report(summary)
     write_text(study.out / "report.md", text)
     draw_set(study.out)
     write_set_page(study.out)
     return summary, text
+
+
+def _write_profiles(out: Path, designs: Mapping[str, Sequence[CoDesign]], found: Mapping[str, Any]) -> None:
+    """A CSV file for each spring that is made by a table; `designs` has all ways in which springs may be mounted."""
+    for name, ways in designs.items():
+        if name in found:
+            design = next(way for way in ways if plain(mounted(way)) == found[name]["mounted"])
+            for label, columns in profiles(design, found[name]["parameters"]).items():
+                write_csv(out / f"{name}_{label.replace('[', '_').rstrip(']')}.csv", columns)
 
 
 def _versions() -> dict[str, str]:

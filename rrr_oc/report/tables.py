@@ -3,9 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from rrr_oc.codesign.task import PHASES
+from rrr_oc.effects import design_forms
 from rrr_oc.effects.words import joint_words
 from rrr_oc.model.metrics import decrease
 from rrr_oc.paper.published import published
@@ -107,6 +106,10 @@ def _numbers(ours: Sequence[float | None], digits: int, paper: float | None, for
 
 def spring_unit(spring: str) -> tuple[str, float, str]:
     """Suffix of a spring's name in the published tables, factor from SI, and the unit to print."""
-    if spring.startswith(("q_eq", "q_0")):
-        return "_deg", 180 / np.pi, "°"
-    return ("_mm", 1e3, "mm") if spring.startswith("r_") else ("", 1.0, "Nm/rad")
+    quantities = {q.symbol: q for kind in design_forms().values() for q in (kind.design.quantities if kind.design else ())}
+    found = quantities.get(spring) or quantities.get(spring.rstrip("0123456789"))
+    if found is None:
+        return "", 1.0, "SI"
+    shown = {"_deg": "°", "_mm": "mm"}
+    suffix = next((ending for ending in shown if found.key.endswith(ending)), "")
+    return suffix, 1 / found.unit, shown.get(suffix, found.si)

@@ -32,7 +32,7 @@ from rrr_oc.codesign.optimum import (
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SearchResult, arranged_costs, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import arrangements
+from rrr_oc.codesign.springs import arrangements, offered
 from rrr_oc.codesign.study import Listener, Request, Twin, once, save, taken
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.codesign.task_sets.set_search import SetResult, SetStart, front, solve_set
@@ -97,7 +97,7 @@ def prepared_set(request: Request, points: int, listener: Listener) -> SetStudy:
     model = None if request.model is None else load_model(request.model)
     like = CoDesign(tasks.tasks[0], (), request.cost, None if request.cost == "load" else drives)
     designs: dict[str, list[SetDesign]] = {}
-    for name in request.configurations:
+    for name in request.configurations or offered(tasks.tasks[0]):
         designs[name] = []
         for springs in arrangements(tasks.tasks[0], name):
             alone = tuple(replace(like, task=task, springs=springs) for task in tasks.tasks)

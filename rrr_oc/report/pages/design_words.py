@@ -108,6 +108,11 @@ def symbols(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     known = {
         "k_p": "stiffness of a spring in parallel with a joint (Eq. 3)",
         "q_eq": "angle of the joint at which that spring is slack",
+        "k_t": "stiffness of a spring across one joint that pulls both ways",
+        "q_t": "angle of the joint at which that spring is slack",
+        "k_v": "stiffness of a cable's spring over a pulley at one joint",
+        "q_v": "angle of the joint at which that cable is slack",
+        "r1_v": "with r2_v to r5_v the radii of that pulley, whose profile is in a CSV file beside the results",
         "k_b": "stiffness of a spring across two joints (Eq. 5)",
         "q_0": "angle that sets where the spring across two joints is slack",
         "r_1": "radius of the pulley at the spring, which turns its stiffness into torque",

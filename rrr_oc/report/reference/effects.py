@@ -8,7 +8,7 @@ import re
 import sys
 
 from rrr_oc.effects import CATALOGUE, Effect
-from rrr_oc.effects.base import PARTLY, PLACEMENTS, SIDES
+from rrr_oc.effects.base import PARTLY, PLACEMENTS, SIDES, SOUGHT
 from rrr_oc.effects.words import listed, words
 from rrr_oc.report.reference.effect_figures import AXES, svg
 from rrr_oc.report.reference.examples import DRY, PAYLOAD, VISCOUS, Example, example, followed
@@ -33,6 +33,7 @@ ROLES = {
     "plain": "It is part of every calibrated model.",
     "law": "A diagnosis looks for it.",
     "black_box": "It is no law: it stands for a torque that no law of the catalogue explains.",
+    "design": "A co-design may use it; a diagnosis does not look for it.",
 }
 RESEMBLES = {
     "friction_over_speed": "It is another course of dry friction over the speed",
@@ -176,6 +177,8 @@ def _options(kind: type[Effect]) -> list[str]:
 def _prior(kind: type[Effect]) -> str:
     if kind.role == "plain":
         return "Every drive has it, so it has no prior."
+    if kind.role == "design":
+        return "A diagnosis does not look for it, so it has no prior."
     p, names = kind.prior, [q.name for q in _known(kind) or ()]
     other = {name: size for name, size in p.typical.items() if name not in names}
     parts = [
@@ -197,9 +200,9 @@ def _prior(kind: type[Effect]) -> str:
 
 
 def _look(of: Example) -> list[str]:
-    """Its picture, and the sentence of a diagnosis that finds it."""
-    plain = of.effect.role == "plain"
-    size = "its size is that in the sentence below" if plain else "its amplitude has the typical size"
+    """Its picture, and a sentence about it, for most effects that of a diagnosis that finds it."""
+    sought = of.effect.role in SOUGHT
+    size = "its amplitude has the typical size" if sought else "its size is that in the sentence below"
     if len(of.curves) > 1:
         size = "each curve has one amplitude of typical size, the others 0"
     caption = [
@@ -214,7 +217,7 @@ def _look(of: Example) -> list[str]:
     if "friction" in of.effect.inputs:
         caption.append(f"Joint 2 has dry friction of {DRY[1]:g} Nm and viscous friction of {VISCOUS[1]:g} Nm s/rad.")
     said = of.sentence()
-    told = [f"A diagnosis that finds it would say:\n\n> {said}"] if said and not plain else [f"> {said}"] if said else []
+    told = [f"A diagnosis that finds it would say:\n\n> {said}" if sought else f"> {said}"] if said else []
     return ["## What it looks like", f"<figure>{svg(of)}</figure>", " ".join(caption), *told]
 
 

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, nominal_term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.diagnosis.signatures import black_box_trials, trials, view
 from rrr_oc.effects import CATALOGUE, Effect, Trial, View, listed_springs
+from rrr_oc.effects.base import SOUGHT
 from rrr_oc.effects.words import Number, Several
 from rrr_oc.model.motion import Motion
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -128,13 +129,13 @@ def _sizes(term: Term) -> np.ndarray:
 
 @cache
 def example(name: str) -> Example | None:
-    """The example of an effect of the catalogue; None where a diagnosis would not try it on this arm."""
+    """The example of an effect of the catalogue; None where a diagnosis that looks for it would not try it on this arm."""
     arm, kind = _arm(), CATALOGUE[name]
     recording = arm.prepared.recording
-    of = [] if kind.role == "plain" else [t for t in arm.trials(name) if t.effect.joints[:1] in ((), (J,))]
-    if kind.role != "plain" and not of:
+    of = [t for t in arm.trials(name) if t.effect.joints[:1] in ((), (J,))] if kind.role in SOUGHT else []
+    if kind.role in SOUGHT and not of:
         return None
-    whole, terms = _plain(arm, kind) if kind.role == "plain" else _typical(arm, _chosen(of))
+    whole, terms = _typical(arm, _chosen(of)) if kind.role in SOUGHT else _alone(arm, kind)
     effect = whole.effect
     without = replace(arm.model, terms=tuple(t for t in arm.model.terms if t.effect != effect))
     plain = without.output_torque(recording)
@@ -148,8 +149,10 @@ def example(name: str) -> Example | None:
     return Example(effect, recording, load, whole.named, tuple(curves[k] for k in order), int(np.argmax(largest)))
 
 
-def _plain(arm: _Arm, kind: type[Effect]) -> tuple[Term, Sequence[Term]]:
-    (term,) = (t for t in arm.model.terms if t.effect.name == kind.name and t.effect.joints == (J,))
+def _alone(arm: _Arm, kind: type[Effect]) -> tuple[Term, Sequence[Term]]:
+    """The term of the plain model, or of a spring of co-designs with its nominal parameters."""
+    found = [t for t in arm.model.terms if t.effect.name == kind.name and t.effect.joints == (J,)]
+    term = found[0] if found else nominal_term(kind((J,)))
     return term, [term]
 
 

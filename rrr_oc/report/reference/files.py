@@ -41,6 +41,7 @@ ENDINGS = {
     "_Nm_per_rad3": "Nm/rad³",
     "_Nm_per_rad": "Nm/rad",
     "_deg_per_s": "°/s",
+    "_N_per_m": "N/m",
     "_Nm_per_A": "Nm/A",
     "_A_per_Nm": "A/Nm",
     "_Ohm": "Ω",
@@ -170,7 +171,7 @@ def _spring_notes() -> str:
         assert kind.design is not None
         place = "`joints`: the two joints" if kind.placement == "pair" else "`joint`: the joint"
         options = [f"`{key}`: {_values(allowed)}; tried in every way if left out" for key, allowed in kind.options.items()]
-        bounds = [f"`{q.key}`: bounds [{_unit(q.key, '')}]" for q in kind.design.quantities]
+        bounds = [f"`{key}`: bounds [{_unit(key, '')}]" for key in dict.fromkeys(q.key for q in kind.design.quantities)]
         lines.append(f"- `effect`: `{kind.name}`; {place}; {'; '.join([*options, *bounds])}.")
     return "\n".join(lines)
 
