@@ -79,10 +79,8 @@ def design(
     names = tuple(name.strip() for name in configurations.split(",") if name.strip())
     request = Request(task, out, names, search, cost, actuators, catalogue, model, repaired)
     together = is_task_set(task)
-    if front and not together:
-        raise UserError(f"--front is {front}; it needs a set of tasks, and {task} is a task")
-    if price is not None and not together:
-        raise UserError(f"--price is {price:g}; it needs a set of tasks, and {task} is a task; a set may have one task")
+    if not together:
+        _check_single(task, front, price)
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
     check_apart(read, [out / name for name in ("summary.json", "report.md", "report.html", "*.png")])
     with parallel.workers(jobs, workers):
@@ -90,6 +88,14 @@ def design(
             _run(prepared_set(request, front, price, output), output, command_line(context))
         else:
             _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
+
+
+def _check_single(task: str, front: int, price: float | None) -> None:
+    """Raise `UserError` for options that a single task does not have."""
+    if front:
+        raise UserError(f"--front is {front}; it needs a set of tasks, and {task} is a task")
+    if price is not None:
+        raise UserError(f"--price is {price:g}; it needs a set of tasks, and {task} is a task; a set may have one task")
 
 
 def _run(study: Study | SetStudy, output: Output, command: str) -> None:
