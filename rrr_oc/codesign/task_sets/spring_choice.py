@@ -99,6 +99,10 @@ def spring_front(
             grown = search.with_one(best[number - 1])
             grown = grown and search.absorbed(grown, searched_optimum(*search.joint(grown)))
             best[number] = grown if grown and grown.total < best[number].total else best[number]
+    for number in range(count, 1, -1):  # downwards: the joint optima may ask for other removals than the first motions did
+        fewer = search.without_one(best[number])
+        fewer = search.absorbed(fewer, searched_optimum(*search.joint(fewer)))
+        best[number - 1] = min(best[number - 1], fewer, key=lambda p: p.total)
     kept: list[ChoicePoint] = []
     for number in sorted(best):
         if not kept or best[number].total < kept[-1].total * (1 - GAIN):
