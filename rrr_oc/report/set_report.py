@@ -219,7 +219,9 @@ def set_sentences(summary: dict[str, Any], name: str) -> list[str]:
     orders = {found["certificate"]["second_order"] for found in c["tasks"].values()}
     worst = max(orders, key=list(SECOND_ORDER).index)
     return [
-        f"{near} of {len(c['starts'])} starts ended within 1 % of the best on the coarse mesh.",
+        f"{near} of {len(c['starts'])} starts ended within 1 % of the best on the coarse mesh."
+        if c["starts"]
+        else "The springs were chosen by their price; the search began at the stiff arm alone.",
         _again(c["change"]),
         f"No springs can bring the set below {c['alone']:.3f}, the objective of the springs tuned to each task alone, if those optima are "
         "the best ones.",
