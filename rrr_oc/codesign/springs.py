@@ -101,10 +101,15 @@ def arrangements(task: Task, configuration: str) -> list[tuple[SpringBounds, ...
 
     An effect's `options`, such as the side on which a spring pulls, are open where the task's entry does not name them.
     """
+    return list(itertools.product(*ways_to_mount(task, configuration)))
+
+
+def ways_to_mount(task: Task, configuration: str) -> list[list[SpringBounds]]:
+    """For each spring of a configuration every way to mount it that the task leaves open, that of `spring_bounds` first."""
     springs = spring_bounds(task, configuration)
     kinds = {spring.effect.name for spring in springs}
     entries = [entry for entry in task.springs if entry["effect"] in kinds]
-    return list(itertools.product(*(_ways(s, entry) for s, entry in zip(springs, entries, strict=True))))
+    return [_ways(s, entry) for s, entry in zip(springs, entries, strict=True)]
 
 
 def _ways(spring: SpringBounds, entry: Mapping) -> list[SpringBounds]:
@@ -124,10 +129,12 @@ class SavedDesign(msgspec.Struct, frozen=True):
     Attributes:
         mounted: How each spring is mounted, by its label.
         parameters: Values by label and name, of the springs and of effects that the arm has.
+        choice: Where springs had a price, what was chosen from; then only some of the configuration's springs are mounted.
     """
 
     mounted: dict[str, dict[str, Any]]
     parameters: dict[str, dict[str, float]]
+    choice: dict[str, Any] | None = None
 
 
 class SavedStudy(msgspec.Struct, frozen=True):
@@ -163,6 +170,8 @@ def saved_springs(path: str | Path, name: str, task: Task) -> SavedSprings:
     saved = designs[name]
     for way in arrangements(task, name.rstrip("*")):
         effects = {task.model().label(s.effect): s.effect for s in way}
+        if saved.choice is not None:
+            effects = {label: e for label, e in effects.items() if label in saved.mounted}
         if saved.mounted == {label: plain({key: getattr(e, key) for key in e.options}) for label, e in effects.items()}:
             lacking = [
                 f"{label}: {p.name}"

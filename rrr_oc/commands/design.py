@@ -1,6 +1,7 @@
 """`rrr-oc design`: springs and motion of a task, designed together."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -55,6 +56,13 @@ def design(
     front: Annotated[
         int, typer.Option(min=0, help="of a set of tasks: optima between that of the set and that of its first task")
     ] = 0,
+    price: Annotated[
+        float | None,
+        typer.Option(help="of a spring, in the unit of the cost, for a set of tasks: only springs worth it are used"),
+    ] = None,
+    intervals: Annotated[
+        int, typer.Option(min=8, help="of a phase on the first fine mesh; fewer are faster, and the tolerance refines them")
+    ] = 40,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
     quiet: Quiet = False,
@@ -69,17 +77,26 @@ def design(
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
     names = None if configurations is None else tuple(name.strip() for name in configurations.split(",") if name.strip())
+    search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
     request = Request(task, out, names, search, cost, actuators, catalogue, model, repaired)
     together = is_task_set(task)
-    if front and not together:
-        raise UserError(f"--front is {front}; it needs a set of tasks, and {task} is a task")
+    if not together:
+        _check_single(task, front, price)
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
     check_apart(read, [out / name for name in ("summary.json", "report.md", "report.html", "*.png")])
     with parallel.workers(jobs, workers):
         if together:
-            _run(prepared_set(request, front, output), output, command_line(context))
+            _run(prepared_set(request, front, price, output), output, command_line(context))
         else:
             _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
+
+
+def _check_single(task: str, front: int, price: float | None) -> None:
+    """Raise `UserError` for options that a single task does not have."""
+    if front:
+        raise UserError(f"--front is {front}; it needs a set of tasks, and {task} is a task")
+    if price is not None:
+        raise UserError(f"--price is {price:g}; it needs a set of tasks, and {task} is a task; a set may have one task")
 
 
 def _run(study: Study | SetStudy, output: Output, command: str) -> None:

@@ -22,6 +22,8 @@ def draw_set(folder: Path) -> list[Path]:
     drawn = [save_figure(draw_tasks(summary), folder / "tasks.png")]
     if any(c["front"] for c in summary["configurations"].values()):
         drawn.append(save_figure(draw_front(summary), folder / "front.png"))
+    if any(c["choice"] for c in summary["configurations"].values()):
+        drawn.append(save_figure(draw_choice(summary), folder / "choice.png"))
     return drawn
 
 
@@ -50,6 +52,29 @@ def draw_tasks(summary: dict[str, Any]) -> Any:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper center", ncols=3, fontsize=9, frameon=False, bbox_to_anchor=(0.5, 1.02))
     figure.tight_layout(rect=(0, 0, 1, 0.95))
+    return figure
+
+
+def draw_choice(summary: dict[str, Any]) -> Any:
+    """The objective against the number of springs, without and with their price; one panel a configuration."""
+    found = {name: c["choice"] for name, c in summary["configurations"].items() if c["choice"]}
+    figure, axes = plt.subplots(1, len(found), figsize=(4.4 * len(found), 3.8), squeeze=False)
+    what, unit = summary["quantity"]
+    for axis, (name, choice) in zip(axes[0], found.items(), strict=True):
+        points, best = choice["points"], choice["points"][choice["chosen"]]
+        counts = [p["count"] for p in points]
+        axis.plot(counts, [p["cost"] for p in points], "o-", color=COLOURS[0], lw=1.2, ms=5, label="without the price")
+        label = f"with {choice['price']:g} a spring"
+        axis.plot(counts, [p["priced"] for p in points], "s--", color=COLOURS[1], lw=1.2, ms=4, label=label)
+        axis.plot(best["count"], best["priced"], "o", color=COLOURS[1], ms=12, mfc="none", label="chosen")
+        axis.set_yscale("log")
+        axis.set_xticks(range(choice["offered"] + 1))
+        axis.set_title(name, fontsize=10)
+        axis.set_xlabel("number of springs")
+        axis.set_ylabel(f"{what} of the set [{unit}]")
+        axis.grid(axis="y", which="both", color="0.92", lw=0.6)
+        axis.legend(fontsize=8, frameon=False)
+    figure.tight_layout()
     return figure
 
 

@@ -33,6 +33,9 @@ def report(summary: dict[str, Any]) -> str:
         parts += [f"## The tasks with {name}\n", markdown(*tasks_table(summary, name))]
     parts += ["## Springs\n", markdown(*springs_table(summary))]
     for name, c in found.items():
+        if c["choice"]:
+            parts += [f"## Which springs are worth their price, {name}\n", choice_sentence(c, quantity) + "\n"]
+            parts += [markdown(*choice_table(c, quantity)), "![Cost against the number of springs](choice.png)\n"]
         if c["front"]:
             parts += [f"## Between the set and its first task, {name}\n", FRONT + "\n", markdown(*front_table(c, quantity))]
         if len(next(iter(c["tasks"].values()))["scenarios"]) > 1:
@@ -142,6 +145,42 @@ def front_table(c: dict[str, Any], quantity: Quantity) -> Table:
     return ["share of the first task", f"first task, {quantity.title}", f"set, {quantity.title}", "springs"], rows
 
 
+def choice_sentence(c: dict[str, Any], quantity: Quantity) -> str:
+    """Which number of springs is best at the price, and how far the front can be trusted."""
+    choice = c["choice"]
+    best, unit = choice["points"][choice["chosen"]], quantity.unit
+    which = f": {springs_of(best)}" if best["count"] else ""
+    said = (
+        f"At a price of {choice['price']:g} {unit} a spring, {best['count']} of {choice['offered']} springs are best{which}. "
+    )
+    said += f"{choice['solved']} sets of springs were solved with their motions, each to a local optimum on the first fine mesh; so "
+    said += (
+        "no cost in this table is proven to be the least. A number of springs that is missing did not cost less than fewer. "
+    )
+    return said + f"Refined, and searched for better motions, the chosen springs cost {c['cost']:.4g} {unit}."
+
+
+def springs_of(point: dict[str, Any]) -> str:
+    """The springs of a point of the front and how each is mounted."""
+    named = []
+    for label, ways in point["mounted"].items():
+        kind, joints = label.rstrip("]").split("[")
+        shown = [" ".join(f"{v:+d}" for v in way) if isinstance(way, list) else str(way) for way in ways.values()]
+        across = " across " if kind == "biarticular_spring" else " on "
+        named.append(f"{kind.split('_')[0]}{across}{joints.replace(',', ' and ')} ({', '.join(shown)})")
+    return ", ".join(named) or NONE
+
+
+def choice_table(c: dict[str, Any], quantity: Quantity) -> Table:
+    """The front of the number of springs: cost, cost with the price, and which springs."""
+    choice = c["choice"]
+    rows = []
+    for i, p in enumerate(choice["points"]):
+        mark = " (chosen)" if i == choice["chosen"] else ""
+        rows.append([f"{p['count']}{mark}", f"{p['cost']:.3f}", f"{p['priced']:.3f}", springs_of(p)])
+    return ["springs", f"set, {quantity.title}", f"with {choice['price']:g} a spring", "which"], rows
+
+
 def scenarios_table(summary: dict[str, Any], name: str) -> Table:
     """E1 of every task in every scenario, as planned and in MuJoCo; the worst of a task is its cost."""
     rows = []
@@ -180,7 +219,9 @@ def set_sentences(summary: dict[str, Any], name: str) -> list[str]:
     orders = {found["certificate"]["second_order"] for found in c["tasks"].values()}
     worst = max(orders, key=list(SECOND_ORDER).index)
     return [
-        f"{near} of {len(c['starts'])} starts ended within 1 % of the best on the coarse mesh.",
+        f"{near} of {len(c['starts'])} starts ended within 1 % of the best on the coarse mesh."
+        if c["starts"]
+        else "The springs were chosen by their price; the search began at the stiff arm alone.",
         _again(c["change"]),
         f"No springs can bring the set below {c['alone']:.3f}, the objective of the springs tuned to each task alone, if those optima are "
         "the best ones.",

@@ -32,6 +32,7 @@ BARRIERS = (
 )  # initial barrier parameters of a start: IPOPT's own choice, and one not far from the tasks' own motions
 CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum's; doubled, a little is left
 GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
+FEW = 12  # proposed motions of each phase at most for one of many sets of springs; doubled, the front of a price takes longer
 ROUNDS = 4  # in which motions found for held springs and springs for these motions improve each other, at most
 
 
@@ -122,12 +123,48 @@ def solve_set(
     first = _with_first(design, best, alone, options)
     if design.total([o.cost for o in first]) < best.cost * (1 - CHEAPER):
         best = _improved(design, _rejoined(design, first, first[0].solution.parameters, options) or best, alone, options)
+    return _compared(design, best, alone, first, options, tuple(starts))
+
+
+def _compared(
+    design: SetDesign,
+    best: Optimum,
+    alone: Sequence[Optimum],
+    first: Sequence[Optimum],
+    options: SearchOptions,
+    starts: tuple[SetStart, ...],
+) -> SetResult:
+    """The result of a joint optimum, on refined meshes, beside the tasks alone and the springs of the first."""
     parameters, motions, change = _refined(design, best, options)
     better = tuple(_better_alone(design, t, alone[t], motions[t], options) for t in range(len(alone)))
     if better[0] is not alone[0]:
         first = _with_first(design, best, better, options)
     refine = [(one, options, o) for one, o in zip(design.held(better[0].solution.parameters), first, strict=True)]
-    return SetResult(design, parameters, motions, better, tuple(ordered(_refined_alone, refine)), tuple(starts), change)
+    return SetResult(design, parameters, motions, better, tuple(ordered(_refined_alone, refine)), starts, change)
+
+
+def solve_chosen(design: SetDesign, start: Guess, options: SearchOptions) -> SetResult:
+    """The best springs for a set of tasks near springs and motions of the joint problem that are known to be good.
+
+    The optima of the tasks alone are those near the motions of the set, too.
+
+    Raises:
+        SolverFailure: The start leads to no optimum, or a task has no motion.
+    """
+    motions = held_motions(design, start.parameters, [[m] for m in design.motions(start)], options)
+    if not design.sprung:
+        calls = [(one, options, o) for one, o in zip(design.designs, motions, strict=True)]
+        return solve_set(design, ordered(_refined_alone, calls), options)
+    joint = _rejoined(design, motions, start.parameters, options)
+    if joint is None:
+        raise SolverFailure("the chosen springs led to no optimum of the set", 0, 0.0, "")
+    near = ordered(
+        follow_to_fine_mesh, [(one, options, m) for one, m in zip(design.designs, _motions(design, joint), strict=True)]
+    )
+    alone = [a or m for a, m in zip(near, motions, strict=True)]
+    alone = ordered(_refined_alone, [(one, options, o) for one, o in zip(design.designs, alone, strict=True)])
+    best = _improved(design, joint, alone, options)
+    return _compared(design, best, alone, _with_first(design, best, alone, options), options, ())
 
 
 def _with_first(design: SetDesign, joint: Optimum, alone: Sequence[Optimum], options: SearchOptions) -> list[Optimum]:
@@ -239,7 +276,25 @@ def _improved(design: SetDesign, joint: Optimum, alone: Sequence[Optimum], optio
 
 def _rejoined(design: SetDesign, motions: Sequence[Optimum], parameters: np.ndarray, options: SearchOptions) -> Optimum | None:
     """The joint optimum on the fine mesh near motions for held springs, springs free again; None where IPOPT finds none."""
-    start = design.guess([o.solution.guess() for o in motions], parameters)
+    return joint_optimum(design, design.guess([o.solution.guess() for o in motions], parameters), options)
+
+
+def searched_optimum(design: SetDesign, start: Guess, options: SearchOptions) -> Optimum | None:
+    """As `joint_optimum`; then, where the options have proposed motions, better motions are looked for."""
+    found = joint_optimum(design, start, options)
+    if found is None or not options.motions:
+        return found
+    few = replace(options, motions=min(options.motions, FEW))
+    try:
+        motions = held_motions(design, found.solution.parameters, [[m] for m in _motions(design, found)], few)
+    except SolverFailure:
+        return found
+    better = _rejoined(design, motions, found.solution.parameters, options)
+    return found if better is None else min(found, better, key=lambda o: o.cost)
+
+
+def joint_optimum(design: SetDesign, start: Guess, options: SearchOptions) -> Optimum | None:
+    """The joint optimum on the fine mesh near springs and motions; None where IPOPT finds none."""
     transcription, data = transcribed(design, options, options.fine), design.data(options.widths[-1])
     found = [
         s

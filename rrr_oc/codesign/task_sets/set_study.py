@@ -32,10 +32,11 @@ from rrr_oc.codesign.optimum import (
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SearchResult, arranged_costs, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import arrangements, offered
+from rrr_oc.codesign.springs import SpringBounds, arrangements, offered, ways_to_mount
 from rrr_oc.codesign.study import Listener, Request, Twin, once, save, taken
-from rrr_oc.codesign.task import PHASES
-from rrr_oc.codesign.task_sets.set_search import SetResult, SetStart, front, solve_set
+from rrr_oc.codesign.task import PHASES, Task
+from rrr_oc.codesign.task_sets.set_search import SetResult, SetStart, front, solve_chosen, solve_set
+from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_task_set, with_uncertainty
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
 from rrr_oc.errors import UserError
@@ -58,6 +59,7 @@ class SetStudy:
         options: Of every search.
         twin: The calibrated model, if there is one.
         points: Number of optima between that of the set and that of the first task.
+        price: Of a spring, in the unit of the objective; None if all offered springs are used.
         cost: Of `COSTS`.
         listener: Who is told how it goes on.
     """
@@ -69,6 +71,7 @@ class SetStudy:
     options: SearchOptions
     twin: Twin | None
     points: int
+    price: float | None
     cost: str
     listener: Listener
 
@@ -84,7 +87,7 @@ def file_of(name: str, task: int) -> str:
     return f"{name}_{task + 1}"
 
 
-def prepared_set(request: Request, points: int, listener: Listener) -> SetStudy:
+def prepared_set(request: Request, points: int, price: float | None, listener: Listener) -> SetStudy:
     """A study of a set whose results are ready to be solved; raises `UserError` for whatever would end it later."""
     tasks = load_task_set(request.task)
     check_folder(request.out)
@@ -92,6 +95,7 @@ def prepared_set(request: Request, points: int, listener: Listener) -> SetStudy:
         raise UserError(f"--catalogue is {request.catalogue!r}; for a set of tasks only 'none' is allowed")
     if points and tasks.objective != "sum":
         raise UserError(f"--front needs a set whose objective is 'sum'; that of {tasks.name!r} is {tasks.objective!r}")
+    _check_price(price, tasks)
     joints = tasks.tasks[0].joints
     drives = None if request.actuators is None else load_actuators(joints, request.actuators)
     model = None if request.model is None else load_model(request.model)
@@ -99,7 +103,7 @@ def prepared_set(request: Request, points: int, listener: Listener) -> SetStudy:
     designs: dict[str, list[SetDesign]] = {}
     for name in request.configurations or offered(tasks.tasks[0]):
         designs[name] = []
-        for springs in arrangements(tasks.tasks[0], name):
+        for springs in _ways(tasks.tasks[0], name, price is not None):
             alone = tuple(replace(like, task=task, springs=springs) for task in tasks.tasks)
             if model is not None and request.repaired:
                 alone = tuple(repaired(one, model, ("", "")) for one in alone)
@@ -108,21 +112,47 @@ def prepared_set(request: Request, points: int, listener: Listener) -> SetStudy:
     first = next(iter(designs.values()))[0].first
     if model is not None:
         check_transfer(first, model)
-    for ways in designs.values():
-        check_simulation(ways[0].first)
-    asked = {"set": tasks.contents, "cost": request.cost, "options": asdict(request.search), "front": points}
+    for way, *_ in designs.values():
+        check_simulation(replace(way.first, springs=_one_a_place(way.first)))
+    asked = {"set": tasks.contents, "cost": request.cost, "options": asdict(request.search), "front": points, "price": price}
     read = [None if request.cost == "load" else request.actuators, request.model]
     asked |= {"files": [read_utf8(f).decode() for f in read if f is not None and Path(f).is_file()]}
     robot = first.task.robot
     asked |= {"robot": [robot.placements, robot.axes, robot.inertial], "repaired": request.repaired, "version": __version__}
     asked |= {"limits": [[t.lower, t.upper, t.speed, t.acceleration, t.torque] for t in tasks.tasks], "code": code()}
     twin = None if model is None else Twin(model, drives)
-    return SetStudy(request.out, tasks, designs, asked, request.search, twin, points, request.cost, listener)
+    return SetStudy(request.out, tasks, designs, asked, request.search, twin, points, price, request.cost, listener)
+
+
+def _check_price(price: float | None, tasks: TaskSet) -> None:
+    """Raise `UserError` where springs cannot have this price."""
+    if price is None:
+        return
+    if not (np.isfinite(price) and price >= 0):
+        raise UserError(f"--price is {price:g}; a finite number of 0 or more is required, in the unit of the cost")
+    if tasks.objective != "sum" or tasks.payload or tasks.model:
+        found = "something uncertain" if tasks.objective == "sum" else f"the objective {tasks.objective!r}"
+        raise UserError(f"--price needs a set whose objective is 'sum', without 'uncertain'; {tasks.name!r} has {found}")
+
+
+def _ways(task: Task, name: str, each: bool) -> list[tuple[SpringBounds, ...]]:
+    """Every way to mount all springs of a configuration; with `each`, one that has every way to mount each spring."""
+    if not each:
+        return arrangements(task, name)
+    return [tuple(way for ways in ways_to_mount(task, name) for way in ways)]
+
+
+def _one_a_place(design: CoDesign) -> tuple[SpringBounds, ...]:
+    """The springs of a design in the first way to mount each."""
+    first = {(s.effect.name, s.effect.joints): s for s in reversed(design.springs)}
+    return tuple(s for s in design.springs if s.known or first[s.effect.name, s.effect.joints] is s)
 
 
 def _solve(study: SetStudy, name: str, ways: Sequence[SetDesign]) -> dict[str, Any]:
     """The entry of a configuration in summary.json; first writes the motions of the tasks."""
     began = time.perf_counter()
+    if study.price is not None:
+        return _solve_priced(study, name, ways[0], began)
     design = ways[0] if len(ways) == 1 else _best_arranged(study, name, ways)
     alone = _alone(study, name, design)
     starts = 0
@@ -134,6 +164,46 @@ def _solve(study: SetStudy, name: str, ways: Sequence[SetDesign]) -> dict[str, A
             count(starts, "starts of the set")
 
         result = solve_set(design, alone, study.options, show)
+    return _described(study, name, result, None, began)
+
+
+def _solve_priced(study: SetStudy, name: str, offered: SetDesign, began: float) -> dict[str, Any]:
+    """As `_solve`, with those springs of the offered ones that are worth their price."""
+    assert study.price is not None
+    bare = offered.with_springs(tuple(s for s in offered.springs if s.known))
+    few = replace(study.options, refinement=replace(study.options.refinement, rounds=1))  # the choice has its own mesh
+    stiff = _alone(replace(study, options=few), f"{name} stiff", bare) if offered.sprung else _alone(study, name, bare)
+    if not offered.sprung:
+        return _described(study, name, solve_set(bare, stiff, study.options), None, began)
+    with study.listener.count(f"{name} choice") as count:
+        found = spring_front(offered, stiff, study.options, lambda left, _: count(left, "springs left"))
+    result = solve_chosen(*chosen(offered, study.options, found.at(study.price)), study.options)
+    return _described(study, name, result, _choice(study, offered, found), began)
+
+
+def _choice(study: SetStudy, offered: SetDesign, found: SpringFront) -> dict[str, Any]:
+    """The front of the number of springs, as it is saved."""
+    assert study.price is not None
+    points = []
+    for point in found.points:
+        design, start = chosen(offered, study.options, point)
+        points.append(
+            {
+                "count": len(point.springs),
+                "cost": point.total,
+                "priced": point.total + study.price * len(point.springs),
+                "springs": design.first.hardware(start.parameters),
+                "mounted": mounted(design.first),
+            }
+        )
+    at = found.points.index(found.at(study.price))
+    places = len({(s.effect.name, s.effect.joints) for s in offered.springs if not s.known})
+    return {"price": study.price, "offered": places, "chosen": at, "solved": found.solved, "points": points}
+
+
+def _described(study: SetStudy, name: str, result: SetResult, choice: dict[str, Any] | None, began: float) -> dict[str, Any]:
+    """The entry of a result in summary.json; first writes the motions of the tasks."""
+    design = result.design
     calls = [
         (own, held, o, study.twin)
         for own, held, o in zip(design.designs, design.held(result.parameters), result.motions, strict=True)
@@ -144,7 +214,7 @@ def _solve(study: SetStudy, name: str, ways: Sequence[SetDesign]) -> dict[str, A
         compared = {"alone": result.alone[t].cost, "with_first": result.first[t].cost}
         own = design.designs[t].hardware(result.alone[t].solution.parameters)
         tasks[task.name] = found | compared | {"springs_alone": own}
-    return plain(_of_set(study, result) | {"tasks": tasks, "wall_s": time.perf_counter() - began})
+    return plain(_of_set(study, result) | {"choice": choice, "tasks": tasks, "wall_s": time.perf_counter() - began})
 
 
 def _of_set(study: SetStudy, result: SetResult) -> dict[str, Any]:

@@ -255,6 +255,10 @@ class SetDesign:
         count = len(PHASES)
         return [Guess(guess.phases[count * t : count * (t + 1)], guess.parameters) for t in range(len(self.designs))]
 
+    def with_springs(self, springs: tuple[SpringBounds, ...]) -> "SetDesign":
+        """The same tasks with other springs."""
+        return replace(self, designs=tuple(replace(design, springs=springs) for design in self.designs))
+
     def held(self, parameters: np.ndarray) -> list[CoDesign]:
         """The problem of each task alone with the springs held (np,)."""
         return [design.with_fixed(design.hardware(parameters)) for design in self.designs]

@@ -40,12 +40,14 @@ def set_page(summary: Mapping[str, Any], data: Mapping[str, Mapping[str, np.ndar
     content, found, quantity = dict(summary), summary["configurations"], Quantity(*summary["quantity"])
     best = best_of(found)
     figures = [_tasks(summary, quantity), *figures_of(BY, {k: captions_of(c) for k, c in data.items()})]
+    choices = any(c["choice"] for c in found.values())
     fronts = any(c["front"] for c in found.values())
     tables = {"motion": {k: columns(c) for k, c in data.items()}, "tasks": {n: _costs(summary, n) for n in found}}
+    tables["choice"] = {name: _choices(c) for name, c in found.items()}
     tables["front"] = {name: _points(c) for name, c in found.items()}
     return render(
         "set.html",
-        [*figures, *([_front(found, quantity)] if fronts else [])],
+        [*figures, *([_choice(found, quantity)] if choices else []), *([_front(found, quantity)] if fronts else [])],
         tables,
         summary=summary,
         quantity=quantity,
@@ -61,6 +63,11 @@ def set_page(summary: Mapping[str, Any], data: Mapping[str, Mapping[str, np.ndar
         of_tasks={name: tell.tasks_table(content, name) for name in found},
         springs=tell.springs_table(content),
         symbols=say.symbols(found),
+        choices={
+            name: (tell.choice_sentence(c, quantity), tell.choice_table(c, quantity))
+            for name, c in found.items()
+            if c["choice"]
+        },
         fronts={name: tell.front_table(c, quantity) for name, c in found.items() if c["front"]},
         scenarios={name: tell.scenarios_table(content, name) for name in found if _robust(summary)},
         certificates={name: (tell.set_sentences(content, name), tell.certificates_table(c)) for name, c in found.items()},
@@ -117,6 +124,29 @@ def _tasks(summary: Mapping[str, Any], quantity: Quantity) -> Figure:
 
 def _near(c: Mapping[str, Any]) -> list[str]:
     return [task for task, found in c["tasks"].items() if found["cost"] <= 1.1 * found["alone"]]
+
+
+def _choices(c: Mapping[str, Any]) -> dict[str, list[Any]]:
+    points = c["choice"]["points"] if c["choice"] else [{"count": 0, "cost": c["cost"], "priced": c["cost"]}]
+    return columns({k: np.array([p[k] for p in points]) for k in ("count", "cost", "priced")})
+
+
+def _choice(found: Mapping[str, Any], quantity: Quantity) -> Figure:
+    curves = (
+        Curve("count", "cost", "load", "without the price"),
+        Curve("count", "cost", "load", "without the price", "markers", 9),
+        Curve("count", "priced", "spring", "with the price", dash="dash"),
+        Curve("count", "priced", "spring", "with the price", "markers", 7),
+    )
+    axes = ("number of springs", f"{quantity.title} of the set")
+    captions = {
+        name: "The least cost that was found for each number of springs, without and with their price."
+        if c["choice"]
+        else "This configuration offers no springs."
+        for name, c in found.items()
+    }
+    layout = {"xaxis": {"dtick": 1}, "yaxis": {"type": "log"}}
+    return Figure("choice", "Which springs are worth their price", "choice", BY[:1], axes, curves, captions, layout)
 
 
 def _points(c: Mapping[str, Any]) -> dict[str, list[Any]]:

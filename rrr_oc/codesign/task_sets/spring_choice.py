@@ -1,0 +1,354 @@
+"""Which of the offered springs a set of tasks should have, and how they are mounted, where each spring has a price.
+
+Springs for held motions and motions for held springs are optimised in turn. Constraints couple the two only by limits of torque, so
+that without these a point where neither step helps satisfies the first-order conditions of the joint problem. The springs on held
+motions are a problem of a few numbers, which ranks all springs, ways to mount them and exchanges; the best of each ranking are
+solved with their motions. No step depends on the number of combinations.
+"""
+
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import minimize
+
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.search.local_optima import SOLVED, Optimum, transcribed
+from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
+from rrr_oc.codesign.task_sets.set_search import searched_optimum
+from rrr_oc.codesign.task_sets.task_set import SetDesign
+from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.solver import Options, Solution, Solver
+from rrr_oc.parallel import once_per_process, ordered
+
+DRAWN = 3  # springs from which a way to mount one is fitted; doubled, twice the time, and fewer local optima are missed
+STEPS = 30  # of such a fit; doubled, it takes longer, and the next round would have found the rest
+TRIED = 2  # removals and exchanges of a number of springs whose motions are solved; doubled, twice the time and a surer front
+ROUNDS = 8  # in which springs and motions improve each other, at most; doubled, the last per mille are found
+GAIN = 1e-3  # [1] of the objective that a round must bring for another one; doubled, fewer rounds are made
+BARRIERS = (1e-4, 1e-2)  # initial barrier parameters of a motion for changed springs; the second where the first finds none
+
+
+@dataclass(frozen=True, eq=False)
+class ChoicePoint:
+    """Springs and the motions for them.
+
+    Attributes:
+        springs: Indices of the springs among the offered ones, each mounted in one way, ascending.
+        parameters: Of all offered springs (np,); those that are not chosen have no amplitude.
+        motions: Scaled variables of each task (T).
+        total: The objective.
+    """
+
+    springs: tuple[int, ...]
+    parameters: np.ndarray
+    motions: tuple[np.ndarray, ...]
+    total: float
+
+
+@dataclass(frozen=True, eq=False)
+class SpringFront:
+    """The least cost that was found for each number of springs.
+
+    Attributes:
+        points: Fewest springs first; each costs less than those before.
+        solved: Number of sets of springs whose motions were solved.
+    """
+
+    points: tuple[ChoicePoint, ...]
+    solved: int
+
+    def at(self, price: float) -> ChoicePoint:
+        """The point of least cost with its springs paid for."""
+        return min(self.points, key=lambda p: p.total + price * len(p.springs))
+
+
+def spring_front(
+    design: SetDesign,
+    stiff: Sequence[Optimum],
+    options: SearchOptions,
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> SpringFront:
+    """The front of the number of springs against the objective, from all offered springs to none.
+
+    Every solve ends in a local optimum: a point is the best that was found, not a proven one.
+
+    Args:
+        design: All offered springs, each in every way to mount it; ways of one spring act on the same joints. Its objective is "sum",
+            with one scenario.
+        stiff: The optimum of each task without springs (T).
+        progress: Called with the number of springs left and the number of all.
+    """
+    search = _Search(design, options)
+    none = search.of_stiff(stiff)
+    best = {0: none}
+    point = search.everything(none)
+    count = len(point.springs)
+    while point.springs:
+        progress(len(point.springs), count)
+        point = search.exchanged(point)
+        best[len(point.springs)] = point
+        point = search.without_one(point)
+    polished = ordered(searched_optimum, [search.joint(best[number]) for number in sorted(best) if number])
+    for number, optimum in enumerate(polished, 1):
+        best[number] = search.absorbed(best[number], optimum)
+        if best[number].total >= best[number - 1].total * (1 - GAIN):  # then what the smaller set found may help the larger one
+            grown = search.with_one(best[number - 1])
+            grown = grown and search.absorbed(grown, searched_optimum(*search.joint(grown)))
+            best[number] = grown if grown and grown.total < best[number].total else best[number]
+    for number in range(count, 1, -1):  # downwards: the joint optima may ask for other removals than the first motions did
+        fewer = search.without_one(best[number])
+        fewer = search.absorbed(fewer, searched_optimum(*search.joint(fewer)))
+        best[number - 1] = min(best[number - 1], fewer, key=lambda p: p.total)
+    kept: list[ChoicePoint] = []
+    for number in sorted(best):
+        if not kept or best[number].total < kept[-1].total * (1 - GAIN):
+            kept.append(best[number])
+    return SpringFront(tuple(kept), search.solved)
+
+
+class _Search:
+    """The steps of the search.
+
+    Attributes:
+        places: For each place, the indices of the springs that may be mounted there, of which one can be.
+        own: For each offered spring, where its parameters are.
+        solved: Number of sets of springs whose motions were solved.
+    """
+
+    def __init__(self, design: SetDesign, options: SearchOptions) -> None:
+        self.design, self.options, self.key, self.solved = design, options, uuid.uuid4().hex, 0
+        problem = design.first.problem
+        self.lower, self.upper = problem.p_lower, problem.p_upper
+        self.transcriptions = [transcribed(one, options, options.fine) for one in design.designs]
+        self.data = [one.data(options.widths[-1]) for one in design.designs]
+        sizes = [len(s.effect.parameters) for s in design.springs]
+        ends = np.cumsum(sizes)
+        self.own = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        self.places: dict[tuple, list[int]] = {}
+        for i, spring in enumerate(design.springs):
+            if not spring.known:
+                self.places.setdefault((spring.effect.name, spring.effect.joints), []).append(i)
+
+    def place(self, spring: int) -> list[int]:
+        """The springs that may be mounted where this one is."""
+        effect = self.design.springs[spring].effect
+        return self.places[effect.name, effect.joints]
+
+    def of_stiff(self, stiff: Sequence[Optimum]) -> ChoicePoint:
+        """The point without springs, its motions solved on the search's mesh."""
+        p = 0.5 * (self.lower + self.upper)
+        p = self.cleared(p, ())
+        packed = [t.pack(Guess(o.solution.guess().phases, p)) for t, o in zip(self.transcriptions, stiff, strict=True)]
+        moved = self.moved(p, packed)
+        costs = [o.cost for o in stiff]
+        return ChoicePoint((), p, *(moved or (tuple(packed), self.design.total(costs))))
+
+    def cleared(self, parameters: np.ndarray, springs: Sequence[int]) -> np.ndarray:
+        """The parameters with no amplitude of springs that are not among some; known effects stay."""
+        p = parameters.copy()
+        for i, spring in enumerate(self.design.springs):
+            if i not in springs and not spring.known:
+                p[self.amplitudes(i)] = 0.0
+        return p
+
+    def amplitudes(self, spring: int) -> list[int]:
+        """Indices of a spring's amplitudes among all parameters."""
+        effect = self.design.springs[spring].effect
+        return [int(at) for at, p in zip(self.own[spring], effect.parameters, strict=True) if p.name in effect.amplitudes]
+
+    def cost(self, parameters: np.ndarray, motions: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
+        """The objective on held motions and its gradient by the parameters."""
+        total, slope, n = 0.0, np.zeros(len(parameters)), len(parameters)
+        for one, t, d, w, weight in zip(
+            self.design.designs, self.transcriptions, self.data, motions, self.design.tasks.weights, strict=True
+        ):
+            at = np.r_[parameters / one.problem.p_scale, w[n:]]
+            value, gradient = t.functions["grad_f"](at, d)
+            factor = weight * one.problem.cost_scale
+            total += factor * float(value)
+            slope += factor * np.array(gradient).ravel()[:n] / one.problem.p_scale
+        return total, slope
+
+    def fitted(self, parameters: np.ndarray, motions: Sequence[np.ndarray], springs: Sequence[int]) -> tuple[float, np.ndarray]:
+        """(objective, parameters) with some springs optimised on held motions, from their present parameters."""
+        free = np.concatenate([np.zeros(0, int), *[self.own[i] for i in springs]])
+        if not free.size:
+            return self.cost(parameters, motions)[0], parameters
+        scale = self.design.first.problem.p_scale[free]
+        unit = max(self.cost(parameters, motions)[0], 1e-9)
+
+        def value(x: np.ndarray) -> tuple[float, np.ndarray]:
+            p = parameters.copy()
+            p[free] = x * scale
+            total, slope = self.cost(p, motions)
+            return total / unit, slope[free] * scale / unit
+
+        bounds = list(zip(self.lower[free] / scale, self.upper[free] / scale, strict=True))
+        found = minimize(value, parameters[free] / scale, jac=True, bounds=bounds, **self._constrained(parameters, free, scale))
+        p = parameters.copy()
+        p[free] = np.clip(found.x * scale, self.lower[free], self.upper[free])
+        return (found.fun * unit, p) if found.fun < 1 else (unit, parameters)
+
+    def _constrained(self, parameters: np.ndarray, free: np.ndarray, scale: np.ndarray) -> dict:
+        """Method and constraints of the fit: hardware must exist where parameters are functions of it."""
+        exists = self.design.first.problem.design
+        if exists is None:
+            return {"method": "L-BFGS-B", "options": {"maxiter": STEPS}}
+        d, slope = self.data[0], exists.jacobian()
+
+        def whole(x: np.ndarray) -> np.ndarray:
+            p = parameters.copy()
+            p[free] = x * scale
+            return p
+
+        return {
+            "method": "SLSQP",
+            "options": {"maxiter": STEPS},
+            "constraints": {
+                "type": "ineq",
+                "fun": lambda x: -np.array(exists(whole(x), d)).ravel(),
+                "jac": lambda x: -np.array(ca.DM(slope(whole(x), d, 0)[0]))[:, free] * scale,
+            },
+        }
+
+    def mounted(
+        self, parameters: np.ndarray, motions: Sequence[np.ndarray], place: Sequence[int]
+    ) -> tuple[float, int, np.ndarray]:
+        """(objective, spring, parameters) of the best spring of a place on held motions, from several drawn ones."""
+        tries = []
+        for i in place:
+            low, high = drawn_bounds([self.design.springs[i]])
+            for point in sobol_points(len(low), DRAWN, self.options.seed):
+                p = self.cleared(parameters, [j for j in range(len(self.own)) if j not in place or j == i])
+                p[self.own[i]] = from_drawn([self.design.springs[i]], low + (high - low) * point)
+                total, p = self.fitted(p, motions, [i])
+                tries.append((total, i, p))
+        return min(tries, key=lambda t: t[0])
+
+    def moved(self, parameters: np.ndarray, motions: Sequence[np.ndarray]) -> tuple[tuple[np.ndarray, ...], float] | None:
+        """The motions for held springs near some, and the objective; None where a task has none."""
+        designs = self.design.designs
+        calls = [(self.key, designs[t], self.options, (t, w), parameters) for t, w in enumerate(motions)]
+        found = ordered(_moved, calls)
+        if any(one is None for one in found):
+            return None
+        return tuple(w for _, w in found), self.design.total([cost for cost, _ in found])
+
+    def settled(self, springs: Sequence[int], parameters: np.ndarray, motions: Sequence[np.ndarray]) -> ChoicePoint | None:
+        """The point near springs and motions where neither helps the other any more; None where a task has no motion."""
+        chosen, p, best = tuple(sorted(springs)), self.cleared(parameters, springs), None
+        self.solved += 1
+        for _ in range(ROUNDS):
+            p = self.fitted(p, motions, chosen)[1]
+            moved = self.moved(p, motions)
+            if moved is None or (best is not None and moved[1] >= best.total):
+                break
+            gained = np.inf if best is None else 1 - moved[1] / best.total
+            motions = moved[0]
+            best = ChoicePoint(chosen, p, motions, moved[1])
+            if gained < GAIN:
+                break
+        return best
+
+    def everything(self, none: ChoicePoint) -> ChoicePoint:
+        """A spring in every place, mounted in the way that is best on the motions without springs."""
+        p, springs = none.parameters, []
+        for place in self.places.values():
+            _, i, p = self.mounted(p, none.motions, place)
+            springs.append(i)
+        return self.settled(springs, p, none.motions) or none
+
+    def joint(self, point: ChoicePoint) -> tuple[SetDesign, Guess, SearchOptions]:
+        """The joint problem of a point's springs, and its starting point there."""
+        return *chosen(self.design, self.options, point), self.options
+
+    def absorbed(self, point: ChoicePoint, found: Optimum | None) -> ChoicePoint:
+        """The point, or the joint optimum of its springs where that costs less."""
+        if found is None or found.cost >= point.total:
+            return point
+        guess, p = found.solution.guess(), point.parameters.copy()
+        p[np.concatenate([self.own[i] for i in kept_springs(self.design, point)])] = guess.parameters
+        motions = [Guess(m.phases, p) for m in self.design.motions(guess)]
+        packed = tuple(t.pack(m) for t, m in zip(self.transcriptions, motions, strict=True))
+        return ChoicePoint(point.springs, p, packed, found.cost)
+
+    def without_one(self, point: ChoicePoint) -> ChoicePoint:
+        """The best of the points with one spring less; those that cost least on the motions at hand are solved."""
+        ranked = []
+        for i in point.springs:
+            left = [j for j in point.springs if j != i]
+            total, p = self.fitted(self.cleared(point.parameters, left), point.motions, left)
+            ranked.append((total, left, p))
+        solved = [self.settled(left, p, point.motions) for _, left, p in sorted(ranked, key=lambda r: r[0])[:TRIED]]
+        found = [one for one in solved if one is not None]
+        if found:
+            return min(found, key=lambda one: one.total)
+        total, left, p = min(ranked, key=lambda r: r[0])
+        return ChoicePoint(tuple(left), p, point.motions, total)
+
+    def exchanged(self, point: ChoicePoint) -> ChoicePoint:
+        """The point, or one with a spring mounted elsewhere or in another way where that costs less."""
+        ranked = []
+        for place in self.places.values():
+            here = [i for i in point.springs if i in place]
+            rest = self.cleared(point.parameters, [i for i in point.springs if i not in here])
+            for k in place:
+                if k not in here:
+                    _, _, p = self.mounted(rest, point.motions, [k])
+                    for i in here or point.springs:
+                        springs = [*(j for j in point.springs if j != i), k]
+                        cleared = self.cleared(p, springs)
+                        ranked.append((self.cost(cleared, point.motions)[0], springs, cleared))
+        for _, springs, p in sorted(ranked, key=lambda r: r[0])[:TRIED]:
+            other = self.settled(springs, p, point.motions)
+            if other is not None and other.total < point.total * (1 - GAIN):
+                point = other
+        return point
+
+    def with_one(self, point: ChoicePoint) -> ChoicePoint | None:
+        """The best of the points with one spring more; None where every place has one."""
+        taken = {k for j in point.springs for k in self.place(j)}
+        free = [place for place in self.places.values() if place[0] not in taken]
+        ranked = sorted((self.mounted(point.parameters, point.motions, place) for place in free), key=lambda r: r[0])
+        solved = [self.settled([*point.springs, i], p, point.motions) for _, i, p in ranked[:1]]
+        return solved[0] if solved else None
+
+
+def _moved(
+    key: str, one: CoDesign, options: SearchOptions, at: tuple[int, np.ndarray], parameters: np.ndarray
+) -> tuple[float, np.ndarray] | None:
+    """Cost and scaled variables of the motion of a task near one, `at` = (its number, scaled variables), with springs held."""
+    solvers = once_per_process(key, dict[int, list[Solver]])
+    t, w = at
+    if t not in solvers:
+        transcription = transcribed(one, options, options.fine)
+        solvers[t] = [Solver(transcription, Options(tolerance=1e-6, iterations=200, barrier=b)) for b in BARRIERS]
+    start = np.r_[parameters / one.problem.p_scale, w[len(parameters) :]]
+    for solver in solvers[t]:
+        found = solver.solve(start, one.data(options.widths[-1]), check=False, parameters=(parameters, parameters))
+        if found.status == SOLVED:
+            return found.cost, found.w
+    return None
+
+
+def kept_springs(design: SetDesign, point: ChoicePoint) -> list[int]:
+    """Indices of the springs of a point, and of the known effects."""
+    return [i for i, s in enumerate(design.springs) if s.known or i in point.springs]
+
+
+def chosen(design: SetDesign, options: SearchOptions, point: ChoicePoint) -> tuple[SetDesign, Guess]:
+    """The set with the springs of a point alone, and the point as a starting point of its joint problem."""
+    kept = kept_springs(design, point)
+    ends = np.cumsum([len(s.effect.parameters) for s in design.springs])[:-1]
+    parts = np.split(point.parameters, ends)
+    p, empty = np.concatenate([np.zeros(0), *[parts[i] for i in kept]]), np.empty(0)
+    solutions = [
+        Solution(transcribed(one, options, options.fine), w, empty, empty, point.total, SOLVED, 0, 0.0)
+        for one, w in zip(design.designs, point.motions, strict=True)
+    ]
+    reduced = design.with_springs(tuple(design.springs[i] for i in kept))
+    return reduced, reduced.guess([s.guess() for s in solutions], p)
