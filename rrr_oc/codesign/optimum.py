@@ -1,6 +1,6 @@
 """An optimum's motion, sampled densely, its metrics, and its simulation in MuJoCo."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -11,6 +11,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
+from rrr_oc.effects import Effect
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.problem import Guess
@@ -101,20 +102,16 @@ def mounted(design: CoDesign) -> dict[str, dict[str, Any]]:
     return {design.model.label(effect): {key: getattr(effect, key) for key in effect.options} for effect in springs}
 
 
-def profiles(design: CoDesign, parameters: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, np.ndarray]]:
-    """Tables by which springs are made (`Effect.profile`), by label, over one turn from the least angle of the joint.
-
-    Args:
-        parameters: Values by label and name.
-    """
-    tables = {}
-    for spring in design.springs:
-        label, low = design.model.label(spring.effect), np.full(design.task.robot.n, -np.pi)
-        low[list(design.task.moving)] = np.where(np.isfinite(design.task.lower), design.task.lower, -np.pi)
-        if not spring.known:
-            turn = low[spring.effect.joints[0]] + np.radians(np.arange(361.0))
-            tables[label] = spring.effect.profile(turn, parameters[label])
-    return {label: columns for label, columns in tables.items() if columns}
+def profiles(task: Task, springs: Sequence[tuple[Effect, Mapping[str, float]]]) -> dict[str, dict[str, np.ndarray]]:
+    """Tables by which springs with given parameters are made (`Effect.profile`), by label, over one turn from the least angle of the
+    joint."""
+    low, tables = np.full(task.robot.n, -np.pi), {}
+    low[list(task.moving)] = np.where(np.isfinite(task.lower), task.lower, -np.pi)
+    for effect, theta in springs:
+        columns = effect.profile(low[effect.joints[0]] + np.radians(np.arange(361.0)), theta)
+        if columns:
+            tables[task.model().label(effect)] = columns
+    return tables
 
 
 def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:

@@ -76,9 +76,8 @@ def design(
     """
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
-    names = None if configurations is None else tuple(name.strip() for name in configurations.split(",") if name.strip())
     search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
-    request = Request(task, out, names, search, cost, actuators, catalogue, model, repaired)
+    request = Request(task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired)
     together = is_task_set(task)
     if not together:
         _check_single(task, front, price)
@@ -89,6 +88,10 @@ def design(
             _run(prepared_set(request, front, price, output), output, command_line(context))
         else:
             _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
+
+
+def _names(configurations: str | None) -> tuple[str, ...] | None:
+    return None if configurations is None else tuple(name.strip() for name in configurations.split(",") if name.strip())
 
 
 def _check_single(task: str, front: int, price: float | None) -> None:

@@ -1,16 +1,16 @@
 """The files of a study: its summary as JSON, its report in Markdown and as a page, and its figures."""
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rrr_oc import __version__
-from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
-from rrr_oc.codesign.optimum import mounted, profiles
-from rrr_oc.codesign.springs import configurations
+from rrr_oc.codesign.design_problem import COST_UNITS
+from rrr_oc.codesign.optimum import profiles
+from rrr_oc.codesign.springs import configurations, saved_springs
 from rrr_oc.codesign.study import Study
 from rrr_oc.codesign.task import Task
 from rrr_oc.codesign.task_sets.set_study import SetStudy
@@ -53,7 +53,7 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
         "configurations": {name: found[name] for name in names},
     }
     write_json(study.out / "summary.json", summary)
-    _write_profiles(study.out, study.designs, found)
+    _write_profiles(study.out, study.task, found)
     text = report(summary)
     write_text(study.out / "report.md", text)
     draw_all(study.out, study.task)
@@ -87,7 +87,7 @@ def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, co
         "configurations": dict(found),
     }
     write_json(study.out / "summary.json", summary)
-    _write_profiles(study.out, {name: [way.first for way in ways] for name, ways in study.designs.items()}, found)
+    _write_profiles(study.out, first, found)
     text = set_report.report(summary)
     write_text(study.out / "report.md", text)
     draw_set(study.out)
@@ -95,13 +95,11 @@ def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, co
     return summary, text
 
 
-def _write_profiles(out: Path, designs: Mapping[str, Sequence[CoDesign]], found: Mapping[str, Any]) -> None:
-    """A CSV file for each spring that is made by a table; `designs` has all ways in which springs may be mounted."""
-    for name, ways in designs.items():
-        if name in found:
-            design = next(way for way in ways if plain(mounted(way)) == found[name]["mounted"])
-            for label, columns in profiles(design, found[name]["parameters"]).items():
-                write_csv(out / f"{name}_{label.replace('[', '_').rstrip(']')}.csv", columns)
+def _write_profiles(out: Path, task: Task, found: Iterable[str]) -> None:
+    """A CSV file for each spring of the designs in summary.json that is made by a table."""
+    for name in found:
+        for label, columns in profiles(task, saved_springs(out / "summary.json", name, task).mounted).items():
+            write_csv(out / f"{name}_{label.replace('[', '_').rstrip(']')}.csv", columns)
 
 
 def _versions() -> dict[str, str]:
