@@ -3,6 +3,7 @@
 import copy
 import importlib.resources
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -22,6 +23,7 @@ from rrr_oc.codesign.task import load_task
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.report import study_files
 from rrr_oc.robot.robot import load_robot
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -150,6 +152,21 @@ def test_report_and_figures_are_there(out, summary):
     assert {f.stem for f in out.glob("*.png")} == figures
     assert all(f.read_bytes().startswith(b"\x89PNG") for f in out.glob("*.png"))
     assert not list(out.glob("*.tmp*"))
+
+
+@pytest.mark.parametrize("step", ["write_text", "draw_all", "write_design_page"])
+def test_a_summary_is_never_beside_the_report_of_another_run(out, tmp_path, monkeypatch, step):
+    """Whatever ends the writing leaves the files of the run before, all of them."""
+    folder = tmp_path / "results"
+    shutil.copytree(out, folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study_files, step, interrupted)
+    assert rrr_oc(monkeypatch, "design", "paper", *TINY, "--out", str(folder)) == 130
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_repeating_the_command_takes_the_saved_results(out, summary, monkeypatch, capsys):

@@ -1,7 +1,9 @@
 """The files of a study: its summary as JSON, its report in Markdown and as a page, and its figures."""
 
 import platform
-from collections.abc import Iterable, Mapping
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -20,15 +22,26 @@ from rrr_oc.report.design_report import report
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.report.pages.set_page import write_set_page
 from rrr_oc.report.set_figures import draw_set
-from rrr_oc.storage import plain, write_csv, write_json, write_text
+from rrr_oc.storage import new_files, plain, write_csv, write_json, write_text
 
 COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}  # in the summary
 QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
+FILES = (
+    "summary.json",
+    "report.md",
+    "report.html",
+    "torques.png",
+    "landscape.png",
+    "trajectory_*.png",
+    "arm_*.png",
+)  # of a task
+SET_FILES = ("summary.json", "report.md", "report.html", "tasks.png", "front.png", "choice.png")  # of a set of tasks
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
 
 
 def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: str) -> tuple[dict[str, Any], str]:
-    """Write summary.json, report.md, the figures and report.html of the results found; returns the first two's content.
+    """Write summary.json, report.md, the figures and report.html of the results found, all in one step, in place of those of an
+    earlier run; returns the first two's content.
 
     Args:
         wall_s: How long it took [s].
@@ -52,12 +65,10 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
         "options": plain(asdict(study.options)),
         "configurations": {name: found[name] for name in names},
     }
-    write_json(study.out / "summary.json", summary)
-    _write_profiles(study.out, study.task, found)
     text = report(summary)
-    write_text(study.out / "report.md", text)
-    draw_all(study.out, study.task)
-    write_design_page(study.out)
+    with _new_files(study.out, FILES, summary, text, study.task) as made:
+        draw_all(made, study.task)
+        write_design_page(made)
     return summary, text
 
 
@@ -86,20 +97,27 @@ def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, co
         "options": plain(asdict(study.options)),
         "configurations": dict(found),
     }
-    write_json(study.out / "summary.json", summary)
-    _write_profiles(study.out, first, found)
     text = set_report.report(summary)
-    write_text(study.out / "report.md", text)
-    draw_set(study.out)
-    write_set_page(study.out)
+    with _new_files(study.out, SET_FILES, summary, text, first) as made:
+        draw_set(made)
+        write_set_page(made)
     return summary, text
 
 
-def _write_profiles(out: Path, task: Task, found: Iterable[str]) -> None:
-    """A CSV file for each spring of the designs in summary.json that is made by a table."""
-    for name in found:
-        for label, columns in profiles(task, saved_springs(out / "summary.json", name, task).mounted).items():
-            write_csv(out / f"{name}_{label.replace('[', '_').rstrip(']')}.csv", columns)
+@contextmanager
+def _new_files(out: Path, names: Sequence[str], summary: dict[str, Any], text: str, task: Task) -> Iterator[Path]:
+    """A folder with the motions, the summary, the report and the profiles of springs, for figures and pages; when the block ends, all
+    takes the place of the earlier run's files in `out`."""
+    with new_files(out, names) as made:
+        for motion in out.glob("*.npz"):
+            if not motion.name.startswith("."):
+                shutil.copyfile(motion, made / motion.name)
+        write_json(made / "summary.json", summary)
+        write_text(made / "report.md", text)
+        for name in summary["configurations"]:
+            for label, columns in profiles(task, saved_springs(made / "summary.json", name, task).mounted).items():
+                write_csv(made / f"{name}_{label.replace('[', '_').rstrip(']')}.csv", columns)
+        yield made
 
 
 def _versions() -> dict[str, str]:
