@@ -1,11 +1,17 @@
 """Studies run as their users run them, but in this process."""
 
+import signal
 import sys
 from types import ModuleType
 
 import pytest
 
 from rrr_oc import cli
+
+
+def heeds_ctrl_c() -> None:
+    """For `preexec_fn`: a process of its own heeds SIGINT also where the tests run in the background, where shells ignore it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def run(study: ModuleType, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

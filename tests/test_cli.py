@@ -12,6 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from commands import heeds_ctrl_c
 from recorded import Plant, as_set, real, record
 from test_importers import write_prototype
 from threadpoolctl import threadpool_info
@@ -351,7 +352,8 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
     """Ctrl-C at any time from the command's first line on, mostly while modules are imported: whole seconds, on a busy machine."""
     code = "import os; from rrr_oc.cli import main; os.write(1, b'.'); main()"
     command = [sys.executable, "-c", code, "calibrate", str(real("xl330_pendulum")), "--out", str(tmp_path / "o")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, preexec_fn=heeds_ctrl_c) as process:
         os.read(process.stdout.fileno(), 1)
         time.sleep(0.02 + after)
         process.send_signal(signal.SIGINT)

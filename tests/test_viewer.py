@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from commands import heeds_ctrl_c
 from recorded import Plant, as_set, record
 
 from rrr_oc import cli
@@ -85,9 +86,8 @@ def test_a_page_is_served_until_ctrl_c(tmp_path):
     save_recordings(replace(recordings), tmp_path / "set")
     save_model(calibrate(recordings), tmp_path / "model.json")
     command = [sys.executable, "-m", "rrr_oc", "view", str(tmp_path / "set"), "--model", str(tmp_path / "model.json")]
-    process = subprocess.Popen(
-        [*command, "--port", "8591", "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    command, pipe = [*command, "--port", "8591", "--no-browser"], subprocess.PIPE
+    process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, preexec_fn=heeds_ctrl_c)
     assert process.stdout is not None
     line = process.stdout.readline()
     try:
