@@ -1,5 +1,7 @@
 """Sums of small dense blocks in large sparse matrices and vectors."""
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import scipy.sparse
@@ -24,14 +26,16 @@ class Scatter:
 def sum_into(size: int, places: np.ndarray, values: ca.MX) -> ca.MX:
     """A vector (size,) to whose element places[k] value k is added."""
     rows = places.ravel(order="F")
-    return multiplied(
-        scipy.sparse.coo_array((np.ones(rows.size), (rows, np.arange(rows.size))), (size, rows.size)), ca.vec(values)
-    )
+    entries = np.ones(rows.size), (rows, np.arange(rows.size))
+    return multiplied(scipy.sparse.coo_array(entries, (size, rows.size)), ca.vec(values))
 
 
 def multiplied(matrix: scipy.sparse.coo_array, values: ca.MX) -> ca.MX:
     """A constant sparse matrix times a vector."""
-    return ca.MX(ca.DM(scipy.sparse.csc_matrix(matrix))) @ values
+    by_columns: Any = scipy.sparse.csc_array(matrix)  # entries at one place added up
+    # casadi reads these lists much faster than the matrix itself
+    sparsity = ca.Sparsity(*by_columns.shape, by_columns.indptr.tolist(), by_columns.indices.tolist())
+    return ca.MX(ca.DM(sparsity, by_columns.data.tolist())) @ values
 
 
 def nonzeros_of(sparsity: ca.Sparsity) -> tuple[np.ndarray, np.ndarray]:
