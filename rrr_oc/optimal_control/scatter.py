@@ -34,7 +34,8 @@ def multiplied(matrix: scipy.sparse.coo_array, values: ca.MX) -> ca.MX:
     """A constant sparse matrix times a vector."""
     by_columns: Any = scipy.sparse.csc_array(matrix)  # entries at one place added up
     # casadi reads these lists much faster than the matrix itself
-    sparsity = ca.Sparsity(*by_columns.shape, by_columns.indptr.tolist(), by_columns.indices.tolist())
+    height, width = by_columns.shape
+    sparsity = ca.Sparsity(height, width, by_columns.indptr.tolist(), by_columns.indices.tolist())
     return ca.MX(ca.DM(sparsity, by_columns.data.tolist())) @ values
 
 
