@@ -166,8 +166,9 @@ def springs_of(point: dict[str, Any]) -> str:
     for label, ways in point["mounted"].items():
         kind, joints = label.rstrip("]").split("[")
         shown = [" ".join(f"{v:+d}" for v in way) if isinstance(way, list) else str(way) for way in ways.values()]
-        across = " across " if kind == "biarticular_spring" else " on "
-        named.append(f"{kind.split('_')[0]}{across}{joints.replace(',', ' and ')} ({', '.join(shown)})")
+        where = f"across {joints.replace(',', ' and ')}" if "," in joints else f"on {joints}"
+        name = kind.removesuffix("_spring").replace("_", " ")
+        named.append(f"{name} {where}" + (f" ({', '.join(shown)})" if shown else ""))
     return ", ".join(named) or NONE
 
 
