@@ -21,7 +21,7 @@ from rrr_oc.commands.shared import Jobs, Workers, check_apart, command_line
 from rrr_oc.errors import UserError, printable
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
-from rrr_oc.report.study_files import write_set_study, write_study
+from rrr_oc.report.study_files import FILES, SET_FILES, write_set_study, write_study
 
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
 app = typer.Typer(add_completion=False)
@@ -82,7 +82,7 @@ def design(
     if not together:
         _check_single(task, front, price)
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
-    check_apart(read, [out / name for name in ("summary.json", "report.md", "report.html", "*.png")])
+    check_apart(read, [out / name for name in (*FILES, *SET_FILES)])
     with parallel.workers(jobs, workers):
         if together:
             _run(prepared_set(request, front, price, output), output, command_line(context))

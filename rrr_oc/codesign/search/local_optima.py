@@ -72,16 +72,16 @@ def same_optimum(a: Solution, b: Solution) -> bool:
     """
     if abs(a.cost - b.cost) > 2e-3 * abs(b.cost) or np.abs(a.durations - b.durations).max() > 0.03:
         return False
-    if not same_springs(a, b):
+    if not _same_springs(a, b):
         return False
     s = np.linspace(0, 1, 41)
     half = len(a.problem.phases[0].states) // 2
     return all(np.abs(a.at(i, s)[0][:half] - b.at(i, s)[0][:half]).max() < 0.03 for i in range(len(a.durations)))
 
 
-def same_springs(a: Solution, b: Solution, share: float = 0.01) -> bool:
-    """Whether the springs of two solutions are the same, to a share of their range."""
-    return bool(np.all(np.abs(a.parameters - b.parameters) <= share * a.problem.p_scale))
+def _same_springs(a: Solution, b: Solution) -> bool:
+    """Whether the springs of two solutions are the same, to 1 % of their range."""
+    return bool(np.all(np.abs(a.parameters - b.parameters) <= 0.01 * a.problem.p_scale))
 
 
 def distinct(optima: Iterable[Optimum]) -> list[Optimum]:

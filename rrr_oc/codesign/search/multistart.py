@@ -260,8 +260,7 @@ def _best_optima(polisher: Polisher, starts: list[Start], known: Sequence[Guess]
     design, options = polisher.design, polisher.options
     found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
     coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in found)[: 1 if interrupted else None]
-    improving = bool(options.motions) and not interrupted
-    search = MotionSearch(design, options) if improving else None
+    search = None if interrupted or not options.motions else MotionSearch(design, options)
     if search is not None:
         coarse = _with_better_springs(polisher, search, coarse)
     guesses = [(o.solution.guess(), o.reached) for o in coarse[: options.kept]] + [(guess, 0) for guess in known]
@@ -287,9 +286,9 @@ def _followed(design: CoDesign, options: SearchOptions, guesses: list[tuple[Gues
 def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[Optimum]) -> list[Optimum]:
     """Optima on the coarse mesh, and those to which good motions for their springs lead; cheapest first.
 
-    Most starts end with the same few springs, of which one motion makes the cheapest and others would make better ones. So the
-    cheapest optimum with springs not tried before is taken, again and again: a few proposed motions and those of other optima are
-    solved for its springs, and from the best of these all is solved together.
+    Most starts end with the same few springs, although other springs, with other motions, may be better. So the cheapest optimum
+    whose springs have not been tried is taken, again and again: a few proposed motions and those of other optima are solved for its
+    springs, and from the best of these springs and motions are solved together.
     """
     options, springs, tried = polisher.options, Springs(polisher.design), []
     for _ in range(options.springs):

@@ -140,12 +140,10 @@ class _Search:
 
     def of_stiff(self, stiff: Sequence[Optimum]) -> ChoicePoint:
         """The point without springs, its motions solved on the search's mesh."""
-        p = 0.5 * (self.lower + self.upper)
-        p = self.cleared(p, ())
+        p = self.cleared(0.5 * (self.lower + self.upper), ())
         packed = [t.pack(Guess(o.solution.guess().phases, p)) for t, o in zip(self.transcriptions, stiff, strict=True)]
         moved = self.moved(p, packed)
-        costs = [o.cost for o in stiff]
-        return ChoicePoint((), p, *(moved or (tuple(packed), self.design.total(costs))))
+        return ChoicePoint((), p, *(moved or (tuple(packed), self.design.total([o.cost for o in stiff]))))
 
     def cleared(self, parameters: np.ndarray, springs: Sequence[int]) -> np.ndarray:
         """The parameters with no amplitude of springs that are not among some; known effects stay."""
