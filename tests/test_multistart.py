@@ -208,7 +208,7 @@ def test_proposals_cost_what_their_motion_costs():
     from rrr_oc.codesign.search.multistart import Polisher
 
     vector = np.random.default_rng(0).random(dimensions(PEA, OPTIONS.via))
-    start = Polisher(PEA, replace(OPTIONS, coarse=40))("sobol", vector)
+    start = Polisher(PEA, replace(OPTIONS, coarse=40))("sobol", 0, vector)
     parameters, durations, points = decode(PEA, vector, OPTIONS.via)
     guess, total, s = motion_guess(PEA, parameters, durations, points), 0.0, np.linspace(0, 1, 4001)
     for payload, motion in zip((5.0, 0.0), guess.phases, strict=True):

@@ -33,9 +33,16 @@ from rrr_oc.parallel import once_per_process, ordered, unordered
 SPRINGS = 3  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
 APART = 0.03  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
 POSTURES = 64  # in which their torque is compared; doubled, springs that differ in a few postures only are told apart
+IDLE = 5  # springs tried one after the other without a lower cost, before no more are; doubled, slower and surer
+PROMISING = (
+    0.15  # [1] above the best cost that a finer mesh and better motions may undo; doubled, more optima are solved in vain
+)
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
 SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
-FEW = 2  # meshes to which all optima close to the best are refined; more tell them apart better and take longer
+FEW = 1  # meshes to which all optima close to the best are refined; more tell them apart better and take longer
+# Initial barrier parameters of the starts from Sobol points, in turn. A large one leads every start to the middle of all bounds first,
+# and from there to few, good optima; IPOPT's adaptive strategy, for all other starts, ends in more of them.
+BARRIERS = (1.0, 0.1, 0.01)
 TRIED = 4  # starts for each way to mount the springs; doubled, choosing among them takes twice as long and errs less often
 
 
@@ -110,21 +117,22 @@ class Polisher:
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
         self.design, self.options = design, options
-        transcription = transcribed(design, options, options.coarse)
-        self.solver = Solver(transcription, Options(tolerance=1e-6, iterations=200))
+        settings, barriers = Options(tolerance=1e-6, iterations=200), (None, *BARRIERS)
+        self.transcription = transcribed(design, options, options.coarse)
+        self.solvers = {b: Solver(self.transcription, replace(settings, barrier=b)) for b in barriers}
         self.data = design.data(options.width)
 
-    def __call__(self, layer: str, vector: np.ndarray) -> Start:
-        """Polish one starting point of a layer."""
-        return self.polished(layer, proposed_guess(self.design, vector, self.options.via))
+    def __call__(self, layer: str, index: int, vector: np.ndarray) -> Start:
+        """Polish one starting point of a layer, of the index that it has there."""
+        barrier = BARRIERS[index % len(BARRIERS)] if layer == LAYERS[0] else None
+        return self.polished(layer, proposed_guess(self.design, vector, self.options.via), barrier)
 
-    def polished(self, layer: str, guess: Guess) -> Start:
-        """Polish a guess that has a layer as its source."""
-        transcription = self.solver.transcription
-        w = transcription.pack(guess)
-        cost = float(transcription.functions["nlp"](w, self.data)[0]) * self.design.problem.cost_scale
+    def polished(self, layer: str, guess: Guess, barrier: float | None = None) -> Start:
+        """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS` or IPOPT's adaptive one."""
+        w = self.transcription.pack(guess)
+        cost = float(self.transcription.functions["nlp"](w, self.data)[0]) * self.design.problem.cost_scale
         try:
-            solution = self.solver.solve(w, self.data)
+            solution = self.solvers[barrier].solve(w, self.data)
         except SolverFailure as failure:
             return Start(layer, cost, float("inf"), str(failure), 0.0, np.empty(0))
         return Start(layer, cost, solution.cost, solution.status, solution.seconds, solution.w)
@@ -132,7 +140,7 @@ class Polisher:
     def solution(self, start: Start) -> Solution:
         """The optimum on the coarse mesh that a start led to, without multipliers."""
         empty = np.empty(0)
-        return Solution(self.solver.transcription, start.w, empty, empty, start.polished, start.message, 0, 0.0)
+        return Solution(self.transcription, start.w, empty, empty, start.polished, start.message, 0, 0.0)
 
 
 def solve_multistart(
@@ -193,13 +201,13 @@ def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> 
         The number of starts, and the solution; None where `options.starts` were not enough.
     """
     polisher = Polisher(design, options)
-    for count, vector in enumerate(sobol_points(dimensions(design, options.via), options.starts, options.seed), 1):
-        start = polisher(LAYERS[0], vector)
+    for index, vector in enumerate(sobol_points(dimensions(design, options.via), options.starts, options.seed)):
+        start = polisher(LAYERS[0], index, vector)
         if not start.w.size or start.polished > 2 * target:  # the coarse mesh and the wide springs change the cost by far less
             continue
         found = follow_to_fine_mesh(design, options, polisher.solution(start).guess())
         if found is not None and found.cost <= target:
-            return count, found.solution
+            return index + 1, found.solution
     return options.starts, None
 
 
@@ -244,7 +252,7 @@ def _polished(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
 
 def _polish(key: str, design: CoDesign, options: SearchOptions, layer: str, index: int, vector: np.ndarray):
     polisher = once_per_process(key, lambda: Polisher(design, options))
-    return index, polisher(layer, vector)
+    return index, polisher(layer, index, vector)
 
 
 def _raise_failure(design: CoDesign, options: SearchOptions, starts: list[Start]) -> None:
@@ -263,17 +271,22 @@ def _best_optima(polisher: Polisher, starts: list[Start], known: Sequence[Guess]
     search = None if interrupted or not options.motions else MotionSearch(design, options)
     if search is not None:
         coarse = _with_better_springs(polisher, search, coarse)
-    guesses = [(o.solution.guess(), o.reached) for o in coarse[: options.kept]] + [(guess, 0) for guess in known]
+    guesses = [(o.solution.guess(), o.reached) for o in _promising(coarse)[: options.kept]] + [(guess, 0) for guess in known]
     optima = _followed(design, options, guesses)
     if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
     if search is not None:
         optima = _with_best_motions(search, optima)
-    for rounds, within in ((FEW, options.within), (options.refinement.rounds, options.within / 10)):
+    for rounds, within in ((FEW, options.within), (options.refinement.rounds, options.within / 5)):
         some = replace(options, refinement=replace(options.refinement, rounds=min(rounds, options.refinement.rounds)))
         close = sum(o.cost <= optima[0].cost * (1 + within) for o in optima)
         optima = distinct([*refined(design, some, optima[:close]), *optima[close:]])
     return tuple(optima)
+
+
+def _promising(optima: list[Optimum]) -> list[Optimum]:
+    """Those of some optima, cheapest first, that may turn out to be the best."""
+    return [o for o in optima if o.cost <= optima[0].cost * (1 + PROMISING)]
 
 
 def _followed(design: CoDesign, options: SearchOptions, guesses: list[tuple[Guess, int]]) -> list[Optimum]:
@@ -290,16 +303,18 @@ def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[
     whose springs have not been tried is taken, again and again: a few proposed motions and those of other optima are solved for its
     springs, and from the best of these springs and motions are solved together.
     """
-    options, springs, tried = polisher.options, Springs(polisher.design), []
-    for _ in range(options.springs):
+    options, springs, tried, idle = polisher.options, Springs(polisher.design), [], 0
+    while len(tried) < options.springs and idle < IDLE:
         new = next(iter(springs.others(optima, tried)), None)
         if new is None:
             break
         tried.append(new)
+        best = optima[0].cost
         parameters, known = new.solution.parameters, [o.solution for o in optima[:SHARED]]
         guesses = combined(search.proposed(parameters, options.motions // FEWER, known=known), parameters)
         starts = [(polisher.polished("motions", guess), reached) for guess, reached in guesses]
         optima = distinct([*optima, *(Optimum(polisher.solution(s), [], reached) for s, reached in starts if s.w.size)])
+        idle = 0 if optima[0].cost < best * (1 - LEAST_GAIN) else idle + 1
     return optima
 
 
@@ -313,11 +328,11 @@ def _with_best_motions(search: MotionSearch, optima: list[Optimum]) -> list[Opti
     final, springs = replace(options, widths=options.widths[-1:]), Springs(design)
     for number in range(options.rounds):
         best = optima[0].cost
-        for o in optima[:1] if number else springs.others(optima)[:SPRINGS]:
+        for o in optima[:1] if number else springs.others(_promising(optima))[:SPRINGS]:
             parameters = o.solution.parameters
             motions = search.best(parameters, number * options.motions, motions)
             optima = distinct([*optima, *_followed(design, final, combined(motions, parameters))])
-        if number and optima[0].cost > best * (1 - LEAST_GAIN):
+        if optima[0].cost > best * (1 - LEAST_GAIN):
             break
     return optima
 
