@@ -31,7 +31,7 @@ BARRIERS = (
     1e-2,
 )  # initial barrier parameters of a start: IPOPT's own choice, and one not far from the tasks' own motions
 THOROUGH = (Options(barrier=1e-6), Options(barrier=BARRIERS[-1]))  # from motions that are good, and where others may be better
-QUICK = (Options(tolerance=1e-6, barrier=0.1),)  # for one of many sets of springs: from the middle of all bounds to good optima
+QUICK = (Options(tolerance=1e-6, barrier=BARRIERS[0]),)  # for one of many sets of springs
 CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum's; doubled, a little is left
 GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
 FEW = 12  # proposed motions of each phase at most for one of many sets of springs; doubled, the front of a price takes longer
