@@ -26,11 +26,9 @@ from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailu
 from rrr_oc.parallel import once_per_process, ordered, unordered
 
 LAYERS = ("alone", "sobol")  # sources of starting springs: tasks alone, and the whole of their bounds
-BARRIERS = (
-    None,
-    1e-2,
-)  # initial barrier parameters of a start: IPOPT's own choice, and one not far from the tasks' own motions
-THOROUGH = (Options(barrier=1e-6), Options(barrier=BARRIERS[-1]))  # from motions that are good, and where others may be better
+# Initial barrier parameters of a start: from the middle of all bounds, and nearer to the tasks' own motions.
+BARRIERS = (0.1, 1e-2)
+THOROUGH = (Options(barrier=1e-6), Options(barrier=BARRIERS[1]))  # from motions that are good, and where others may be better
 QUICK = (Options(tolerance=1e-6, barrier=BARRIERS[0]),)  # for one of many sets of springs
 CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum's; doubled, a little is left
 GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
