@@ -68,7 +68,7 @@ def design(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Springs across one joint (PEA, VPEA, TPEA), across two (BPEA) or of several kinds, and the motion of least cost for each.
+    """Springs across one joint (PEA and others), across two (BPEA, CBPEA) or of several kinds, and the motion of least cost for each.
 
     For a set of tasks the springs are the same in all of them, and each task has a motion of its own.
 
