@@ -282,6 +282,12 @@ def test_the_command_writes_the_profile(monkeypatch, tmp_path):
     table = np.genfromtxt(tmp_path / "out" / "VPEA_pulley_spring_joint3.csv", delimiter=",", names=True)
     assert table.dtype.names == ("angle_deg", "radius_mm", "cable_mm", "torque_Nm", "outline_x_mm", "outline_y_mm")
     np.testing.assert_allclose(table["angle_deg"], np.arange(-180, 181))
+    lines = (tmp_path / "out" / "VPEA_pulley_spring_joint3.dxf").read_text().splitlines()
+    drawn = [
+        [float(value) for code, value in zip(lines[::2], lines[1::2], strict=True) if code == axis] for axis in ("10", "20")
+    ]
+    np.testing.assert_allclose(drawn, [table["outline_x_mm"][:-1], table["outline_y_mm"][:-1]], atol=1e-6)  # the file's digits
+    assert lines[-2:] == ["0", "EOF"]
     saved = json.loads((tmp_path / "out" / "summary.json").read_text())["configurations"]["VPEA"]["parameters"]
     theta = saved["pulley_spring[joint3]"]
     (torque,) = PulleySpring((0,)).torque(Signals([np.radians(table["angle_deg"])]), theta, 0.0)

@@ -72,7 +72,7 @@ def design(
 
     For a set of tasks the springs are the same in all of them, and each task has a motion of its own.
 
-    Writes report.html, tables, figures, summary.json, one npz a configuration and task, and the profile of each pulley as CSV.
+    Writes report.html, tables, figures, summary.json, one npz a configuration and task, and the profile of each pulley as CSV and DXF.
     """
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))

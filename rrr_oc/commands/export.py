@@ -77,8 +77,6 @@ def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings
     terms = () if found is None else found.terms
     left_out = [f"{t.effect.name}: only some recordings have it" for t in terms if t.recordings != "all"]
     terms = [t for t in terms if t.recordings == "all"]
-    mounted = [(effect, theta) for effect, theta in springs.mounted if not effect.acts_in]
-    left_out += [f"{e.name}: a clutch connects it in one phase of the task only" for e, _ in springs.mounted if e.acts_in]
     if task is not None:
         left_out += [f"{task.robot.joints[j]} is held by the task; here it moves" for j in _held(task)]
         left_out += [f"{t.effect.name}: scales the springs of the recordings" for t in terms if "springs" in t.effect.inputs]
@@ -92,8 +90,8 @@ def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings
         if task is not None and task.robot.joints != robot.joints:
             own, other = ", ".join(robot.joints), ", ".join(task.robot.joints)
             raise UserError(f"the model has the joints {own}, but the task's robot {other}; they must be the same")
-    effects = (*(effect for effect, _ in mounted), *(t.effect for t in terms))
-    values = [*(list(theta.values()) for _, theta in mounted), *(t.values for t in terms)]
+    effects = (*(effect for effect, _ in springs.mounted), *(t.effect for t in terms))
+    values = [*(list(theta.values()) for _, theta in springs.mounted), *(t.values for t in terms)]
     return Model(robot, tool, effects), np.concatenate([np.zeros(0), *values]), left_out
 
 

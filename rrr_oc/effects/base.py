@@ -344,7 +344,7 @@ class Effect:
     def profile(self, q: np.ndarray, theta: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Columns of the table by which the spring is made, over angles q (K,) of its joint [rad]; empty where there is no such table.
 
-        The ending of a column's name is its unit.
+        The ending of a column's name is its unit. "outline_x_mm" and "outline_y_mm" are a closed outline, which is drawn as well.
         """
         return {}
 

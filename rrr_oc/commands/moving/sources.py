@@ -25,7 +25,7 @@ def designed(source: Path, name: str | None) -> Scene:
     task = load_task(name)
     try:
         file = read_npz(source)
-        t, q, load, own, payload, phase = (file[key] for key in ("t", "q", "tau_load", "tau_spring", "payload", "phase"))
+        t, q, load, own, payload = (file[key] for key in ("t", "q", "tau_load", "tau_spring", "payload"))
     except (UserError, KeyError):
         raise UserError(f"{source}: is no npz of a design; one that `rrr-oc design` wrote is required") from None
     if len(q) != len(task.joints):
@@ -36,17 +36,18 @@ def designed(source: Path, name: str | None) -> Scene:
     if np.any(own):
         torques = {"load torque with springs": load, "without springs": load + own, "springs": own}
     positions = task.full(q)
-    springs = _of_design(source, task, positions, own, np.array(PHASES)[phase.astype(int)])
+    springs = _of_design(source, task, positions, own)
     return Scene(
         task.robot, task.tool, t, positions, torques, task.joints, payload, f"{source.stem} of task {task.name}", springs
     )
 
 
-def _of_design(source: Path, task: Task, q: np.ndarray, own: np.ndarray, phase: np.ndarray) -> tuple[ShownSpring, ...]:
+def _of_design(source: Path, task: Task, q: np.ndarray, own: np.ndarray) -> tuple[ShownSpring, ...]:
     """The springs that the study's summary beside the npz has; without it, one at each joint that springs act on."""
     if (source.parent / SUMMARY).is_file():
         springs = saved_springs(source.parent / SUMMARY, source.stem, task).mounted
-        acting = [1.0 if not effect.acts_in else phase == effect.acts_in for effect, _ in springs]
+        phase = read_npz(source).get("phase", np.zeros(0))
+        acting = [phase == PHASES.index(effect.acts_in) if effect.acts_in else 1.0 for effect, _ in springs]
         shown = zip(shown_springs(springs, q), acting, strict=True)
         return tuple(replace(spring, tension=spring.tension * share) for spring, share in shown)
     return tuple(ShownSpring((j,), np.abs(row)) for j, row in zip(task.moving, own, strict=True) if np.any(row))
