@@ -41,6 +41,8 @@ from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.cubic_spline import natural_spline
 from rrr_oc.numerics.enclosure import enclosures
 from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.report.design_report import report
+from rrr_oc.report.pages.design_words import cautions
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.simulation.engine_model import Settings, twin
 
@@ -527,6 +529,12 @@ def test_what_knows_no_phases_says_so(monkeypatch, tmp_path):
     assert np.all(spring.tension[file["phase"] == 1] == 0)
     assert spring.tension.max() > 1
     assert "that a clutch connects in one phase" in (out / "report.html").read_text()
+    summary = json.loads((out / "summary.json").read_text())
+    summary["configurations"]["CBPEA"]["beyond"] = {"table_spring[joint2]": "known from 0.0° to 9.0° of its joint"}
+    assert any(
+        "the law of the table spring of joint2 is known from 0.0° to 9.0° of its joint" in said for said in cautions(summary)
+    )
+    assert "the law of table_spring[joint2] is known from 0.0° to 9.0°" in report(summary)
     asked = ["--design", str(out / "summary.json"), "--configuration", "CBPEA", "--task", "further_springs"]
     assert rrr_oc(monkeypatch, "export", "--out", str(tmp_path / "arm"), *asked) == 0
     assert "tendon" not in (tmp_path / "arm" / "arm.xml").read_text()
@@ -560,9 +568,13 @@ def test_a_task_says_what_it_offers():
         (
             "CBPEA",
             [{**CBPEA[0], "winding": [1, -1]}],
-            r"only with r_3/r_2 = -0.5, and the windings and radii allow 0.37.* … 2.15",
+            r"only with r_3/r_2 = -0.5, and the windings and radii allow 0.3889 … 2.053",
         ),
-        ("CBPEA", [{**CBPEA[0], "r_3_mm": [30, 39]}], r"only with r_3/r_2 = 0.5, and the windings and radii allow 0.79"),
+        (
+            "CBPEA",
+            [{**CBPEA[0], "r_3_mm": [30, 39]}],
+            r"only with r_3/r_2 = 0.5, and the windings and radii allow 0.8333 … 2.053",
+        ),
         ("NPEA", [{**NPEA[0], "number": [-1, 3]}], "number must be 0 or more, got -1 … 3"),
         ("NPEA", [{k: v for k, v in NPEA[0].items() if k != "table_deg_Nm"}], "table_deg_Nm"),
         ("BPEA+PEA", PEA, r"unknown configuration 'BPEA\+PEA'; it is SA, .* in this order and joined by '\+'"),

@@ -7,7 +7,7 @@ import numpy as np
 
 from rrr_oc.effects.base import Prior
 from rrr_oc.effects.design_form import Quantity
-from rrr_oc.effects.elastic.biarticular_spring import BiarticularForm, BiarticularSpring
+from rrr_oc.effects.elastic.biarticular_spring import WIDER, BiarticularForm, BiarticularSpring
 from rrr_oc.effects.elastic.clutched_spring import PHASES, check_phase
 from rrr_oc.errors import UserError
 
@@ -56,10 +56,11 @@ class ClutchedBiarticularSpring(BiarticularSpring):
         (a, b), (wa, wb) = self.joints, self.winding
         way = ends[1] - ends[0]
         rho = -wa * way[a] / (wb * way[b]) if way[b] else np.inf
-        if not lower[1] <= rho <= upper[1]:
+        low, high = lower[1] * WIDER, upper[1] / WIDER
+        if not low <= rho <= high:
             raise UserError(
                 f"the cable is as long at the start as at the release only with r_3/r_2 = {rho:.4g}, and the windings and radii "
-                f"allow {lower[1]:.4g} … {upper[1]:.4g}"
+                f"allow {low:.4g} … {high:.4g}"
             )
         fixed = np.array([False, True, False])
         return np.where(fixed, rho, lower), np.where(fixed, rho, upper)
