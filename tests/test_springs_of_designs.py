@@ -42,7 +42,7 @@ from rrr_oc.numerics.cubic_spline import natural_spline
 from rrr_oc.numerics.enclosure import enclosures
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.report.design_report import report
-from rrr_oc.report.pages.design_words import cautions
+from rrr_oc.report.pages.design_words import cautions, verdict
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.simulation.engine_model import Settings, twin
 
@@ -530,6 +530,7 @@ def test_what_knows_no_phases_says_so(monkeypatch, tmp_path):
     assert spring.tension.max() > 1
     assert "that a clutch connects in one phase" in (out / "report.html").read_text()
     summary = json.loads((out / "summary.json").read_text())
+    assert "the clutched biarticular spring of joint2 and joint3 acts in the phase “go” only" in verdict(summary)
     summary["configurations"]["CBPEA"]["beyond"] = {"table_spring[joint2]": "known from 0.0° to 9.0° of its joint"}
     assert any(
         "the law of the table spring of joint2 is known from 0.0° to 9.0° of its joint" in said for said in cautions(summary)

@@ -147,8 +147,8 @@ def track(
     following, tracked, end = Following(control, settings.timestep), [], None
     with engine.effects():
         for phase in phases:
-            same = phase.theta is None or np.array_equal(phase.theta, engine.theta)
-            own = engine if same else twin(model, phase.theta, control, settings, widths)
+            theta = engine.theta if phase.theta is None else phase.theta
+            own = engine if np.array_equal(theta, engine.theta) else twin(model, theta, control, settings, widths)
             found, end = _follow(own, phase, following, end if settings.start == "continue" else None)
             tracked.append(found)
     return Tracked(tuple(tracked), engine, control, settings)

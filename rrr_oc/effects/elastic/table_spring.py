@@ -55,10 +55,12 @@ class TableSpring(Effect):
         rows = np.array(self.table_deg_Nm, float).reshape(-1, 2)
         if not ROWS[0] <= len(rows) <= ROWS[1]:
             raise UserError(f"table_deg_Nm has {len(rows)} rows; {ROWS[0]} to {ROWS[1]} are required")
-        if not np.all(np.isfinite(rows)):
-            raise UserError(f"table_deg_Nm: row {_first(~np.isfinite(rows).all(axis=1))} has no finite numbers")
-        if np.any(np.diff(rows[:, 0]) <= 0):
-            at = _first(np.diff(rows[:, 0]) <= 0) + 1
+        endless = np.any(~np.isfinite(rows), axis=1)
+        if np.any(endless):
+            raise UserError(f"table_deg_Nm: row {_first(endless)} has no finite numbers")
+        falls = np.diff(rows[:, 0]) <= 0
+        if np.any(falls):
+            at = _first(falls) + 1
             raise UserError(
                 f"table_deg_Nm: row {at} has the angle {rows[at - 1, 0]:g}° after {rows[at - 2, 0]:g}°; angles must ascend"
             )

@@ -68,7 +68,9 @@ def hardware(c: Mapping[str, Any], joints: Sequence[str]) -> str:
     if "k_b" in left:
         said.append(f"a spring of {_number('k_b', left.pop('k_b'))} across two joints")
     shown = ", ".join(f"{of_joint(name, joints)} = {_number(name, value)}" for name, value in left.items())
-    return listed(said) + f" with {shown}" * bool(said and shown) + shown * (not said)
+    mounted = c.get("mounted", {}).items()
+    acting = [f"; the {placed(label)} acts in the phase “{ways['phase']}” only" for label, ways in mounted if "phase" in ways]
+    return listed(said) + f" with {shown}" * bool(said and shown) + shown * (not said) + "".join(acting)
 
 
 def in_twin(found: Mapping[str, Any], best: str) -> str:
