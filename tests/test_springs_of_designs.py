@@ -512,7 +512,7 @@ def test_clutched_springs_of_a_set_need_the_same_ways(tmp_path):
 
     assert len(read({"payload_kg": 2.0}).designs["PEA+CBPEA"]) == 2
     with pytest.raises(UserError, match="no spring with a clutch keeps its energy both in task 'first' and in 'other'"):
-        read({"release": {"position_m": [0.35, 0.0, 0.10]}})
+        read({"release": {"position_m": [0.40, 0.0, 0.08]}})
 
 
 def test_what_knows_no_phases_says_so(monkeypatch, tmp_path):
