@@ -101,7 +101,7 @@ def test_a_relaxation_on_a_grid_agrees(optima):
 
 
 def one_joint(tau: np.ndarray, q: np.ndarray) -> Needed:
-    return Needed(q[None], tau[None], (0,), np.full(q.size, 1 / q.size))
+    return Needed(q[None], tau[None], (0,), np.full(q.size, 1 / q.size), np.full(q.size, "go"))
 
 
 def spring_of(stiffness: tuple[float, float], equilibrium: tuple[float, float]) -> SpringBounds:
@@ -142,7 +142,13 @@ def test_a_spring_that_can_only_hurt():
 def test_one_atom_leaves_no_gap():
     """tau is what one spring gives, and a part that no spring can give: orthogonal to every ramp, as it is that of the other phase."""
     tau, there, back = 4.0 * np.maximum(0.7321 - Q, 0), 0.3, -0.3
-    needed = Needed(np.r_[Q, Q][None], np.r_[tau + there, tau + back][None], (0,), np.full(2 * Q.size, 0.5 / Q.size))
+    needed = Needed(
+        np.r_[Q, Q][None],
+        np.r_[tau + there, tau + back][None],
+        (0,),
+        np.full(2 * Q.size, 0.5 / Q.size),
+        np.full(2 * Q.size, "go"),
+    )
     found = bound_on_motion([spring_of((0.0, 10.0), (0.0, 1.0))], needed, 0.09)
     assert found.lower == pytest.approx(0.09, rel=1.1 * bound.TOLERANCE)
     assert found.lower <= 0.09 <= found.mixture * (1 + 1e-9)

@@ -150,11 +150,11 @@ def _parameter_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
 
 def _hardware_bounds(design: CoDesign, kkt: Kkt) -> Iterator[_Bound]:
     """Bounds of springs' hardware, of which the parameters are functions."""
-    units = {q.symbol: q.si for s in design.springs if s.hardware for q in s.form.quantities}
+    units = {s.form.name(q, s.effect.joints): q.si for s in design.springs if s.hardware for q in s.form.quantities}
     for name, value, slope in zip(design.data_names, kkt.solution.problem.data, kkt.data_gradient, strict=True):
-        symbol, _, side = name.rpartition(" ")
-        if symbol in units:
-            yield f"the {side} bound of {symbol}", value, units[symbol], -slope if side == "upper" else slope
+        quantity, _, side = name.rpartition(" ")
+        if quantity in units:
+            yield f"the {side} bound of {quantity}", value, units[quantity], -slope if side == "upper" else slope
 
 
 def _motion_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:

@@ -61,17 +61,30 @@ class CoDesign:
             raise UserError(f"cost {self.cost!r} needs the actuators of {', '.join(self.task.joints)}")
         if self.cost == "energy" and self.actuators is not None:
             self.actuators.check_resistance()
+        clutched = [s.effect.name for s in self.springs if s.effect.acts_in]
+        if clutched and not self.at_rest:
+            raise UserError(f"{clutched[0]} needs an arm that is at rest between the phases, where its clutch opens and closes")
 
     @cached_property
     def model(self) -> Model:
         """The whole arm with the springs."""
         return self.task.model([s.effect for s in self.springs])
 
+    def engaged(self, phase: int, parameters):
+        """The parameters (np,), numbers or casadi's, as they act in a phase: springs that a clutch has let go have no amplitude."""
+        acting = [
+            p.name not in s.effect.amplitudes or s.effect.acts_in in ("", PHASES[phase])
+            for s in self.springs
+            for p in s.effect.parameters
+        ]
+        return parameters * np.array(acting, float)
+
     @property
     def data_names(self) -> tuple[str, ...]:
         """Names of the problem's data: payload, smoothing widths, hardware bounds."""
         widths = [f"width of {self.model.label(e)}" for e in self.model.effects if e.width is not None]
-        hardware = [f"{h} {side}" for s in self.springs for h in s.hardware for side in ("lower", "upper")]
+        bounded = [(s, q) for s in self.springs if s.hardware for q in s.form.quantities]
+        hardware = [f"{s.form.name(q, s.effect.joints)} {side}" for s, q in bounded for side in ("lower", "upper")]
         return ("payload", *widths, *hardware)
 
     def data(self, width: float | None = None) -> np.ndarray:
@@ -133,7 +146,7 @@ class CoDesign:
         x, u, p, d = (ca.SX.sym(name, size) for name, size in sizes.items())
         widths, torques = d[1 : 1 + self.model.widths.size], []
         for scenario in self.scenarios:
-            theta, payload = ca.SX(p), d[0] * scenario.payload if index == 0 else 0.0
+            theta, payload = ca.SX(self.engaged(index, p)), d[0] * scenario.payload if index == 0 else 0.0
             for at, value in scenario.theta:
                 theta[at] = value
             torques.append(self._load_torque(x[:m], x[m:], u, payload, theta, widths)[0])

@@ -58,11 +58,14 @@ class SampledMotion(Motion):
             for (k, values), payload in zip(rows, task.payloads, strict=True)
         ]
 
-    def references(self, task: Task, torque: Callable[[Motion], np.ndarray]) -> list[Reference]:
-        """The phases as references of a tracking controller; `torque` gives the feed-forward (n, K) [Nm] of each."""
+    def references(
+        self, task: Task, thetas: Sequence[np.ndarray], torque: Callable[[Motion, np.ndarray], np.ndarray]
+    ) -> list[Reference]:
+        """The phases as references of a tracking controller, with the parameters of the model in each; `torque` gives the feed-forward
+        (n, K) [Nm] from a phase and these."""
         return [
-            Reference(p.t, p.q, p.dq, p.ddq, p.payload, name=name, feed_forward=torque(p))
-            for name, p in zip(PHASES, self.by_phase(task), strict=True)
+            Reference(p.t, p.q, p.dq, p.ddq, p.payload, name=name, feed_forward=torque(p, theta), theta=theta)
+            for name, p, theta in zip(PHASES, self.by_phase(task), thetas, strict=True)
         ]
 
     @property
@@ -88,7 +91,7 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
         t, x, _, u = solution.sample(i, np.linspace(0, 1, points))
         keep = np.r_[np.flatnonzero(np.tile(np.arange(points) < points - 1, t.shape[0])), t.size - 1]
         q, dq, ddq = x[:m].reshape(m, -1)[:, keep], x[m:].reshape(m, -1)[:, keep], u.reshape(m, -1)[:, keep]
-        tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, solution.parameters, widths))
+        tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, design.engaged(i, solution.parameters), widths))
         n = len(keep)
         parts.append((start + t.ravel()[keep], q, dq, ddq, tau, spring, np.full(n, i), np.full(n, payload)))
         start += solution.durations[i]
@@ -124,13 +127,30 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
         theta, at = parameters[at : at + size], at + size
         model = design.task.model([effect])
         exact = np.zeros(model.widths.size)
-        torques = [model.inverse(p.q, p.dq, p.ddq, p.payload[0], theta, exact)[1] for p in motion.by_phase(design.task)]
+        torques = [
+            model.inverse(p.q, p.dq, p.ddq, p.payload[0], theta, exact)[1]
+            for name, p in zip(PHASES, motion.by_phase(design.task), strict=True)
+            if effect.acts_in in ("", name)
+        ]
         if spring.known or max(float(np.max(np.abs(np.array(tau)))) for tau in torques) > IDLE * needed:
             continue
         names = [p.name for p in effect.parameters]
         soft = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
         idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
     return idle
+
+
+def beyond_known(design: CoDesign, motion: SampledMotion, parameters: np.ndarray) -> dict[str, str]:
+    """How far a motion goes beyond the angles for which the law of a spring is known, by its label, for each that it goes beyond."""
+    said, values, q = {}, design.model.values(parameters), np.degrees(design.task.full(motion.q))
+    for effect in (spring.effect for spring in design.springs if not spring.known):
+        label, moved = design.model.label(effect), q[effect.joints[0]]
+        low, high = np.degrees(effect.known_range(values[label]))
+        if moved.min() < low - 1e-6 or moved.max() > high + 1e-6:
+            said[label] = (
+                f"known from {low:.1f}° to {high:.1f}° of its joint, which moves from {moved.min():.1f}° to {moved.max():.1f}°"
+            )
+    return said
 
 
 def restart_arrays(solution: Solution) -> dict[str, np.ndarray]:
@@ -175,13 +195,14 @@ def check_simulation(design: CoDesign) -> None:
 
 def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form: Form = "generated") -> Tracked:
     """Track the optimum in MuJoCo with its load torque as feed-forward and the paper's P-controllers; all joints are simulated."""
-    model, theta = design.model, solution.parameters
-    widths = solution.problem.data[1 : 1 + model.widths.size]
+    model, widths = design.model, solution.problem.data[1 : 1 + design.model.widths.size]
 
-    def load(phase: Motion) -> np.ndarray:
+    def load(phase: Motion, theta: np.ndarray) -> np.ndarray:
         return np.array(model.inverse(phase.q, phase.dq, phase.ddq, phase.payload[0], theta, widths)[0])
 
-    return track(model, motion.references(design.task, load), theta, settings=Settings(effects=form), widths=widths)
+    thetas = [design.engaged(i, solution.parameters) for i in range(len(PHASES))]
+    references = motion.references(design.task, thetas, load)
+    return track(model, references, solution.parameters, settings=Settings(effects=form), widths=widths)
 
 
 def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = None) -> dict[str, Any]:

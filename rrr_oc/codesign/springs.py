@@ -73,6 +73,11 @@ class SpringBounds:
 
 def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     """The springs of a configuration (`configurations`) with the task's bounds; raises `UserError` for crossed ones."""
+    return tuple(ways[0] for ways in ways_to_mount(task, configuration))
+
+
+def _bounded(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
+    """The same, mounted by default where the task leaves that open."""
     every, known = configurations(), {kind.name: kind for kind in design_forms().values()}
     kinds = every.get(configuration)
     if kinds is None:
@@ -106,10 +111,24 @@ def arrangements(task: Task, configuration: str) -> list[tuple[SpringBounds, ...
 
 def ways_to_mount(task: Task, configuration: str) -> list[list[SpringBounds]]:
     """For each spring of a configuration every way to mount it that the task leaves open, that of `spring_bounds` first."""
-    springs = spring_bounds(task, configuration)
+    springs = _bounded(task, configuration)
     kinds = {spring.effect.name for spring in springs}
     entries = [entry for entry in task.springs if entry["effect"] in kinds]
-    return [_ways(s, entry) for s, entry in zip(springs, entries, strict=True)]
+    return [_with_energy(task, _ways(s, entry)) for s, entry in zip(springs, entries, strict=True)]
+
+
+def _with_energy(task: Task, ways: list[SpringBounds]) -> list[SpringBounds]:
+    """Those ways to mount a spring in which it can keep its energy while a clutch is open; raises `UserError` if there is none."""
+    ends, kept, refused = (task.full(task.start), task.full(task.release)), [], []
+    for way in ways:
+        try:
+            lower, upper = way.effect.kept_energy(way.lower, way.upper, ends)
+            kept.append(replace(way, lower=lower, upper=upper))
+        except UserError as error:
+            refused.append(error)
+    if not kept:
+        raise UserError(f"task {task.name!r}: {task.model().label(ways[0].effect)}: {refused[0]}")
+    return kept
 
 
 def _ways(spring: SpringBounds, entry: Mapping) -> list[SpringBounds]:
@@ -218,6 +237,7 @@ def spring_schema(kind: type[Effect]) -> Any:
     assert form is not None
     keys: list[Any] = [("effect", Literal[kind.name]), ("joints", tuple[str, str]) if pair else ("joint", str)]
     keys += [(key, Interval) for key in dict.fromkeys(q.key for q in form.quantities)]
+    keys += [(key, list[tuple[(float,) * len(columns)]]) for key, columns in form.tables.items()]
     for key, allowed in kind.options.items():
         default, one = getattr(kind, key), Literal[allowed]
         values: Any = tuple[(one,) * len(default)] if isinstance(default, tuple) else one
@@ -235,7 +255,11 @@ def _spring(task: Task, kind: type[Effect], given: Any) -> SpringBounds:
     if locked:
         raise UserError(f"{where}: {locked[0]} does not move in this task; moving are {', '.join(task.joints)}")
     options = {key: value for key in kind.options if (value := getattr(given, key)) is not None}
-    effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
+    options |= {key: tuple(getattr(given, key)) for key in form.tables}
+    try:
+        effect = kind(tuple(task.robot.index(joint) for joint in names), **options)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None
     bounds = {q.symbol: _bounds(where, q.key, getattr(given, q.key), q.unit) for q in form.quantities}
     if (wrong := form.wrong(bounds)) is not None:
         raise UserError(f"{where}: {wrong}")

@@ -26,6 +26,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import (
     SAVED,
     SampledMotion,
+    beyond_known,
     check_simulation,
     describe,
     describe_simulation,
@@ -183,7 +184,7 @@ def _asked(request: Request, task: Task) -> dict[str, Any]:
         task.tool.position,
     ]
     limits = [task.lower, task.upper, task.speed, task.acceleration, task.torque]  # some may be the robot's
-    return asked | {"robot": robot, "limits": limits, "version": __version__, "code": code()}
+    return asked | {"robot": robot, "limits": limits, "springs": task.springs, "version": __version__, "code": code()}
 
 
 def _check(study: Study) -> None:
@@ -402,6 +403,7 @@ def _describe(out: Path, name: str, result: SearchResult, began: float, offered:
         "springs": design.hardware(solution.parameters),
         "mounted": mounted(design),
         "idle": idle_springs(design, motion, solution.parameters),
+        "beyond": beyond_known(design, motion, solution.parameters),
         "parameters": design.model.values(solution.parameters),
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
         "certificate": asdict(certify(result, result.best, offered)),

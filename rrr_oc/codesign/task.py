@@ -9,8 +9,10 @@ import numpy as np
 from msgspec import Meta, field
 from scipy.optimize import least_squares
 
+from rrr_oc.effects import design_forms
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
+from rrr_oc.recordings.csv_table import read_table
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, upwards
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
 from rrr_oc.schema import (
@@ -27,7 +29,7 @@ from rrr_oc.schema import (
     read_preset,
 )
 
-PRESETS = ("paper", "prototype", "more_springs")
+PRESETS = ("paper", "prototype", "more_springs", "further_springs")
 PHASES = ("go", "return")
 
 
@@ -141,7 +143,7 @@ class Task:
         acceleration: Acceleration limits [rad/s²], (m,); infinite where there is none.
         torque: Load-torque limits [Nm], (m,); infinite where there is none.
         floor: Height that the tool stays above [m], against gravity; -infinity where nothing stands below.
-        springs: The springs that a design may use, as in the file.
+        springs: The springs that a design may use, as in the file, with the rows of tables that stand in files of their own.
         locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
         files: The files that it was read from.
     """
@@ -216,6 +218,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
     """
     beside = Path(source).parent / given.robot
     own = str(source) not in PRESETS and beside.is_file()
+    springs, tables = _with_tables(where, given.springs, Path(source).parent)
     robot = load_robot(beside if own else given.robot, given.joints, gravity=given.gravity)
     moving = tuple(robot.index(j) for j in given.moving)
     if list(moving) != sorted(set(moving)):
@@ -230,9 +233,9 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         payload=given.payload_kg,
         duration=given.duration_s,
         floor=given.floor_m,
-        springs=tuple(given.springs),
+        springs=springs,
         locked=_locked(where, robot, given),
-        files=tuple(Path(file) for file in (source, beside if own else given.robot) if Path(file).is_file()),
+        files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
         **_limits(where, robot, given),
     )
     body = rigid_body(robot)
@@ -245,6 +248,29 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         task = replace(task, lower=lower, upper=upper)
     _check_feasible(where, task, body)
     return task
+
+
+def _with_tables(
+    where: str, springs: Sequence[Mapping[str, Any]], folder: Path
+) -> tuple[tuple[dict[str, Any], ...], list[Path]]:
+    """Entries of springs with the rows of their tables in the place of names of CSV files, and these files.
+
+    Raises `UserError` where a file is missing, lacks a column or has a cell that is no number.
+    """
+    tables = {kind.name: kind.design.tables for kind in design_forms().values() if kind.design is not None}
+    read, files = [], []
+    for i, entry in enumerate(springs):
+        rows = {}
+        for key, columns in tables.get(str(entry.get("effect")), {}).items():
+            if isinstance(entry.get(key), str):
+                files.append(folder / entry[key])
+                table = read_table(files[-1])
+                if table.names != columns:
+                    found = f"found the columns {', '.join(table.names)} in {files[-1]}"
+                    raise UserError(f"{where}: springs[{i}].{key}: {found}; {', '.join(columns)} are required")
+                rows[key] = table.columns(columns).T.tolist()
+        read.append({**entry, **rows})
+    return tuple(read), files
 
 
 def _check_feasible(where: str, task: Task, body: RigidBody) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion, describe
+from rrr_oc.codesign.task import PHASES
 from rrr_oc.effects import Body
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import Metrics, measure
@@ -106,8 +107,11 @@ def reference_phases(
     design: CoDesign, motion: SampledMotion, theta: np.ndarray, calibrated: CalibratedModel
 ) -> list[Reference]:
     """The phases of an optimum, with the motor torque [Nm] that the calibrated model predicts as feed-forward."""
-    arm = _calibrated_arm(design, calibrated, theta)
-    return motion.references(design.task, lambda phase: arm.torques(phase)[0])
+    arms = [_calibrated_arm(design, calibrated, design.engaged(i, theta)) for i in range(len(PHASES))]
+    like = arms[0]
+    return motion.references(
+        design.task, [arm.theta for arm in arms], lambda phase, own: replace(like, theta=own).torques(phase)[0]
+    )
 
 
 def _calibrated_arm(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> Physics:

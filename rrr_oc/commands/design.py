@@ -68,11 +68,11 @@ def design(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Springs across one joint (PEA, VPEA, TPEA), across two (BPEA) or of several kinds, and the motion of least cost for each.
+    """Springs across one joint (PEA and others), across two (BPEA, CBPEA) or of several kinds, and the motion of least cost for each.
 
     For a set of tasks the springs are the same in all of them, and each task has a motion of its own.
 
-    Writes report.html, tables, figures, summary.json, one npz a configuration and task, and the profile of each pulley as CSV.
+    Writes report.html, tables, figures, summary.json, one npz a configuration and task, and the profile of each pulley as CSV and DXF.
     """
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))

@@ -46,7 +46,8 @@ def design_forms() -> dict[str, type[Effect]]:
 
 
 def _one_joint_first() -> list[type[Effect]]:
-    return sorted(CATALOGUE.values(), key=lambda kind: (kind.placement == "pair", kind.name))
+    """All kinds, those of one joint first, and of these first what recordings may show."""
+    return sorted(CATALOGUE.values(), key=lambda kind: (kind.placement == "pair", kind.role == "design", kind.name))
 
 
 def _concrete(kind: type[Effect]) -> Iterator[type[Effect]]:

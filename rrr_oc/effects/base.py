@@ -344,9 +344,33 @@ class Effect:
     def profile(self, q: np.ndarray, theta: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Columns of the table by which the spring is made, over angles q (K,) of its joint [rad]; empty where there is no such table.
 
-        The ending of a column's name is its unit.
+        The ending of a column's name is its unit. "outline_x_mm" and "outline_y_mm" are a closed outline, which is drawn as well.
         """
         return {}
+
+    def known_range(self, theta: Mapping[str, float]) -> tuple[float, float]:
+        """Least and greatest angle of its joint between which its law is known [rad]; beyond, it is continued."""
+        return -np.inf, np.inf
+
+    # as a spring that a clutch connects in one phase
+
+    @property
+    def acts_in(self) -> str:
+        """The phase of a task in which alone it acts; "" for all. Models know no phases: in the others its amplitudes are zero."""
+        return ""
+
+    def kept_energy(
+        self, lower: np.ndarray, upper: np.ndarray, ends: tuple[np.ndarray, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of its parameters, narrowed to springs that leave the phase in which they act with the energy with which they enter it.
+
+        Args:
+            lower, upper: Bounds of its parameters, in their order.
+            ends: Angles of all joints at the start and at the release [rad], (n,) each.
+
+        Raises `UserError` where there are none.
+        """
+        return lower, upper
 
     # as a spring that a recording lists
 

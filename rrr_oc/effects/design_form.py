@@ -1,7 +1,7 @@
 """How a spring is part of a co-design: what a task bounds, what is fixed, and what can be bought."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -40,11 +40,14 @@ class DesignForm:
         quantities: What a task bounds.
         shop: Key of these springs in a catalogue of purchasable hardware, or "". If one quantity is bought, the catalogue has a list
             for each joint; if several are, a list for each quantity.
+        tables: Keys of tables that describe the spring in a task's file, with the names of their columns. The rows, in the file's
+            units, are the effect's field of that name.
     """
 
     label: str
     quantities: tuple[Quantity, ...]
     shop: str = ""
+    tables: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     limits = ()  # for each inequality of `exists`, the bounds that are active where it is
     derived = (

@@ -50,6 +50,7 @@ def report(summary: dict[str, Any]) -> str:
         "## Optima\n",
         markdown(*optima_table(found, quantity, summary["paper"])),
         *_idle(found),
+        *_beyond(found),
         " ".join(f"`{name}`: {words}" for name, words in columns_in_words(quantity, summary["paper"]).items()) + "\n",
     ]
     beside = summary["paper"]
@@ -72,6 +73,13 @@ def _idle(found: dict) -> list[str]:
         f"**{name}: {label} is {why}** ({', '.join(f'{k} {v}' for k, v in c['mounted'][label].items())}).\n"
         for name, c in found.items()
         for label, why in c.get("idle", {}).items()
+    ]
+
+
+def _beyond(found: dict) -> list[str]:
+    """A sentence for each spring that a motion turns further than its law is known."""
+    return [
+        f"**{name}: the law of {label} is {how}.**\n" for name, c in found.items() for label, how in c.get("beyond", {}).items()
     ]
 
 

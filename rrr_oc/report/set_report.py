@@ -245,6 +245,8 @@ def cautions(summary: dict[str, Any]) -> list[str]:
         for label in c["mounted"]:
             if all(label in found["idle"] for found in tasks.values()):
                 said.append(f"{name}: {label} does nothing in any task.")
+        beyond = [(task, *one) for task, found in tasks.items() for one in found.get("beyond", {}).items()]
+        said += [f"{name}: in task {task} the law of {label} is {how}." for task, label, how in beyond]
         unmet = [task for task, found in tasks.items() if not found["certificate"]["mesh"]["converged"]]
         if unmet:
             said.append(f"{name}: the tolerance of the mesh was not met for {listed(unmet)}.")

@@ -9,6 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rrr_oc import __version__
 from rrr_oc.codesign.design_problem import COST_UNITS
 from rrr_oc.codesign.optimum import profiles
@@ -116,8 +118,19 @@ def _new_files(out: Path, names: Sequence[str], summary: dict[str, Any], text: s
         write_text(made / "report.md", text)
         for name in summary["configurations"]:
             for label, columns in profiles(task, saved_springs(made / "summary.json", name, task).mounted).items():
-                write_csv(made / f"{name}_{label.replace('[', '_').rstrip(']')}.csv", columns)
+                file = f"{name}_{label.replace('[', '_').rstrip(']')}"
+                write_csv(made / f"{file}.csv", columns)
+                write_text(made / f"{file}.dxf", outline_dxf(columns["outline_x_mm"], columns["outline_y_mm"]))
         yield made
+
+
+def outline_dxf(x: np.ndarray, y: np.ndarray) -> str:
+    """A drawing (DXF R12) of a closed polyline through points (K,) [mm], of which the last is the first again."""
+    groups: list[tuple[int, Any]] = [(0, "SECTION"), (2, "ENTITIES"), (0, "POLYLINE"), (8, "0"), (66, 1), (70, 1)]
+    for point in zip(x[:-1], y[:-1], strict=True):
+        groups += [(0, "VERTEX"), (8, "0"), *((code, f"{value:.6f}") for code, value in zip((10, 20), point, strict=True))]
+    groups += [(0, "SEQEND"), (0, "ENDSEC"), (0, "EOF")]
+    return "".join(f"{code}\n{value}\n" for code, value in groups)
 
 
 def _versions() -> dict[str, str]:

@@ -3,8 +3,9 @@
 # pyright: reportAttributeAccessIssue=false
 # (mujoco's wheel has no stubs)
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
 import mujoco
@@ -43,7 +44,8 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     Raises:
         UserError: MuJoCo refuses the robot.
     """
-    theta, robot = np.asarray(theta, float), model.robot
+    clutched = [f"{model.label(e)}: a clutch connects it in one phase of a task only" for e in model.effects if e.acts_in]
+    (model, theta), robot = _lasting(model, np.asarray(theta, float)), model.robot
     spec, body, generated = assembled(model, theta, controller(model), Settings(effects="native", integrator="implicitfast"))
     for actuator in list(spec.actuators):
         spec.delete(actuator)
@@ -56,7 +58,7 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     spec.body(PAYLOAD).mass = payload + body.payload
     spec.option.disableflags = 0
     _draw(spec, robot, model.tool.position)
-    left_out = [
+    left_out = clutched + [
         f"{model.label(effect)}: {'changes what is recorded, not the motion' if effect.side == 'sensor' else 'MuJoCo has no form of it'}"
         for effect, code in zip(model.effects, generated, strict=True)
         if code or effect.side == "sensor"
@@ -75,6 +77,13 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     if left_out:
         text = "<!-- Not in this file:\n" + "".join(f"  {one.replace('--', '-')}\n" for one in left_out) + "-->\n" + text
     return Exported(text, tuple(left_out))
+
+
+def _lasting(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
+    """The model without springs that act in one phase of a task only, and its parameters."""
+    lasting = [not effect.acts_in for effect in model.effects]
+    kept = np.repeat(np.array(lasting, bool), [len(effect.parameters) for effect in model.effects])
+    return replace(model, effects=tuple(itertools.compress(model.effects, lasting))), theta[kept]
 
 
 def _draw(spec: mujoco.MjSpec, robot: Robot, tool: np.ndarray) -> None:

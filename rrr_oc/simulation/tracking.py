@@ -30,10 +30,12 @@ class Reference(Motion):
     Attributes:
         name: Used in messages.
         feed_forward: Torque that the controllers add, such as the load torque of Eq. 6 [Nm], shape (n, K).
+        theta: Parameters of the effects in this phase; None where they are the simulation's.
     """
 
     name: str
     feed_forward: np.ndarray
+    theta: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -145,7 +147,9 @@ def track(
     following, tracked, end = Following(control, settings.timestep), [], None
     with engine.effects():
         for phase in phases:
-            found, end = _follow(engine, phase, following, end if settings.start == "continue" else None)
+            theta = engine.theta if phase.theta is None else phase.theta
+            own = engine if np.array_equal(theta, engine.theta) else twin(model, theta, control, settings, widths)
+            found, end = _follow(own, phase, following, end if settings.start == "continue" else None)
             tracked.append(found)
     return Tracked(tuple(tracked), engine, control, settings)
 

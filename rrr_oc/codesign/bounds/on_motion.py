@@ -22,6 +22,7 @@ from scipy.optimize import nnls
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import SpringBounds
+from rrr_oc.codesign.task import PHASES
 from rrr_oc.effects import Signals
 from rrr_oc.numerics.enclosure import NotEnclosed, enclosed, enclosures
 from rrr_oc.optimal_control.solver import Solution
@@ -69,12 +70,14 @@ class Needed:
         tau: Load torque of the moving joints without springs [Nm], (m, K).
         moving: Indices of the moving joints (m).
         weights: Of the quadrature [s], (K,).
+        phase: Name of the phase of each instant, (K,).
     """
 
     q: np.ndarray
     tau: np.ndarray
     moving: tuple[int, ...]
     weights: np.ndarray
+    phase: np.ndarray
 
     def product(self, x: np.ndarray, y: np.ndarray) -> float:
         """⟨x, y⟩ [N²m²s] of torques (m, K)."""
@@ -116,10 +119,14 @@ class Place:
 
     def shape(self, others: Any, q: Any = None) -> tuple:
         """Torque with an amplitude of 1 on each of the spring's joints, from the other parameters, (P, 1) each or enclosures; by default
-        at the motion's angles."""
+        at the motion's angles, where it is zero in the phases in which the spring does not act."""
         effect = self.spring.effect
         theta = {effect.parameters[i].name: values for i, values in zip(self.others, others, strict=True)}
-        return effect.torque(Signals(self.needed.q if q is None else q), theta | dict.fromkeys(effect.amplitudes, 1.0), 0.0)
+        torque = effect.torque(Signals(self.needed.q if q is None else q), theta | dict.fromkeys(effect.amplitudes, 1.0), 0.0)
+        if q is not None or not effect.acts_in:
+            return torque
+        acting = (self.needed.phase == effect.acts_in).astype(float)
+        return tuple(part * acting for part in torque)
 
     def shapes(self, others: np.ndarray) -> np.ndarray:
         """The same from numbers (d, P), one joint after the other: (P, number of joints × K)."""
@@ -330,8 +337,10 @@ def needed_by(solution: Solution, design: CoDesign) -> tuple[Needed, float]:
         _, x, _, u = solution.sample(phase, (points + 1) / 2)
         q, dq, ddq = (v.reshape(m, -1) for v in (x[:m], x[m:], u))
         step = np.outer(solution.transcription.mesh[phase] * solution.durations[phase], weights / 2).ravel()
-        without, own = (np.array(design.torques(q, dq, ddq, payload, p, widths)[0]) for p in (slack, theta))
-        rows.append((task.full(q), without, step))
+        without, own = (
+            np.array(design.torques(q, dq, ddq, payload, design.engaged(phase, p), widths)[0]) for p in (slack, theta)
+        )
+        rows.append((task.full(q), without, step, np.full(step.size, PHASES[phase])))
         cost += float((own**2 @ step).sum())
-    q, tau, step = (np.concatenate(parts, axis=-1) for parts in zip(*rows, strict=True))
-    return Needed(q, tau, task.moving, step), cost
+    q, tau, step, phases = (np.concatenate(parts, axis=-1) for parts in zip(*rows, strict=True))
+    return Needed(q, tau, task.moving, step, phases), cost

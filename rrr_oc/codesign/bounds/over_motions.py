@@ -9,6 +9,9 @@ differ by more. By the triangle inequality
 
 where |tau − tau'| is bounded by intervals over all angles, speeds and accelerations that are possible at t. The right-hand side is
 integrated over half of the shortest phase, and added for release and start. Without springs, |tau|² is bounded in the same way.
+
+A spring that a clutch connects in one phase only can give two torques in one posture, so the joints on which one acts are left out of
+the sum.
 """
 
 import itertools
@@ -27,10 +30,14 @@ PIECES = 100  # of what is possible at an instant of that; doubled, the interval
 
 
 def task_bound(design: CoDesign) -> float | None:
-    """The bound [N²m²s]; None where the cost is not E1, the arm is not at rest between phases or its accelerations have no limits, or
-    where a torque has no interval form."""
+    """The bound [N²m²s]; None where the cost is not E1, the arm is not at rest between phases or its accelerations have no limits,
+    where clutched springs act on all joints, or where a torque has no interval form."""
     task, springs = design.task, [spring for spring in design.springs if not spring.known]
     if design.cost != "load" or not design.at_rest or not np.all(np.isfinite(task.acceleration)):
+        return None
+    clutched = {j for spring in springs if spring.effect.acts_in for j in spring.effect.joints}
+    lasting = [row for row, j in enumerate(task.moving) if j not in clutched]
+    if not lasting:
         return None
     step = task.duration[0] / 2 / STEPS
     t = step * np.arange(1, STEPS + 1)
@@ -41,7 +48,7 @@ def task_bound(design: CoDesign) -> float | None:
             (low, high), (least, most) = (_needed_near(design, posture, payload, t) for payload in task.payloads)
             if springs:
                 apart = np.maximum(low - most, least - high) - np.outer(stiffness @ task.acceleration, t**2)
-                rate = (np.maximum(apart, 0) ** 2).sum(axis=0) / 2
+                rate = (np.maximum(apart, 0) ** 2)[lasting].sum(axis=0) / 2
             else:
                 rate = sum((np.maximum(np.maximum(a, -b), 0) ** 2).sum(axis=0) for a, b in ((low, high), (least, most)))
             total += step * float(np.sum(rate))
@@ -80,7 +87,7 @@ def _pieces(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 def _stiffness(task: Task, spring: SpringBounds) -> np.ndarray:
     """Upper bounds of |d torque / d angle| of a spring [Nm/rad], (m, m), over all angles and all that its bounds allow."""
-    place = Place(spring, Needed(np.empty((0, 0)), np.empty((0, 0)), task.moving, np.empty(0)))  # of no motion
+    place = Place(spring, Needed(np.empty((0, 0)), np.empty((0, 0)), task.moving, np.empty(0), np.empty(0)))  # of no motion
     joints = place.rows
     count = int(BOXES ** (1 / max(len(place.others), 1)))
     axes = [np.linspace(a, b, count + 1 if b > a else 2) for a, b in zip(spring.lower, spring.upper, strict=True)]

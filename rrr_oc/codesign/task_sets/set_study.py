@@ -19,6 +19,7 @@ from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import (
     SampledMotion,
+    beyond_known,
     check_simulation,
     describe,
     describe_simulation,
@@ -103,6 +104,7 @@ def prepared_set(request: Request, points: int, price: float | None, listener: L
     designs: dict[str, list[SetDesign]] = {}
     for name in request.configurations or offered(tasks.tasks[0]):
         designs[name] = []
+        _check_clutches(tasks, name)
         for springs in _ways(tasks.tasks[0], name, price is not None):
             alone = tuple(replace(like, task=task, springs=springs) for task in tasks.tasks)
             if model is not None and request.repaired:
@@ -133,6 +135,19 @@ def _check_price(price: float | None, tasks: TaskSet) -> None:
     if tasks.objective != "sum" or tasks.payload or tasks.model:
         found = "something uncertain" if tasks.objective == "sum" else f"the objective {tasks.objective!r}"
         raise UserError(f"--price needs a set whose objective is 'sum', without 'uncertain'; {tasks.name!r} has {found}")
+
+
+def _check_clutches(tasks: TaskSet, name: str) -> None:
+    """Raise `UserError` where a spring with a clutch cannot keep its energy in all tasks."""
+    first, *others = (
+        [np.r_[s.lower, s.upper] for way in arrangements(task, name) for s in way if s.effect.acts_in] for task in tasks.tasks
+    )
+    for task, other in zip(tasks.tasks[1:], others, strict=True):
+        if len(other) != len(first) or not all(map(np.allclose, first, other)):
+            raise UserError(
+                f"set {tasks.name!r}: no spring with a clutch keeps its energy both in task {tasks.tasks[0].name!r} and in "
+                f"{task.name!r}; the joints' ways between start and release decide its parameters, and must be the same"
+            )
 
 
 def _ways(task: Task, name: str, each: bool) -> list[tuple[SpringBounds, ...]]:
@@ -290,6 +305,7 @@ def _describe(
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
         "lowest_tool_m": min(float(held.model.tool_height(q)) for q in held.task.full(motion.q).T[::7]),
         "idle": idle_springs(own, motion, solution.parameters),
+        "beyond": beyond_known(own, motion, solution.parameters),
         "certificate": asdict(certify(SearchResult(held, (optimum,), (), False), optimum)),
         "meshes": optimum.meshes,
         "mujoco": describe_simulation(held, solution, motion),
@@ -309,9 +325,10 @@ def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, in
     there = replace(design, task=replace(task, payload=task.payload * scenario.payload), scenarios=design.scenarios[:1])
     widths = solution.problem.data[1 : 1 + design.model.widths.size]
     payloads = there.task.payloads
+    thetas = [there.engaged(i, case.parameters) for i in range(len(PHASES))]
     torques = [
-        (motion.t[k], np.array(there.torques(motion.q[:, k], motion.dq[:, k], motion.ddq[:, k], m, case.parameters, widths)[0]))
-        for k, m in zip(motion.phases(), payloads, strict=True)
+        (motion.t[k], np.array(there.torques(motion.q[:, k], motion.dq[:, k], motion.ddq[:, k], m, theta, widths)[0]))
+        for k, m, theta in zip(motion.phases(), payloads, thetas, strict=True)
     ]
     return {
         "payload_kg": there.task.payload,

@@ -1,12 +1,13 @@
 """Scenes from what commands are given: the npz of a design, or a recording."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rrr_oc.codesign.springs import saved_springs
-from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.effects import Signals
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Spring
@@ -44,7 +45,11 @@ def designed(source: Path, name: str | None) -> Scene:
 def _of_design(source: Path, task: Task, q: np.ndarray, own: np.ndarray) -> tuple[ShownSpring, ...]:
     """The springs that the study's summary beside the npz has; without it, one at each joint that springs act on."""
     if (source.parent / SUMMARY).is_file():
-        return shown_springs(saved_springs(source.parent / SUMMARY, source.stem, task).mounted, q)
+        springs = saved_springs(source.parent / SUMMARY, source.stem, task).mounted
+        phase = read_npz(source).get("phase", np.zeros(0))
+        acting = [phase == PHASES.index(effect.acts_in) if effect.acts_in else 1.0 for effect, _ in springs]
+        shown = zip(shown_springs(springs, q), acting, strict=True)
+        return tuple(replace(spring, tension=spring.tension * share) for spring, share in shown)
     return tuple(ShownSpring((j,), np.abs(row)) for j, row in zip(task.moving, own, strict=True) if np.any(row))
 
 

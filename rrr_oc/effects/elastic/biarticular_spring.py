@@ -14,6 +14,7 @@ from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
 
 WIDER = 1.05  # factor by which the parameters' box is wider than the hardware allows, so that `exists` binds, not the box
+NAMES = ("k_b", "q_0", "r_1", "r_2", "r_3")  # of Eq. 5, in the order of the quantities
 RADII = ("radius1_m", "radius2_m", "radius3_m")  # keys in the header of a recording set
 HARDWARE_LIMITS = (
     "r_3 at its largest, r_2 at its smallest",
@@ -35,7 +36,10 @@ def reduced(k_b, q_0, r_1, r_2, r_3):
 
 
 class BiarticularForm(DesignForm):
-    """Five quantities of hardware, of which the effect's three parameters are functions (`reduced`); the spring has their names."""
+    """Five quantities of hardware, of which the effect's three parameters are functions (`reduced`); the spring has their names.
+
+    Below they are called as in Eq. 5, whatever the symbols of the quantities are.
+    """
 
     derived = True
     limits = HARDWARE_LIMITS
@@ -43,7 +47,17 @@ class BiarticularForm(DesignForm):
     def name(self, quantity, joints):
         return quantity.symbol
 
+    def _called(self, numbers):
+        """What stands by the quantities' symbols, by the names of Eq. 5; what is missing is left out."""
+        return {name: numbers[q.symbol] for name, q in zip(NAMES, self.quantities, strict=True) if q.symbol in numbers}
+
+    def _by_symbol(self, numbers):
+        """The inverse of `_called`."""
+        symbols = dict(zip(NAMES, (q.symbol for q in self.quantities), strict=True))
+        return {symbols[name]: value for name, value in numbers.items()}
+
     def wrong(self, bounds):
+        bounds = self._called(bounds)
         (k_low, k_high), (q_low, q_high) = bounds["k_b"], np.degrees(bounds["q_0"])
         if k_low != 0 or not k_high > 0:
             return f"k_b_Nm_per_rad must reach from 0 to above 0, got {k_low:g} … {k_high:g}"
@@ -54,6 +68,7 @@ class BiarticularForm(DesignForm):
         return None
 
     def box(self, bounds):
+        bounds = self._called(bounds)
         ratio = bounds["r_1"][1] / bounds["r_2"][0]
         kappa = bounds["k_b"][1] * (bounds["r_2"][1] / bounds["r_1"][0]) ** 2
         lower = [0.0, bounds["r_3"][0] / bounds["r_2"][1] / WIDER, bounds["q_0"][0] * ratio * WIDER]
@@ -64,10 +79,11 @@ class BiarticularForm(DesignForm):
         return np.array(reduced(*numbers))
 
     def exists(self, theta, bounds):
-        return hardware_exists(theta[0], theta[1], theta[2], bounds)
+        return hardware_exists(theta[0], theta[1], theta[2], self._called(bounds))
 
     def strongest(self, lower, upper, bounds):
         """kappa = k_b / s² is greatest where s = r_1/r_2 is least: with r_2 at its largest, as far as phi = s q_0 allows."""
+        bounds = self._called(bounds)
         (r1_low, r1_high), (r2_low, r2_high), (r3_low, r3_high) = (bounds[r] for r in ("r_1", "r_2", "r_3"))
         phi, q_0 = np.maximum(np.maximum(lower[2], -upper[2]), 0), np.where(lower[2] > 0, bounds["q_0"][1], -bounds["q_0"][0])
         largest, smallest = np.minimum(r2_high, r3_high / lower[1]), np.maximum(r2_low, r3_low / upper[1])
@@ -77,18 +93,20 @@ class BiarticularForm(DesignForm):
 
     def named(self, joints, theta, bounds, fixed):
         if fixed:
-            return {**fixed, "q_0": theta["phi"] * fixed["r_2"] / fixed["r_1"]}
-        return pick_hardware(**theta, bounds=bounds) if bounds else {}
+            held = self._called(fixed)
+            return self._by_symbol({**held, "q_0": theta["phi"] * held["r_2"] / held["r_1"]})
+        return self._by_symbol(pick_hardware(**theta, bounds=self._called(bounds))) if bounds else {}
 
     def held(self, joints, box, bounds, hardware, keep_free):
         """kappa and rho are fixed by k_b and the radii; q_0 free leaves phi free within its bounds."""
         if not bounds:
             return *box, {}
-        fixed = {q.symbol: hardware[q.symbol] for q in self.bought}
-        kappa, rho, phi = reduced(fixed["k_b"], hardware.get("q_0", 0.0), fixed["r_1"], fixed["r_2"], fixed["r_3"])
+        bounds, keep_free, given = self._called(bounds), self._called(dict.fromkeys(keep_free)), self._called(hardware)
+        fixed = {name: given[name] for name in NAMES if name != "q_0"}
+        kappa, rho, phi = reduced(fixed["k_b"], given.get("q_0", 0.0), fixed["r_1"], fixed["r_2"], fixed["r_3"])
         ratio = fixed["r_1"] / fixed["r_2"]
         free = [b * ratio for b in bounds["q_0"]] if "q_0" in keep_free else [phi, phi]
-        return np.array([kappa, rho, free[0]]), np.array([kappa, rho, free[1]]), fixed
+        return np.array([kappa, rho, free[0]]), np.array([kappa, rho, free[1]]), self._by_symbol(fixed)
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,9 @@ def hardware(c: Mapping[str, Any], joints: Sequence[str]) -> str:
     if "k_b" in left:
         said.append(f"a spring of {_number('k_b', left.pop('k_b'))} across two joints")
     shown = ", ".join(f"{of_joint(name, joints)} = {_number(name, value)}" for name, value in left.items())
-    return listed(said) + f" with {shown}" * bool(said and shown) + shown * (not said)
+    mounted = c.get("mounted", {}).items()
+    acting = [f"; the {placed(label)} acts in the phase “{ways['phase']}” only" for label, ways in mounted if "phase" in ways]
+    return listed(said) + f" with {shown}" * bool(said and shown) + shown * (not said) + "".join(acting)
 
 
 def in_twin(found: Mapping[str, Any], best: str) -> str:
@@ -113,13 +115,19 @@ def symbols(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         "k_v": "stiffness of a cable's spring over a pulley at one joint",
         "q_v": "angle of the joint at which that cable is slack",
         "r1_v": "with r2_v to r5_v the radii of that pulley, whose profile is in a CSV file beside the results",
+        "n_n": "number of springs in parallel, each as its table says, across one joint",
+        "q_n": "angle of the joint at which the angle of that table is 0",
+        "k_c": "stiffness of a spring that a clutch connects to one joint in one phase",
+        "q_c": "angle of the joint at which that spring is slack, in the middle between start and release",
+        "k_bc": "with q_0c and r_1c to r_3c a spring across two joints that a clutch connects in one phase; the symbols are those of Eq. 5",
         "k_b": "stiffness of a spring across two joints (Eq. 5)",
         "q_0": "angle that sets where the spring across two joints is slack",
         "r_1": "radius of the pulley at the spring, which turns its stiffness into torque",
         "r_2": "radius of the pulley at the first of the two joints",
         "r_3": "radius of the pulley at the second of the two joints",
     }
-    return [(symbol, meaning) for symbol, meaning in known.items() if any(name.startswith(symbol) for name in used)]
+    used |= {name.rstrip("0123456789") for name in used}  # those with the number of a joint
+    return [(symbol, meaning) for symbol, meaning in known.items() if symbol in used]
 
 
 def cautions(summary: Summary) -> list[str]:
@@ -144,6 +152,7 @@ def cautions(summary: Summary) -> list[str]:
 def _cautions(name: str, c: Mapping[str, Any]) -> list[str]:
     k, said = c["certificate"], []
     said += [f"the {placed(label)} is {why}: it does nothing in this design" for label, why in c.get("idle", {}).items()]
+    said += [f"the law of the {placed(label)} is {how}: beyond, it is a guess" for label, how in c.get("beyond", {}).items()]
     if not k["mesh"]["converged"]:
         said.append(f"the tolerance of the mesh was not met; the error between its nodes is {k['mesh']['error']:.1e}")
     differs = c["mujoco"]["E1"] / c["E1"] - 1

@@ -152,7 +152,7 @@ def example(name: str) -> Example | None:
 def _alone(arm: _Arm, kind: type[Effect]) -> tuple[Term, Sequence[Term]]:
     """The term of the plain model, or of a spring of co-designs with its nominal parameters."""
     found = [t for t in arm.model.terms if t.effect.name == kind.name and t.effect.joints == (J,)]
-    term = found[0] if found else nominal_term(kind((J,)))
+    term = found[0] if found else nominal_term(kind((J, J + 1) if kind.placement == "pair" else (J,)))
     return term, [term]
 
 

@@ -172,7 +172,9 @@ def _spring_notes() -> str:
         place = "`joints`: the two joints" if kind.placement == "pair" else "`joint`: the joint"
         options = [f"`{key}`: {_values(allowed)}; tried in every way if left out" for key, allowed in kind.options.items()]
         bounds = [f"`{key}`: bounds [{_unit(key, '')}]" for key in dict.fromkeys(q.key for q in kind.design.quantities)]
-        lines.append(f"- `effect`: `{kind.name}`; {place}; {'; '.join([*options, *bounds])}.")
+        beside = "or the name of a CSV file with these columns, beside the task's"
+        tables = [f"`{key}`: a list of rows [{', '.join(columns)}], {beside}" for key, columns in kind.design.tables.items()]
+        lines.append(f"- `effect`: `{kind.name}`; {place}; {'; '.join([*options, *bounds, *tables])}.")
     return "\n".join(lines)
 
 

@@ -1,0 +1,66 @@
+"""Spring across one joint that a clutch connects in one phase of a task only, for co-designs."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.elastic.two_sided_spring import TwoSidedSpring
+from rrr_oc.errors import UserError
+
+PHASES = ("go", "return")
+
+
+@dataclass(frozen=True)
+class ClutchedSpring(TwoSidedSpring):
+    """Two-sided spring with a clutch to the link and a lock: tau = −stiffness (q − equilibrium) in one phase, 0 in the other.
+
+    The clutch opens and closes where the arm stands still, between the phases. While it is open, the lock holds the spring as it is, so
+    that it keeps its energy. The spring comes back to its phase as it left it, so a repeated task is possible without loss only if the
+    energy is the same at both ends of the phase, stiffness (start − equilibrium)² = stiffness (end − equilibrium)²: the equilibrium
+    is in the middle between start and release. The spring is stretched to one side at the start and to the other at the end. It
+    comes back as its mirror image, which needs a clutch that connects it either way round, such as the differential of the
+    bi-directional clutched actuator by Plooij, van Nunspeet, Wisse and Vallery (2015).
+
+    A spring that the clutch lets go under load would lose its energy, and one that a phase leaves with less energy would have to be
+    wound up again; neither is offered. Nor does the clutch weigh or use anything here.
+    """
+
+    name = "clutched_spring"
+    equation = "tau = -stiffness (q - equilibrium) in one phase of a task, else 0"
+    plain = "In one phase ({phase}) a spring pulls {joints} towards {equilibrium:deg} from both sides: {stiffness}."
+    options = {"phase": PHASES}  # noqa: RUF012
+    design = DesignForm(
+        "CPEA",
+        (
+            Quantity("k_c", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
+            Quantity("q_c", "equilibrium_deg", "rad", np.pi / 180, free=True),
+        ),
+    )
+
+    phase: Literal["go", "return"] = "go"
+
+    def __post_init__(self) -> None:
+        check_phase(self.phase)
+
+    @property
+    def acts_in(self):
+        return self.phase
+
+    def kept_energy(self, lower, upper, ends):
+        """The equilibrium is the middle between the ends."""
+        middle = float(np.mean([q[self.joints[0]] for q in ends]))
+        if not lower[1] <= middle <= upper[1]:
+            low, high = np.degrees([lower[1], upper[1]])
+            raise UserError(
+                f"equilibrium_deg: found {low:g} … {high:g}; it must allow {np.degrees(middle):.2f}, the middle between start and "
+                "release, where the spring keeps its energy while the clutch is open"
+            )
+        return np.array([lower[0], middle]), np.array([upper[0], middle])
+
+
+def check_phase(phase: str) -> None:
+    """Raise `UserError` unless it is a phase of a task."""
+    if phase not in PHASES:
+        raise UserError(f"a clutched spring works in the phase {' or '.join(map(repr, PHASES))}, got {phase!r}")
