@@ -7,6 +7,7 @@ import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import SOLVED
+from rrr_oc.codesign.task import PHASES
 from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.solver import Solution
 from rrr_oc.optimal_control.transcription import Transcription
@@ -21,32 +22,40 @@ class SpringCost:
     def __init__(self, design: CoDesign, transcription: Transcription, data: np.ndarray) -> None:
         self.design, self.transcription = design, transcription
         self.widths = data[1 : 1 + design.model.widths.size]
-        m, n_p = len(design.task.moving), len(design.problem.parameters)
-        dq, ddq, q, need = (ca.SX.sym(name, m) for name in ("dq", "ddq", "q", "need"))
-        payload, p, widths = ca.SX.sym("payload"), ca.SX.sym("p", n_p), ca.SX.sym("widths", self.widths.size)
-        rate = design.cost_rate(dq, ddq, need - design.torques(q, dq, ddq, payload, p, widths)[1])
-        outputs = [rate, ca.densify(ca.gradient(rate, p))]
-        self._rate = ca.Function("rate", [q, dq, ddq, payload, need, p, widths], outputs)
+        self._rates = [self._rate(phase) for phase in range(len(PHASES))]
 
-    def along(self, w: np.ndarray, parameters: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-        """A motion (scaled variables) at all stages: (q, dq, ddq, payload, need), each with one column a stage, and the weights of
-        the quadrature [s]. Of the parameters (np,) only those of known effects matter."""
+    def _rate(self, phase: int) -> ca.Function:
+        """(q, dq, ddq, payload, need, p, widths) -> the cost's rate and its gradient by p."""
+        design, m = self.design, len(self.design.task.moving)
+        q, dq, ddq, need = (ca.SX.sym(name, m) for name in ("q", "dq", "ddq", "need"))
+        p, widths = ca.SX.sym("p", len(design.problem.parameters)), ca.SX.sym("widths", self.widths.size)
+        payload = ca.SX.sym("payload")
+        rate = design.cost_rate(dq, ddq, need - design.torques(q, dq, ddq, payload, design.engaged(phase, p), widths)[1])
+        outputs = [rate, ca.densify(ca.gradient(rate, p))]
+        return ca.Function("rate", [q, dq, ddq, payload, need, p, widths], outputs)
+
+    def along(self, w: np.ndarray, parameters: np.ndarray) -> list[tuple[list[np.ndarray], np.ndarray]]:
+        """A motion (scaled variables) at all stages, for each phase: (q, dq, ddq, payload, need), each with one column a stage, and
+        the weights of the quadrature [s]. Of the parameters (np,) only those of known effects matter."""
         empty, t = np.empty(0), self.transcription
         solution, m = Solution(t, w, empty, empty, 0.0, SOLVED, 0, 0.0), len(self.design.task.moving)
-        columns, weights = [], []
+        phases = []
         for i, (block, fractions) in enumerate(zip(t.blocks, t.mesh, strict=True)):
             x, u = solution.values[block.stage_x].reshape(2 * m, -1), solution.controls(i).reshape(m, -1)
-            payload = np.full((1, x.shape[1]), self.design.task.payloads[i])
-            columns.append(np.vstack([x, u, payload]))
-            weights.append((solution.durations[i] * t.scheme.b[:, None] * fractions).ravel())
-        q, dq, ddq, payload = np.split(np.hstack(columns), [m, 2 * m, 3 * m])
-        need = sum(np.array(torque) for torque in self.design.torques(q, dq, ddq, payload, parameters, self.widths))
-        return [q, dq, ddq, payload, np.asarray(need)], np.concatenate(weights)
+            columns = [x[:m], x[m:], u, np.full((1, x.shape[1]), self.design.task.payloads[i])]
+            torques = self.design.torques(*columns, self.design.engaged(i, parameters), self.widths)
+            columns.append(np.array(torques[0]) + np.array(torques[1]))
+            phases.append((columns, (solution.durations[i] * t.scheme.b[:, None] * fractions).ravel()))
+        return phases
 
-    def __call__(self, columns: list[np.ndarray], weights: np.ndarray, parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        """The cost and its gradient by the parameters (np,)."""
-        rate, slope = self._rate(*columns, parameters, self.widths)
-        return float(np.array(rate).ravel() @ weights), np.array(slope) @ weights
+    def __call__(self, along: list[tuple[list[np.ndarray], np.ndarray]], parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        """The cost along a motion, as `along` gives it, and its gradient by the parameters (np,)."""
+        total, slope = 0.0, np.zeros(len(parameters))
+        for rate, (columns, weights) in zip(self._rates, along, strict=True):
+            value, gradient = rate(*columns, parameters, self.widths)
+            total += float(np.array(value).ravel() @ weights)
+            slope += np.array(gradient) @ weights
+        return total, slope
 
 
 class HeldMotions:
@@ -66,7 +75,8 @@ class HeldMotions:
 
     def cost(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
         """The objective and its gradient by the parameters (np,)."""
-        found = [cost(*along, parameters) for cost, along in zip(self._costs, self._along, strict=True)]
-        return sum(w * c for w, (c, _) in zip(self._weights, found, strict=True)), sum(
-            w * g for w, (_, g) in zip(self._weights, found, strict=True)
-        )
+        total, slope = 0.0, np.zeros(len(parameters))
+        for weight, cost, along in zip(self._weights, self._costs, self._along, strict=True):
+            value, gradient = cost(along, parameters)
+            total, slope = total + weight * value, slope + weight * gradient
+        return total, slope
