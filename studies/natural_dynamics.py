@@ -118,11 +118,11 @@ def main(
     friction: Annotated[
         float, typer.Option(min=0, help="factor on the friction of the drives, for other drives than these")
     ] = 1.0,
-    starts: Annotated[int, typer.Option(min=1, help="of each search")] = 6,
-    motions: Annotated[int, typer.Option(min=0, help="proposed motions, for springs that starts led to")] = 24,
+    starts: Annotated[int, typer.Option(min=1, help="of each search")] = 4,
+    motions: Annotated[int, typer.Option(min=0, help="proposed motions, for springs that starts led to")] = 8,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
-    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-4,
-    intervals: Annotated[int, typer.Option(min=8, help="of a phase on the first fine mesh")] = 40,
+    tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-3,
+    intervals: Annotated[int, typer.Option(min=8, help="of a phase on the first fine mesh")] = 24,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,
 ) -> None:
@@ -135,7 +135,7 @@ def main(
     drives = load_actuators(given.joints, actuators)
     drives = replace(drives, resistance=np.where(np.isfinite(drives.resistance), drives.resistance, resistance))
     drives = replace(drives, **{name: friction * getattr(drives, name) for name in FRICTION})
-    search = SearchOptions(starts=starts, motions=motions, seed=seed, springs=6, rounds=2, refinement=Refinement(tolerance))
+    search = SearchOptions(starts=starts, motions=motions, seed=seed, springs=3, rounds=1, refinement=Refinement(tolerance))
     search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
     run = Run(out, replace(given, speeds=("rest", "rest")), drives, search, Output())
     found: dict[str, Any] = {}

@@ -23,7 +23,7 @@ from rrr_oc.simulation.tracking import TrackedPhase, track
 
 Control = Literal["P", "feed-forward"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
-CYCLES = 3  # of which the last counts, when the start no longer shows; doubled, E1 and energy change by less than 0.1 %
+CYCLES = 2  # of which the last counts, when the start no longer shows; doubled, E1 and energy change by less than 0.1 %
 
 
 @dataclass(frozen=True)

@@ -265,9 +265,8 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
     for joint, way, speed, acceleration in zip(
         task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
     ):
-        ramp = speed / acceleration if np.isfinite(acceleration) else 0.0  # time to full speed
-        fast = way > rests * speed * ramp / 2  # long enough for full speed
-        needed = way / speed + rests * ramp / 2 if fast else np.sqrt(2 * rests * way / acceleration)
+        lost = rests * speed / acceleration / 2 if rests and np.isfinite(acceleration) else 0.0  # time at less than full speed
+        needed = way / speed + lost if not lost or way > speed * lost else np.sqrt(2 * rests * way / acceleration)
         if needed > task.duration[1]:
             raise UserError(
                 f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}° at "
