@@ -23,12 +23,14 @@ from rrr_oc.simulation.tracking import TrackedPhase, track
 
 Control = Literal["P", "feed-forward"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
-CYCLES = 2  # of which the last counts, when the start no longer shows; doubled, E1 and energy change by less than 0.1 %
+CYCLES = 2  # of which the last counts, when the start no longer shows; doubled, no figure changes
 
 
 @dataclass(frozen=True)
 class DriveFriction(Effect):
     """Friction of some joints' drives by Eq. 9, from the formula of `Actuators.current`, as torques: amperes divided by c_1.
+
+    It is not in the catalogue, so that no diagnosis looks for it.
 
     Attributes:
         drives: Of the joints.
