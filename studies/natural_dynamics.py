@@ -264,7 +264,9 @@ def _drawn(run: Run, keys: Sequence[tuple[str, str, str]], names: Sequence[str])
         axes[-1, column].set_xlabel("angle [°]")
     for row, joint in enumerate(joints):
         axes[row, 0].set_ylabel(f"speed of {joint} [°/s]")
-    axes[0, 0].legend(title="ends", fontsize=8, title_fontsize=8)
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="upper right", ncols=2, title="ends", fontsize=8, title_fontsize=8
+    )
     save_figure(figure, run.out / "phase_plane.png")
 
 

@@ -1,6 +1,7 @@
 """The study of natural dynamics as its users run it, in a size of seconds; what it says to those who ask wrongly."""
 
 import json
+from importlib.resources import files
 
 import natural_dynamics as study
 from commands import run
@@ -9,7 +10,19 @@ SMALL = ["--starts", "1", "--motions", "0", "--intervals", "10", "--tolerance", 
 
 
 def test_a_small_study_leaves_a_report_and_is_not_run_twice(monkeypatch, capsys, tmp_path):
-    arguments = ["--configurations", "SA", "--costs", "load", *SMALL, "--out", str(tmp_path)]
+    task = json.loads(files("rrr_oc.data").joinpath("paper.json").read_text()) | {"duration_s": [1.0, 1.3]}
+    (tmp_path / "task.json").write_text(json.dumps(task))
+    arguments = [
+        "--task",
+        str(tmp_path / "task.json"),
+        "--configurations",
+        "SA",
+        "--costs",
+        "load",
+        *SMALL,
+        "--out",
+        str(tmp_path),
+    ]
     assert run(study, monkeypatch, *arguments) == 0
     optima = json.loads((tmp_path / "summary.json").read_text())["optima"]
     rest, moving = optima["rest load SA"], optima["moving load SA"]
