@@ -27,6 +27,7 @@ T = TypeVar("T")
 FREE = ("comment", "description", "license", "source")  # text for people, allowed in every object and not read
 Text = Annotated[str, Meta(pattern=r"^(?=.*\S)[^\x00-\x1f\x7f\ud800-\udfff]*\Z")]  # not blank, without control characters
 NonNegative = Annotated[float, Meta(ge=0)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 # A smaller one becomes 0 in other units
 Positive = Annotated[float, Meta(ge=1e-12, description="a finite number above 0 is required")]
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")

@@ -305,5 +305,5 @@ def test_with_more_steps_more_is_proved(monkeypatch):
 def test_nothing_is_proved_of_motions_that_may_jump():
     prototype = load_task("prototype")  # without limits of acceleration
     assert task_bound(CoDesign(prototype, spring_bounds(prototype, "PEA"))) is None
-    assert task_bound(replace(design_of("PEA"), at_rest=False)) is None
+    assert task_bound(replace(design_of("PEA"), task=replace(TASK, speeds=("rest", "moving")))) is None
     assert task_bound(replace(design_of("PEA"), cost="motor", actuators=load_actuators(TASK.joints))) is None

@@ -67,6 +67,7 @@ NOT_RUN = {
     "python -m pytest tests/benchmarks": ("benchmarks, for idle machines", "tests/benchmarks"),
     "validation/search_seeds.py": ("an hour", "tests/test_multistart.py"),
     "studies/pea_bpea.py": ("minutes", "tests/test_study.py"),
+    "studies/natural_dynamics.py": ("an hour", "tests/test_natural_dynamics_study.py"),
     "studies/calibration.py": ("needs the authors' recordings", "tests/test_calibration_study.py"),
     "studies/concealed_physics.py": ("hours", "tests/test_concealed_study.py"),
     "studies/prototype_recordings.py": (

@@ -111,14 +111,30 @@ def test_power_is_eq_8(tmp_path):
     drives = with_resistance(tmp_path)
     dq, ddq, tau = np.array([0.4, -0.9, 0.7]), np.array([1.0, 2.0, -3.0]), np.array([3.0, 20.0, -8.0])
     amperes = written_out("dissipative", dq, ddq, tau)
-    np.testing.assert_allclose(
-        numbers(drives.power(dq, ddq, tau)), (0.8 * amperes + K_T * dq) * amperes, rtol=1e-3
-    )  # tanh at 0.4
+    found = numbers(drives.power(dq, drives.current(dq, ddq, tau), 0.1))
+    np.testing.assert_allclose(found, (0.8 * amperes + K_T * dq) * amperes, rtol=1e-3)  # tanh at 0.4
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.6, 1.0])
+def test_of_a_weight_lifted_and_lowered_what_flows_back_counts_as_far_as_it_is_kept(kept):
+    """In closed form, without friction: at a constant speed v a weight needs P = R I² ± tau v with I = tau / k_t."""
+    zero, k_t, ohms = np.zeros(1), 10.0, 2.0
+    drive = Actuators(("j",), np.array([k_t]), *[zero] * 3, np.array([1 / k_t]), zero, zero, np.array([ohms]), np.array([kept]))
+    tau, v, duration = 20.0, 1.5, 3.0
+    heat, work = ohms * (tau / k_t) ** 2 * duration, tau * v * duration
+    dq = v * np.array([[1.0, -1.0]])
+    current = np.array(drive.current(zero, zero, np.array([tau]))).astype(float).reshape(1, 1) @ np.ones((1, 2))
+    up, down = duration * np.array(drive.exact_power(dq, current))[0]
+    assert up == pytest.approx(heat + work)
+    assert down == pytest.approx(kept * (heat - work))
+    for width in (0.5, 20.0):  # smoothed, it counts more, by at most 3/16 of the width and only within it
+        smooth = numbers(drive.power(dq[:, 1], current[:, 1], width))[0] * duration
+        assert 0 <= smooth - down <= (1 - kept) * duration * 3 / 16 * width * (abs(heat - work) < width * duration) + 1e-12
 
 
 def test_energy_needs_resistances():
     with pytest.raises(UserError, match=r"resistance.* of joint2, joint3"):
-        load_actuators(("joint2", "joint3")).power(np.ones(2), np.ones(2), np.ones(2))
+        load_actuators(("joint2", "joint3")).power(np.ones(2), np.ones(2), 0.0)
 
 
 def test_bad_input(tmp_path):

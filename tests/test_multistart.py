@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.search.local_optima import same_optimum
@@ -150,6 +151,27 @@ def test_the_best_motions_never_lose():
         np.testing.assert_array_equal(some[0].solution.parameters, springs)
         ends = some[0].solution.at(0, np.array([0.0, 1.0]))[0][:2].T
         np.testing.assert_allclose(ends, TASK.ends(phase), atol=1e-9)
+
+
+def test_the_motion_of_a_cycle_is_searched_as_a_whole():
+    """Its phases share their speeds; its optimum is better than one that stops, and what is proved of those is not said of it."""
+    design = design_of("SA", replace(TASK, speeds=("moving", "moving")))
+    few = replace(OPTIONS, starts=2, within=0.0, kept=1, springs=1, rounds=1, refinement=Refinement(1e-3, rounds=1))
+    result = solve_multistart(design, few)
+    (some,) = MotionSearch(design, few).best(np.zeros(0), 0, [[result.best]])
+    assert some[0].cost <= result.best.cost * (1 + 1e-2)  # on the fine mesh of 12 intervals
+    assert len(some[0].solution.durations) == 2
+    assert result.best.cost < 0.7 * 563
+    for solution in (some[0].solution, result.best.solution):
+        go, back = (solution.at(i, np.array([0.0, 1.0]))[0][2:] for i in range(2))
+        np.testing.assert_allclose(go, back[:, ::-1], atol=1e-6)
+    known = certify(result, result.best)
+    assert known.least is None
+    assert known.second_order != "violated"
+    assert max(known.primal, known.dual) < 1e-6
+    assert any(
+        "lower speed limit of joint2" in bound.name for bound in known.active
+    )  # which holds where the payload is released
 
 
 def test_springs_are_told_apart_by_their_torque():

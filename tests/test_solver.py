@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Guess, Link, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import MeshError, Refinement, mesh_error, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure, solve
@@ -320,3 +320,36 @@ def test_a_solution_is_a_guess_for_another_mesh(method):
     warm = Solver(t, Options(barrier=1e-8)).solve(coarse.guess())
     assert warm.cost == pytest.approx(cold.cost, rel=1e-8)
     assert warm.iterations <= cold.iterations
+
+
+def oscillator(links: tuple[Link, ...], speed: float = np.nan) -> Solution:
+    """A mass of 2 kg on a spring k, pushed by u at a cost of ∫ u², from −b to b within 0.4 s and back to −b within 1.1 s."""
+
+    def law(x, u, p, d):
+        return (x[1], (u - p * x[0]) / 2), u**2, ()
+
+    ways = [phase(law, [a, speed], [-a, speed], (T, T), parameters=1) for a, T in ((-0.3, 0.4), (0.3, 1.1))]
+    box = {"p_lower": np.zeros(1), "p_upper": np.full(1, 1e3), "p_scale": np.full(1, 10.0)}
+    problem = Problem(tuple(ways), ("stiffness",), **box, links=links)
+    lines = [
+        PhaseGuess(T, lambda s, a=a: np.array([a - 2 * a * s, 0 * s]), lambda s: 0 * s[None])
+        for a, T in ((-0.3, 0.4), (0.3, 1.1))
+    ]
+    return solve(problem, Guess(tuple(lines), np.full(1, 20.0)), 20, scheme("lobatto", 4), TIGHT)
+
+
+def test_a_cycle_at_the_natural_frequency_needs_no_push():
+    """x = A sin(ω t) passes −b and b in 0.4 s, and turns on both sides in the other 1.1 s: ω = 2π/1.5, so k = 2 ω². With a stop at both
+    ends, as at any other frequency, it needs a push."""
+    cycle = oscillator((Link(0, 1, (1,)), Link(1, 0, (1,))))
+    omega = 2 * np.pi / 1.5
+    assert cycle.cost < 1e-10
+    assert cycle.parameters[0] == pytest.approx(2 * omega**2, rel=1e-5)  # h⁶ for h = 1.1/20
+    amplitude = 0.3 / np.sin(0.2 * omega)
+    speed = amplitude * omega * np.cos(0.2 * omega)
+    for i in range(2):
+        np.testing.assert_allclose(cycle.at(i, np.array([0.0, 1.0]))[0][1], speed, rtol=1e-5)
+    assert np.abs(cycle.at(1, np.linspace(0, 1, 201))[0][0]).max() == pytest.approx(amplitude, rel=1e-4)
+    rest = oscillator((), speed=0.0)
+    assert rest.cost > 1
+    np.testing.assert_allclose(rest.at(0, np.array([0.0, 1.0]))[0][1], 0, atol=1e-12)

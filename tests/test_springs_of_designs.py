@@ -479,7 +479,7 @@ def test_no_bound_over_all_motions_where_a_clutched_spring_acts():
 def test_a_clutch_needs_an_arm_at_rest():
     springs = spring_bounds(replace(PAPER, springs=CPEA), "CPEA")
     with pytest.raises(UserError, match="clutched_spring needs an arm that is at rest between the phases"):
-        CoDesign(PAPER, springs, at_rest=False)
+        CoDesign(replace(PAPER, speeds=("rest", "moving")), springs)
 
 
 def test_both_springs_across_two_joints_have_names_of_their_own():

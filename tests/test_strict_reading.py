@@ -129,6 +129,7 @@ DRIVE = {
     ("key", "value"),
     [
         *((key, value) for key in ("torque_constant_Nm_per_A", "c_1_A_per_Nm", "resistance_Ohm") for value in (0, -1)),
+        *(("regeneration", value) for value in (-0.1, 1.1, "all")),
         *((key, -1) for key in ("c_0_A", "viscous_A_s_per_rad", "inertia_A_s2_per_rad")),
         *(("c_12_A_per_Nm", value) for value in (0.1, -0.1)),
         *(("c_0_A", value) for value in (1e10, 10**400, "1", False, None)),

@@ -116,6 +116,20 @@ def test_paper_preset_is_what_facts_say():
     np.testing.assert_array_equal(task.full(np.array([[1.0, 2], [3, 4]])), [[0, 0], [1, 2], [3, 4]])
 
 
+def test_an_end_that_is_passed_at_speed_needs_less_time(tmp_path):
+    """Joint 3 turns by w = 54.66° at 90 °/s and 180 °/s². From rest to rest half a second each, over 22.5°, is for acceleration and
+    braking, the rest at full speed; with one end at speed one of both; with two it takes w/v = 0.61 s."""
+    way = elbow(0.15)[0] * 2 - elbow(0.40)[0] * 2
+    for moving in (0, 1, 2):
+        needed = (2 - moving) * 0.5 + (way - (2 - moving) * 22.5) / 90
+        ends = dict.fromkeys(("release__speed", "start__speed")[:moving], "moving")
+        task = load_task(task_file(tmp_path, duration_s=[0.2, needed + 1e-3], **ends))
+        assert task.speeds == ("moving" if moving > 1 else "rest", "moving" if moving else "rest")
+        assert task.at_rest == (moving == 0)
+        with pytest.raises(UserError, match=f"joint3 needs {needed:.2f} s"):
+            load_task(task_file(tmp_path, duration_s=[0.2, needed - 1e-3], **ends))
+
+
 def test_elbow_up_is_chosen_where_both_fit(tmp_path):
     both = {"limits__joint2__range_deg": [-180, 180], "limits__joint3__range_deg": [-180, 180]}
     task = load_task(task_file(tmp_path, **both))
@@ -175,6 +189,10 @@ WRONG = {
     ),
     "three angles": ({"start": {"angles_deg": [1, 1, 1]}}, "start.angles_deg: found .*; one number per moving joint"),
     "angles and position": ({"start": {"angles_deg": [1, 1], "position_m": [1, 1, 1]}}, 'either "angles_deg" or "position_m"'),
+    "speed at an end": (
+        {"start": {"angles_deg": [75, -150], "speed": "fast"}},
+        "speed: found 'fast'; allowed are 'rest', 'moving', 'free'",
+    ),
     "too little time": ({"duration_s": [0.2, 1.0]}, r"the task cannot be done: joint3 needs 1\.11 s .* allows 1 s"),
     "below the floor": ({"floor_m": 0.1}, r"at the start the tool stands 0\.0700 m high, below floor_m = 0.1 m"),
     "negative payload": ({"payload_kg": -1}, "payload_kg: found -1; a finite number from 0 to 10000"),

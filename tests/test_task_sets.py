@@ -22,6 +22,7 @@ from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_task_set
 from rrr_oc.codesign.transfer import repaired
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
+from rrr_oc.optimal_control.problem import Link
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.transcription import Transcription
@@ -124,6 +125,14 @@ def test_derivatives_of_the_joint_problem_are_exact(objective, payload):
     np.testing.assert_allclose(jacobian, central(lambda v: np.array(f["nlp"](v, d)[1]).ravel()), **close)
     hessian = np.array(ca.triu2symm(ca.DM(f["hess_lag"](w, d, 2.0, lam))))
     np.testing.assert_allclose(hessian, central(lagrangian_gradient), **close)
+
+
+def test_a_task_of_a_set_may_be_a_cycle():
+    """Its own two phases are linked, and no others."""
+    cycle = replace(PAPER, name="cycle", speeds=("moving", "moving"))
+    design = set_of(PAPER, cycle)
+    assert design.problem.links == (Link(3, 2, (2, 3)), Link(2, 3, (2, 3)))
+    assert design.problem.chains == ((0,), (1,), (2, 3))
 
 
 def test_the_objective_of_the_joint_problem_is_that_of_the_set():

@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Guess, Link, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import solve
@@ -135,7 +135,8 @@ def phase(name: str, nx: int, nu: int, ng: int, seed: int, **changes) -> Phase:
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    """Two phases of different sizes, two parameters, one datum, three design inequalities (one of them linear)."""
+    """Two phases of different sizes and scales with three links, two parameters, one datum, three design inequalities (one of them
+    linear)."""
     p, d = ca.SX.sym("p", 2), ca.SX.sym("d", 1)
     design = ca.Function("design", [p, d], [ca.vertcat(p[0] * p[1] ** 2 - d, ca.exp(p[0]) - 3, p[0] - p[1])])
     return Problem(
@@ -148,6 +149,7 @@ def problem() -> Problem:
         design=design,
         designs=("product", "growth", "difference"),
         cost_scale=7.0,
+        links=(Link(0, 1, (0, 1)), Link(1, 0, (1,))),
     )
 
 
@@ -195,6 +197,11 @@ def test_program_is_what_a_plain_loop_says(problem, method):
                 rows.append((x1 - x0 - h * sum(b * r[0] for b, r in zip(method.b, rates, strict=True))) / ph.x_scale)
             rows += [r[2] for r in rates]
     rows.append(np.array([p[0] * p[1] ** 2 - 0.9, np.exp(p[0]) - 3, p[0] - p[1]]))
+    go, back = (value[block.nodes] for block in t.blocks)
+    rows += [
+        (go[:2, -1] - back[:2, 0]) / problem.phases[0].x_scale,
+        (back[1:2, -1] - go[1:2, 0]) / problem.phases[1].x_scale[1:2],
+    ]
     f, g = t.functions["nlp"](w, d)
     assert float(f) == pytest.approx(cost / problem.cost_scale, rel=1e-12)  # rounding of some hundred additions
     np.testing.assert_allclose(np.array(g).ravel(), np.concatenate(rows), atol=1e-12)
@@ -316,7 +323,9 @@ def test_row_names_are_found_by_disturbing_rows(problem, method):
     w, d, _, _ = point(t)
     base = np.array(t.functions["nlp"](w, d)[1]).ravel()
     names = [t.row_name(row) for row in range(base.size)]
-    assert names[-3:] == ["product", "growth", "difference"]
+    assert names[-6:-3] == ["product", "growth", "difference"]
+    assert names[-3:] == ["go x0 from 'go' to 'back'", "go x1 from 'go' to 'back'", "back x1 from 'back' to 'go'"]
+    np.testing.assert_array_equal(np.array(t.row_bounds)[:, -6:], [[-np.inf] * 3 + [0] * 3, [0] * 6])
     for index, ph in enumerate(problem.phases):
         for output, words in ((0, [f"the motion of {s} " for s in ph.states]), (2, [f"{g} " for g in ph.paths])):
             for row, name in enumerate(words):
@@ -342,7 +351,7 @@ def test_path_constraints_stand_once_at_every_point(problem, method):
     defects = [r for r in range(lower.size) if t.row_name(r).startswith("the motion")]
     assert not lower[defects].any()
     assert not upper[defects].any()
-    np.testing.assert_array_equal((lower[-3:], upper[-3:]), ([-np.inf] * 3, [0] * 3))
+    np.testing.assert_array_equal((lower[-6:-3], upper[-6:-3]), ([-np.inf] * 3, [0] * 3))
 
 
 def test_uniform_mesh(problem):
@@ -399,3 +408,18 @@ def test_the_greatest_of_a_group_is_minimised_and_groups_are_added(groups, speed
     np.testing.assert_allclose(found.sample(0, np.array([0.3]))[3], speed, atol=1e-4)
     error = mesh_error(found)
     assert error.quadrature < 1e-7  # of IPOPT
+
+
+def test_chains_are_what_links_join():
+    p = Problem(tuple(phase(str(i), 2, 1, 0, i) for i in range(5)), ("a", "b"), *np.ones((3, 2)))
+    assert p.chains == ((0,), (1,), (2,), (3,), (4,))
+    linked = replace(p, links=(Link(3, 1, (0,)), Link(4, 4, (1,)), Link(0, 3, (1,))))
+    assert linked.chains == ((0, 1, 3), (2,), (4,))
+    alone = linked.alone((0, 1, 3))
+    assert [ph.name for ph in alone.phases] == ["0", "1", "3"]
+    assert alone.links == (Link(2, 1, (0,)), Link(0, 2, (1,)))
+    assert linked.alone((4,)).links == (Link(0, 0, (1,)),)
+    with pytest.raises(UserError, match="a link names phase 5; there are 5, from 0"):
+        replace(p, links=(Link(0, 5, (0,)),))
+    with pytest.raises(UserError, match="a link names state 2 of phase '0', which has 2"):
+        replace(p, links=(Link(0, 1, (2,)),))

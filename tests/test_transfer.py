@@ -1,4 +1,5 @@
-"""Optima in a calibrated twin: without friction the engine gives the motion's own cost, with it both routes mean what they say."""
+"""Optima in a calibrated twin, and with drives under two controls: without friction the engine gives the motion's own cost, with it all
+routes mean what they say."""
 
 from dataclasses import replace
 
@@ -10,6 +11,7 @@ from recorded import Plant, as_set, record
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.driven import DrivenArm, Followed, follow
 from rrr_oc.codesign.optimum import SAVED, SampledMotion
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
@@ -18,6 +20,7 @@ from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.report.design_report import transfer_table
 from rrr_oc.robot.drives import load_actuators
+from rrr_oc.simulation.engine_model import K_P
 
 
 def calibrated(dry=0.0, viscous=0.0, armature=0.0):
@@ -137,3 +140,69 @@ def test_what_was_found_of_another_spring_does_not_come_along(moved, name):
     check_transfer(design, scaled)
     for one, other in zip(*(reference_phases(design, motion, theta, m) for m in (start, scaled)), strict=True):
         np.testing.assert_array_equal(one.feed_forward, other.feed_forward)
+
+
+# with drives, under two controls
+
+
+@pytest.fixture(scope="module")
+def arm(moved):
+    design, _, theta = moved
+    drives = load_actuators(design.task.joints)
+    return DrivenArm(design, theta, replace(drives, resistance=np.array([1.0, 1.5]), regeneration=np.array([0.0, 0.3])))
+
+
+@pytest.fixture(scope="module")
+def followed(arm, moved) -> dict[str, Followed]:
+    worse, motion = replace(arm, payload=1.1, friction=1.3), moved[1]
+    return {
+        "P": follow(arm, motion, "P"),
+        "feed-forward": follow(arm, motion, "feed-forward"),
+        "P, other arm": follow(worse, motion, "P"),
+        "feed-forward, other arm": follow(worse, motion, "feed-forward", arm),
+    }
+
+
+def test_with_feed_forward_the_motors_do_what_the_equations_say(arm, moved, followed):
+    """E1 of the plan, and its energy by Eq. 7 to 11, from the engine's motor torque alone."""
+    motion, drives, energy = moved[1], arm.drives, 0.0
+    for k in motion.phases():
+        current = [
+            np.array(drives.current(*column)).astype(float).ravel()
+            for column in zip(motion.dq[:, k].T, motion.ddq[:, k].T, motion.tau_load[:, k].T, strict=True)
+        ]
+        power = drives.resistance[:, None] * np.square(current).T + drives.torque_constant[:, None] * motion.dq[
+            :, k
+        ] * np.transpose(current)
+        counted = np.maximum(power, 0) - drives.regeneration[:, None] * np.maximum(-power, 0)
+        energy += np.trapezoid(counted.sum(axis=0), motion.t[k])
+    found = followed["feed-forward"]
+    planned = motion.metrics().E1_total
+    assert pytest.approx(planned, rel=2e-3) == found.E1  # 400 samples a phase
+    assert found.energy == pytest.approx(energy, rel=2e-3)
+    assert found.rms_error < 1e-4
+    assert not found.saturated
+
+
+def test_p_control_lags_by_the_motor_torque_over_its_gain(arm, moved, followed):
+    """k_p (q_ref − q) is the whole torque; the motion is slow enough that the lag hardly changes it."""
+    squares, time = 0.0, 0.0
+    for phase in moved[1].by_phase(arm.design.task):
+        lag = arm.motor_torque(phase)[1:] / K_P
+        squares, time = squares + np.trapezoid((lag**2).mean(axis=0), phase.t), time + phase.t[-1]
+    assert followed["P"].rms_error == pytest.approx(np.sqrt(squares / time), rel=0.1)
+    assert followed["P"].end_error > 100 * followed["feed-forward"].end_error
+
+
+def test_an_arm_unlike_the_known_one_is_followed_less_well(followed):
+    for control in ("P", "feed-forward"):
+        assert followed[f"{control}, other arm"].energy > 1.1 * followed[control].energy
+        assert followed[f"{control}, other arm"].rms_error > followed[control].rms_error
+    assert followed["feed-forward, other arm"].rms_error < 0.5 * followed["P, other arm"].rms_error
+
+
+def test_an_unknown_control_is_refused(arm, moved):
+    with pytest.raises(UserError, match="control is 'PID'; allowed are P, feed-forward"):
+        follow(arm, moved[1], "PID")
+    with pytest.raises(UserError, match="resistance_Ohm of joint2, joint3"):
+        follow(replace(arm, drives=load_actuators(arm.design.task.joints)), moved[1], "P")

@@ -160,14 +160,15 @@ def _hardware_bounds(design: CoDesign, kkt: Kkt) -> Iterator[_Bound]:
 def _motion_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
     """Limits of range, speed and acceleration: the multipliers of all instants together."""
     t, task = solution.transcription, design.task
+    fixed = np.flatnonzero(t.bounds[0] == t.bounds[1])
     force = solution.lam_w / t.scale * solution.problem.cost_scale
     for j, joint in enumerate(task.joints):
         for kind, unit, row, limits in (
             ("range", "rad", j, (task.lower[j], task.upper[j])),
             ("speed", "rad/s", len(task.moving) + j, (-task.speed[j], task.speed[j])),
         ):
-            # a state's variables at all nodes and stages but the phase's fixed ends
-            inner = [np.setdiff1d(np.r_[b.nodes[row], b.stage_x[row].ravel()], b.nodes[row, [0, -1]]) for b in t.blocks]
+            # a state's variables at all nodes and stages but those that the task fixes
+            inner = [np.setdiff1d(np.r_[b.nodes[row], b.stage_x[row].ravel()], fixed) for b in t.blocks]
             for side, sign, value in zip(("lower", "upper"), (-1, 1), limits, strict=True):
                 yield f"the {side} {kind} limit of {joint}", value, unit, _positive(sign * force, inner)
         controls = [np.unique(b.controls[j]) for b in t.blocks]

@@ -12,11 +12,14 @@ from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Phase, Problem
+from rrr_oc.optimal_control.problem import Link, Phase, Problem
 from rrr_oc.robot.drives import Actuators
 
 COSTS = ("load", "motor", "energy")
 FLOOR = "height of the tool"
+# [W/rad] width over which drawn power gives way to returned power, by the springs' width; doubled, solves are easier and further off
+POWER_WIDTH = 10.0
+NARROW = 1e-3  # [rad] springs' width where none is given, by which that of power follows
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
 
@@ -40,9 +43,9 @@ class CoDesign:
     Attributes:
         task: The task.
         springs: With their bounds, which `with_fixed` narrows. Known effects, added by `with_physics`, come last.
-        cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11.
+        cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11,
+            in which the power that flows back counts as far as the actuators keep it.
         actuators: Of the moving joints; needed for "motor" and "energy".
-        at_rest: Whether the arm is at rest at both ends of each phase.
         scenarios: Cases in which springs and motion must do; of several, the cost is that of the worst, and limits of torque hold in
             each.
     """
@@ -51,7 +54,6 @@ class CoDesign:
     springs: tuple[SpringBounds, ...]
     cost: str = "load"
     actuators: Actuators | None = None
-    at_rest: bool = True
     scenarios: tuple[Scenario, ...] = (Scenario(),)
 
     def __post_init__(self) -> None:
@@ -62,7 +64,7 @@ class CoDesign:
         if self.cost == "energy" and self.actuators is not None:
             self.actuators.check_resistance()
         clutched = [s.effect.name for s in self.springs if s.effect.acts_in]
-        if clutched and not self.at_rest:
+        if clutched and not self.task.at_rest:
             raise UserError(f"{clutched[0]} needs an arm that is at rest between the phases, where its clutch opens and closes")
 
     @cached_property
@@ -81,25 +83,32 @@ class CoDesign:
 
     @property
     def data_names(self) -> tuple[str, ...]:
-        """Names of the problem's data: payload, smoothing widths, hardware bounds."""
+        """Names of the problem's data: payload, smoothing widths of the springs and of power, hardware bounds."""
         widths = [f"width of {self.model.label(e)}" for e in self.model.effects if e.width is not None]
+        power = ["width of power"] if self.cost == "energy" else []
         bounded = [(s, q) for s in self.springs if s.hardware for q in s.form.quantities]
         hardware = [f"{s.form.name(q, s.effect.joints)} {side}" for s, q in bounded for side in ("lower", "upper")]
-        return ("payload", *widths, *hardware)
+        return ("payload", *widths, *power, *hardware)
 
     def data(self, width: float | None = None) -> np.ndarray:
-        """Values of the problem's data, all smoothing widths [rad] set to `width` if given."""
+        """Values of the problem's data, all smoothing widths [rad] set to `width` if given, that of power [W] in proportion."""
         widths = self.model.widths if width is None else np.full(self.model.widths.size, width)
+        power = [POWER_WIDTH * (NARROW if width is None else width)] if self.cost == "energy" else []
         hardware = [bound for s in self.springs for bounds in s.hardware.values() for bound in bounds]
-        return np.r_[self.task.payload, widths, hardware]
+        return np.r_[self.task.payload, widths, power, hardware]
 
     @cached_property
     def problem(self) -> Problem:
-        """The optimal-control problem: states q, dq of the moving joints, controls their accelerations."""
+        """The optimal-control problem: states q, dq of the moving joints, controls their accelerations.
+
+        Phase i starts at the task's end i; where the arm moves there, its speed is that at the end of the other phase.
+        """
         lower = np.concatenate([np.zeros(0), *[s.lower for s in self.springs]])
         upper = np.concatenate([np.zeros(0), *[s.upper for s in self.springs]])
         labels = [(f"{'known ' if s.known else ''}{self.model.label(s.effect)}", s.effect.parameters) for s in self.springs]
         design, designs = self._design()
+        m = len(self.task.moving)
+        speeds = tuple(range(m, 2 * m))
         return Problem(
             phases=tuple(self._phase(i) for i in range(len(PHASES))),
             parameters=tuple(f"{label}.{p.name}" for label, parameters in labels for p in parameters),
@@ -111,12 +120,13 @@ class CoDesign:
             designs=designs,
             cost_scale=self._holding_cost(),
             groups=(0,) * len(self.scenarios),
+            links=tuple(Link(1 - i, i, speeds) for i, speed in enumerate(self.task.speeds) if speed == "moving"),
         )
 
     def _phase(self, index: int) -> Phase:
         task, m = self.task, len(self.task.moving)
-        start, end = task.ends(index)
-        rest = np.zeros(m) if self.at_rest else np.full(m, np.nan)
+        ends = zip(task.ends(index), task.speeds[:: 1 if index == 0 else -1], strict=True)
+        start, end = (np.r_[angles, np.full(m, 0.0 if speed == "rest" else np.nan)] for angles, speed in ends)
         speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
         peak = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed)
         limited, floor = np.flatnonzero(np.isfinite(task.torque)), int(np.isfinite(task.floor))
@@ -129,8 +139,8 @@ class CoDesign:
             x_upper=np.r_[task.upper, task.speed],
             u_lower=-task.acceleration,
             u_upper=task.acceleration,
-            start=np.r_[start, rest],
-            end=np.r_[end, rest],
+            start=start,
+            end=end,
             duration=task.duration,
             x_scale=np.r_[np.ones(m), np.ones(m)],
             u_scale=peak,
@@ -150,7 +160,8 @@ class CoDesign:
             for at, value in scenario.theta:
                 theta[at] = value
             torques.append(self._load_torque(x[:m], x[m:], u, payload, theta, widths)[0])
-        costs = ca.vertcat(*[self.cost_rate(x[m:], u, tau) for tau in torques])
+        power_width = d[1 + self.model.widths.size] if self.cost == "energy" else 0.0
+        costs = ca.vertcat(*[self.cost_rate(x[m:], u, tau, power_width) for tau in torques])
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for tau in torques for i in limited])
         if np.isfinite(task.floor):
             path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m], self.task.locked)))
@@ -167,17 +178,21 @@ class CoDesign:
         full[list(self.task.moving)] = moving
         return full
 
-    def cost_rate(self, dq: ca.SX, ddq: ca.SX, tau: ca.SX) -> ca.SX:
-        """The cost's rate at speeds, accelerations and load torques of the moving joints, (m,) each, in the cost's unit per second."""
+    def cost_rate(self, dq: ca.SX, ddq: ca.SX, tau: ca.SX, width: ca.SX | float) -> ca.SX:
+        """The cost's rate at speeds, accelerations and load torques of the moving joints, (m,) each, in the cost's unit per second.
+
+        Args:
+            width: Over which drawn power gives way to returned power [W].
+        """
         if self.cost == "load" or self.actuators is None:
             return ca.sumsqr(tau)
         if self.cost == "motor":
             return ca.sumsqr(self.actuators.motor_torque(dq, ddq, tau))
-        return ca.sum1(self.actuators.power(dq, ddq, tau))
+        return ca.sum1(self.actuators.power(dq, self.actuators.current(dq, ddq, tau), width))
 
     def _design(self) -> tuple[ca.Function | None, tuple[str, ...]]:
         p, d = ca.SX.sym("p", len(self.model.parameters)), ca.SX.sym("d", len(self.data_names))
-        rows, names, at, offset = [], [], 0, 1 + self.model.widths.size
+        rows, names, at, offset = [], [], 0, len(self.data_names) - 2 * sum(len(s.hardware) for s in self.springs)
         for spring in self.springs:
             size = len(spring.effect.parameters)
             if spring.hardware:

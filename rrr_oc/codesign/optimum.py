@@ -17,6 +17,7 @@ from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Solution
 from rrr_oc.simulation.engine_model import Form, Settings, twin
+from rrr_oc.simulation.engine_model import Start as StartOfPhase
 from rrr_oc.simulation.tracking import Reference, Tracked, track
 
 SAVED = ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload")  # arrays of a saved design's motion
@@ -202,7 +203,13 @@ def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form
 
     thetas = [design.engaged(i, solution.parameters) for i in range(len(PHASES))]
     references = motion.references(design.task, thetas, load)
-    return track(model, references, solution.parameters, settings=Settings(effects=form), widths=widths)
+    settings = Settings(effects=form, start=start_of(design.task))
+    return track(model, references, solution.parameters, settings=settings, widths=widths)
+
+
+def start_of(task: Task) -> StartOfPhase:
+    """How each phase of a task starts in a simulation: where the one before ended, unless the speed may differ."""
+    return "reference" if "free" in task.speeds else "continue"
 
 
 def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = None) -> dict[str, Any]:

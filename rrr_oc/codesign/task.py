@@ -31,6 +31,7 @@ from rrr_oc.schema import (
 
 PRESETS = ("paper", "prototype", "more_springs", "further_springs")
 PHASES = ("go", "return")
+Speed = Literal["rest", "moving", "free"]
 
 
 class Tool(Schema, frozen=True):
@@ -46,15 +47,18 @@ class Tool(Schema, frozen=True):
 
 
 class End(Schema, frozen=True):
-    """Where a phase starts or ends: either of both keys.
+    """Where a phase starts or ends, by angles or by position.
 
     Attributes:
         angles_deg: Angles of the moving joints, in their order.
         position_m: Position of the tool in the base frame.
+        speed: Whether the arm rests there; or moves, at the end of one phase as at the start of the next; or has any speed before and
+            any other after, as in the code of the paper's authors ("free").
     """
 
     angles_deg: tuple[float, ...] | None = None
     position_m: Position | None = None
+    speed: Speed = "rest"
 
     def __post_init__(self) -> None:
         if (self.angles_deg is None) == (self.position_m is None):
@@ -128,7 +132,7 @@ class TaskFile(Schema, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Carry a payload from start to release (phase "go"), and come back without it ("return"); at rest at both ends of each.
+    """Carry a payload from start to release (phase "go"), and come back without it ("return"), again and again.
 
     Attributes:
         name: Name in reports.
@@ -145,6 +149,7 @@ class Task:
         floor: Height that the tool stays above [m], against gravity; -infinity where nothing stands below.
         springs: The springs that a design may use, as in the file, with the rows of tables that stand in files of their own.
         locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
+        speeds: Of the arm at start and release, as in the file.
         files: The files that it was read from.
     """
 
@@ -164,6 +169,7 @@ class Task:
     floor: float
     springs: tuple[Mapping[str, Any], ...]
     locked: tuple[float, ...] = ()
+    speeds: tuple[Speed, Speed] = ("rest", "rest")
     files: tuple[Path, ...] = ()
 
     @property
@@ -179,6 +185,11 @@ class Task:
     def ends(self, phase: int) -> tuple[np.ndarray, np.ndarray]:
         """Angles at the start and at the end of a phase [rad]."""
         return (self.start, self.release) if phase == 0 else (self.release, self.start)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm is at rest at both ends of each phase."""
+        return self.speeds == ("rest", "rest")
 
     def model(self, effects: Sequence = ()) -> Model:
         """The whole arm with these effects."""
@@ -235,6 +246,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         floor=given.floor_m,
         springs=springs,
         locked=_locked(where, robot, given),
+        speeds=(given.start.speed, given.release.speed),
         files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
         **_limits(where, robot, given),
     )
@@ -275,11 +287,12 @@ def _with_tables(
 
 def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
     """Raise `UserError` where the limits leave no motion: too little time for the way, or an end below the floor."""
+    rests = task.speeds.count("rest")  # ends at which a motion starts or stops
     for joint, way, speed, acceleration in zip(
         task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
     ):
-        ramp = speed / acceleration if np.isfinite(acceleration) else 0.0  # time to full speed
-        needed = way / speed + ramp if way > (speed * ramp if ramp else 0.0) else 2 * np.sqrt(way / acceleration)
+        lost = rests * speed / acceleration / 2 if rests and np.isfinite(acceleration) else 0.0  # time at less than full speed
+        needed = way / speed + lost if not lost or way > speed * lost else np.sqrt(2 * rests * way / acceleration)
         if needed > task.duration[1]:
             raise UserError(
                 f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}° at "

@@ -8,7 +8,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.optimum import SampledMotion, describe
+from rrr_oc.codesign.optimum import SampledMotion, describe, start_of
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.effects import Body
 from rrr_oc.errors import UserError
@@ -87,7 +87,9 @@ def describe_transfer(
     """
     task, arm = design.task, _calibrated_arm(design, calibrated, theta)
     references = reference_phases(design, motion, theta, calibrated)
-    tracked = track(arm.model, references, arm.theta, settings=Settings(effects="native"), widths=arm.widths)
+    tracked = track(
+        arm.model, references, arm.theta, settings=Settings(effects="native", start=start_of(task)), widths=arm.widths
+    )
     return {
         "engine": describe(design, tracked.metrics, task.moving),
         "eq10": None if drives is None else describe(design, _by_eq10(tracked, drives, task.moving)),

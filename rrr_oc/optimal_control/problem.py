@@ -1,7 +1,7 @@
 """Optimal-control problems of several phases: cost, dynamics, bounds, and starting points."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -69,6 +69,20 @@ class Phase:
             raise UserError(f"{where}durations {self.duration} must be positive, finite and not crossed")
 
 
+@dataclass(frozen=True)
+class Link:
+    """States that are the same at the end of one phase and at the start of another, or of the same one, which makes it periodic.
+
+    Attributes:
+        before, after: Indices of the phases.
+        states: Indices of the states.
+    """
+
+    before: int
+    after: int
+    states: tuple[int, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Minimise a cost: the integral of the cost rates, summed over the phases.
@@ -84,6 +98,7 @@ class Problem:
         designs: Names of these inequalities.
         cost_scale: Typical magnitude of the cost.
         groups: For each cost the index of its group.
+        links: States that phases have in common.
     """
 
     phases: tuple[Phase, ...]
@@ -96,6 +111,22 @@ class Problem:
     designs: tuple[str, ...] = ()
     cost_scale: float = 1.0
     groups: tuple[int, ...] = (0,)
+    links: tuple[Link, ...] = ()
+
+    @property
+    def chains(self) -> tuple[tuple[int, ...], ...]:
+        """Indices of the phases that links join, directly or through others; two chains share nothing but the parameters."""
+        chain = list(range(len(self.phases)))
+        for link in self.links:
+            joined = {chain[link.before], chain[link.after]}
+            chain = [min(joined) if c in joined else c for c in chain]
+        return tuple(tuple(i for i, c in enumerate(chain) if c == first) for first in sorted(set(chain)))
+
+    def alone(self, chain: tuple[int, ...]) -> "Problem":
+        """The problem of one chain, without the inequalities on the parameters."""
+        own = [link for link in self.links if link.before in chain]
+        links = tuple(Link(chain.index(link.before), chain.index(link.after), link.states) for link in own)
+        return replace(self, phases=tuple(self.phases[i] for i in chain), links=links, design=None, designs=())
 
     def cost(self, costs: np.ndarray) -> float:
         """What is minimised, from the costs: the sum over the groups of the greatest in each."""
@@ -108,11 +139,23 @@ class Problem:
         for phase in self.phases:
             if unknown := [k for k in phase.costs if not 0 <= k < len(self.groups)]:
                 raise UserError(f"phase {phase.name!r} adds to cost {unknown[0]}; there are {len(self.groups)}, from 0")
+        for link in self.links:
+            self._check_link(link)
         if np.shape(self.p_scale) != (len(self.parameters),):
             raise UserError(f"p_scale has shape {np.shape(self.p_scale)}, and there are {len(self.parameters)} parameters")
         _check_bounds("", "p", self.parameters, self.p_lower, self.p_upper)
         if self.design is not None and self.design.numel_out(0) != len(self.designs):
             raise UserError(f"design returns {self.design.numel_out(0)} inequalities, and there are {len(self.designs)} names")
+
+    def _check_link(self, link: Link) -> None:
+        for i in (link.before, link.after):
+            if not 0 <= i < len(self.phases):
+                raise UserError(f"a link names phase {i}; there are {len(self.phases)}, from 0")
+            for state in link.states:
+                if not 0 <= state < len(self.phases[i].states):
+                    raise UserError(
+                        f"a link names state {state} of phase {self.phases[i].name!r}, which has {len(self.phases[i].states)}"
+                    )
 
 
 def _check_bounds(where: str, kind: str, names: tuple[str, ...], lower: np.ndarray, upper: np.ndarray) -> None:

@@ -125,7 +125,7 @@ class Transcription:
 
     @cached_property
     def row_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of the constraints, phase by phase, then the design's, then those of the costs."""
+        """Bounds of the constraints, phase by phase, then the design's, those of the links, and those of the costs."""
         sides = [], []
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
             first, paths = self._defects(phase), len(phase.paths)
@@ -134,8 +134,20 @@ class Transcription:
                 if self.scheme.shares_first:  # the node's constraint stands once, with the interval before it
                     rows[first : first + paths, 1:] = none
                 side.append(rows.ravel(order="F"))
-        last = len(self.problem.designs) + self.leveled
-        return np.concatenate([*sides[0], np.full(last, -np.inf)]), np.concatenate([*sides[1], np.zeros(last)])
+        designs, links = len(self.problem.designs), len(self._linked[0])
+        least = np.r_[np.full(designs, -np.inf), np.zeros(links), np.full(self.leveled, -np.inf)]
+        return np.concatenate([*sides[0], least]), np.concatenate([*sides[1], np.zeros(least.size)])
+
+    @cached_property
+    def _linked(self) -> tuple[np.ndarray, np.ndarray]:
+        """Variables that links set equal: those before and those after."""
+        pairs = [
+            (self.blocks[link.before].nodes[state, -1], self.blocks[link.after].nodes[state, 0])
+            for link in self.problem.links
+            for state in link.states
+        ]
+        before, after = np.array(pairs, int).reshape(-1, 2).T
+        return before, after
 
     def row_name(self, row: int) -> str:
         """The name of a constraint and its instant, for messages."""
@@ -146,8 +158,14 @@ class Transcription:
                 motion = f"the motion of {phase.states[local % len(phase.states)]}"
                 name = motion if path < 0 else phase.paths[path % len(phase.paths)]
                 return f"{name} at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
-        row -= self.blocks[-1].rows.stop
-        return self.problem.designs[row] if row < len(self.problem.designs) else f"cost {row - len(self.problem.designs) + 1}"
+        phases, links = self.problem.phases, self.problem.links
+        ends = [
+            f"{phases[link.before].states[i]} from {phases[link.before].name!r} to {phases[link.after].name!r}"
+            for link in links
+            for i in link.states
+        ]
+        names = [*self.problem.designs, *ends, *(f"cost {k + 1}" for k in range(self.leveled))]
+        return names[row - self.blocks[-1].rows.stop]
 
     @property
     def path_rows(self) -> list[tuple[str, np.ndarray]]:
@@ -220,6 +238,7 @@ class Transcription:
             both = self.scale[gather[i]] * self.scale[gather[j]]
             hessian.add(np.minimum(gather[i], gather[j]), np.maximum(gather[i], gather[j]), values * ca.DM(both))
         self._add_design(value, d, lam_g, rows, jacobian, hessian)
+        self._add_links(value, rows, jacobian)
         cost, gradient = self._objective(w, costs, gradients, rows, jacobian)
         total_rows, triu = self.row_bounds[0].size, hessian.matrix(self.size, self.size)
         g, jac = ca.vertcat(*rows), jacobian.matrix(total_rows, self.size)
@@ -246,6 +265,17 @@ class Transcription:
         jacobian.add(first + np.arange(levels.size), levels, ca.MX(ca.DM(-np.ones(levels.size))))
         own = np.where(np.arange(self.size) >= self.size - self.levels, 1.0, 0.0)
         return ca.sum1(w[-self.levels :]), ca.MX(ca.DM(own))
+
+    def _add_links(self, value, rows, jacobian) -> None:
+        """Rows that hold linked states equal, each divided by its scale."""
+        before, after = self._linked
+        if not before.size:
+            return
+        at = self.blocks[-1].rows.stop + len(self.problem.designs) + np.arange(before.size)
+        unit = self.scale[before]
+        rows.append((value[before.tolist()] - value[after.tolist()]) / ca.DM(unit))
+        jacobian.add(at, before, ca.MX(ca.DM(self.scale[before] / unit)))
+        jacobian.add(at, after, ca.MX(ca.DM(-self.scale[after] / unit)))
 
     def _add_design(self, value, d, lam_g, rows, jacobian, hessian) -> None:
         design = self.problem.design

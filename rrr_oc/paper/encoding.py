@@ -134,7 +134,7 @@ class Encoding:
         """Candidates of vectors (K, size)."""
         drawn, durations, via = self.split(self.values(np.atleast_2d(x)))
         points = self._with_ends(via)
-        cubics = [akima.cubics(list(phase), self.design.at_rest) for phase in points]
+        cubics = [akima.cubics(list(phase), self.design.task.at_rest) for phase in points]
         return Candidates(
             from_drawn(self.design.springs, drawn), durations, np.moveaxis(np.array(cubics), 2, 0)
         )  # (phases, intervals, 4, m, K)

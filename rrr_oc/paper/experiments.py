@@ -7,6 +7,7 @@ Ways: "evolution" (the paper's protocol, in MuJoCo or in the analytic model), "m
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_sim
 from rrr_oc.codesign.search.multistart import Start, solve_multistart, starts_to_reach
 from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, motion_guess
 from rrr_oc.codesign.springs import spring_bounds
-from rrr_oc.codesign.task import PHASES, Task, load_task
+from rrr_oc.codesign.task import PHASES, Speed, Task, load_task
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Encoding, load_torque
 from rrr_oc.paper.evolution import Protocol, evolve
@@ -28,12 +29,12 @@ from rrr_oc.paper.published import published_springs
 from rrr_oc.paper.run_store import Run
 
 EXPERIMENTS = ("SA", "PEA", "BPEA", "PEA+BPEA", "PEA*", "BPEA*", "PEA+BPEA*")
-ENDS = ("rest", "free")
+ENDS: tuple[Speed, ...] = ("rest", "free")
 GRADIENT = {"multistart": (LAYERS[0],), "cma-ipopt": (LAYERS[1],)}
 PER_INTERVAL = 30  # samples of a candidate's motion between two path points
 
 
-def experiment(task: Task, name: str, ends: str = "rest") -> CoDesign:
+def experiment(task: Task, name: str, ends: Speed = "rest") -> CoDesign:
     """One of the paper's experiments.
 
     A starred one has the stiffnesses and pulleys that the paper bought (Table 4); equilibria, motion and durations are free.
@@ -45,7 +46,7 @@ def experiment(task: Task, name: str, ends: str = "rest") -> CoDesign:
         raise UserError(
             f"there is no experiment {name!r} with ends {ends!r}; there are {', '.join(EXPERIMENTS)}, and {', '.join(ENDS)}"
         )
-    design = CoDesign(task, spring_bounds(task, name.rstrip("*")), at_rest=ends == "rest")
+    design = CoDesign(replace(task, speeds=(ends, ends)), spring_bounds(task, name.rstrip("*")))
     if not name.endswith("*"):
         return design
     bought = published_springs(name)
@@ -183,7 +184,7 @@ def stored_motion(run: Run) -> SampledMotion:
 def candidate_motion(encoding: Encoding, x: np.ndarray) -> SampledMotion:
     """A candidate's motion with exact springs, sampled densely; where the acceleration jumps, both values stand at one time."""
     design, candidate = encoding.design, encoding.decode(x[None])
-    bare = CoDesign(design.task, (), at_rest=design.at_rest)
+    bare = CoDesign(design.task, ())
     m, s = len(design.task.moving), np.linspace(1e-9, 1 - 1e-9, PER_INTERVAL)
     q, dq, ddq = candidate.motion(s)
     load = load_torque(design, candidate.theta, q, dq, ddq)

@@ -143,7 +143,7 @@ class RestrictedDesign:
     def _path(self, i: int, T: ca.MX, via: ca.MX, width: Any) -> "_Path":
         design, h = self.encoding.design, T / (self.encoding.via + 1)
         start, end = (ca.MX(x) for x in design.task.ends(i))
-        cubics = akima.cubics([start, *ca.horzsplit(via), end], design.at_rest, width)
+        cubics = akima.cubics([start, *ca.horzsplit(via), end], design.task.at_rest, width)
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
         samples = [akima.motion(c, (s + 1) / 2, h) for c in cubics for s in nodes]
         between = [akima.motion(c, s, h) for c in cubics for s in (0, 0.25, 0.5, 0.75, 1)]

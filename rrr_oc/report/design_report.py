@@ -47,6 +47,7 @@ def report(summary: dict[str, Any]) -> str:
         f"# Co-design of springs and motion, preset `{summary['preset']}`\n",
         f"Cost: {summary['cost']}. Seed {summary['seed']}, {summary['starts']} starts a configuration, "
         f"{summary['wall_s']:.0f} s.\n",
+        *[f"{sentence}\n" for sentence in ends_in_words(summary)],
         "## Optima\n",
         markdown(*optima_table(found, quantity, summary["paper"])),
         *_idle(found),
@@ -65,6 +66,19 @@ def report(summary: dict[str, Any]) -> str:
     if (transferred := transfer_table(found)) is not None:
         parts += ["\n## In the twin calibrated on recordings\n", f"{TRANSFERRED}\n", markdown(*transferred)]
     return "\n".join(parts)
+
+
+def ends_in_words(summary: Mapping[str, Any]) -> list[str]:
+    """What a reader should know of a task whose ends are not both at rest, a sentence each."""
+    speeds = summary.get("speeds", {})
+    said = {
+        "moving": "The arm does not stop at the {}: its speed there is the same at the end of one phase as at the start of the next.",
+        "free": "The speed at the {} is free at the end of one phase and at the start of the next, and may jump between them.",
+    }
+    sentences = [said[speed].format(end) for end, speed in speeds.items() if speed in said]
+    if sentences:
+        sentences.append("No bound over all motions is stated: its proof needs an arm that rests at both ends.")
+    return sentences
 
 
 def _idle(found: dict) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc import __version__
-from rrr_oc.codesign.design_problem import COST_UNITS
+from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
 from rrr_oc.codesign.optimum import profiles
 from rrr_oc.codesign.springs import configurations, saved_springs
 from rrr_oc.codesign.study import Study
@@ -54,11 +54,12 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
     cost = study.asked["cost"]
     summary = {
         "preset": study.task.name,
-        "cost": COSTS[cost],
+        "cost": cost_in_words(next(iter(study.designs.values()))[0]),
         "quantity": [QUANTITIES[cost], COST_UNITS[cost]],
         "paper": study.published is not None,
         "joints": list(study.task.robot.joints),
         "limits": plain(limits(study.task)),
+        "speeds": dict(zip(("start", "release"), study.task.speeds, strict=True)),
         "command": command,
         "seed": study.options.seed,
         "starts": study.options.starts,
@@ -87,7 +88,7 @@ def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, co
         "tasks": plain(of_tasks),
         "objective": tasks.objective,
         "uncertain": {"payload": tasks.payload, "model": list(tasks.model)},
-        "cost": COSTS[study.cost],
+        "cost": cost_in_words(next(iter(study.designs.values()))[0].first),
         "quantity": [QUANTITIES[study.cost], COST_UNITS[study.cost]],
         "joints": list(first.robot.joints),
         "moving": list(first.joints),
@@ -104,6 +105,15 @@ def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, co
         draw_set(made)
         write_set_page(made)
     return summary, text
+
+
+def cost_in_words(design: CoDesign) -> str:
+    """What a study minimises, and of energy how much of the power that flows back is kept."""
+    if design.cost != "energy" or design.actuators is None:
+        return COSTS[design.cost]
+    kept = zip(design.actuators.joints, design.actuators.regeneration, strict=True)
+    shares = ", ".join(f"{100 * share:g} % ({joint})" for joint, share in kept)
+    return f"{COSTS['energy']}, of power that flows back {shares} kept"
 
 
 @contextmanager

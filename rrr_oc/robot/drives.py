@@ -11,7 +11,7 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp
-from rrr_oc.schema import NonNegative, Positive, Schema, read_preset
+from rrr_oc.schema import NonNegative, Positive, Schema, Share, read_preset
 
 STEEPNESS = 20.0  # [s/rad], of tanh in place of the sign, as in the authors' code
 LOAD_WIDTH = 0.05  # [Nm] within which |tau_l| is rounded; doubled, friction at small loads is smoother and larger
@@ -29,6 +29,7 @@ class Drive(Schema, frozen=True):
         c_12_A_per_Nm: Friction by load torque, less than c_1 in magnitude.
         inertia_A_s2_per_rad: Inertia of rotor and gear, J_m of Eq. 7.
         resistance_Ohm: Of the windings; electrical energy needs it.
+        regeneration: Share of the power flowing back from the drive that is kept; the rest is lost, as in a brake resistor.
     """
 
     torque_constant_Nm_per_A: Positive
@@ -39,6 +40,7 @@ class Drive(Schema, frozen=True):
     c_12_A_per_Nm: float
     inertia_A_s2_per_rad: NonNegative
     resistance_Ohm: Positive = math.nan
+    regeneration: Share = 1.0
 
     def __post_init__(self) -> None:
         if abs(self.c_12_A_per_Nm) >= self.c_1_A_per_Nm:  # Eq. 10 divides by c_1 ± c_12
@@ -60,6 +62,7 @@ class Actuators:
         torque_constant: Motor torque at the output by current [Nm/A], (m,).
         c_0: [A]. viscous: nu [A s/rad]. c_v2: [A s²/rad²]. c_1, c_12: [A/Nm]. inertia: J_m [A s²/rad]. All (m,).
         resistance: Of the windings [Ω], (m,); NaN where unknown.
+        regeneration: Share of the power flowing back from each drive that is kept [1], (m,).
         form: "dissipative" or "printed".
     """
 
@@ -72,6 +75,7 @@ class Actuators:
     c_12: np.ndarray
     inertia: np.ndarray
     resistance: np.ndarray
+    regeneration: np.ndarray
     form: str = "dissipative"
 
     def current(self, dq, ddq, tau_load) -> ca.SX:
@@ -107,11 +111,26 @@ class Actuators:
         """tau_a = k_t I (m,) [Nm]."""
         return ca.SX(self.torque_constant) * self.current(dq, ddq, tau_load)
 
-    def power(self, dq, ddq, tau_load) -> ca.SX:
-        """Electrical power U I of each drive (m,) [W] (Eq. 8, whose integral is Eq. 11)."""
+    def power(self, dq, current, width) -> ca.SX:
+        """Electrical power of each drive (m,) [W], R I² + k_t dq I (Eq. 8, whose integral is Eq. 11).
+
+        What flows back counts as far as it is kept: max(P, 0) − regeneration · max(−P, 0). Each drive counts by itself: what one gives
+        back, no other one draws.
+
+        Args:
+            width: Of the smooth ramp in the place of max [W]; 0 is exact.
+        """
         self.check_resistance()
-        amperes = self.current(dq, ddq, tau_load)
-        return ca.SX(self.resistance) * amperes**2 + ca.SX(self.torque_constant) * ca.SX(dq) * amperes
+        flowing = ca.SX(self.resistance) * current**2 + ca.SX(self.torque_constant) * ca.SX(dq) * current
+        drawn = ca.vertcat(*[ramp(one, width) for one in ca.vertsplit(flowing)])
+        kept = ca.SX(self.regeneration)
+        return kept * flowing + (1 - kept) * drawn  # because ramp(P) − ramp(−P) = P
+
+    @cached_property
+    def exact_power(self) -> ca.Function:
+        """(dq, current) -> `power`, each (m,); on numbers also (m, K)."""
+        dq, current = (ca.SX.sym(name, len(self.joints)) for name in ("dq", "current"))
+        return ca.Function("exact_power", [dq, current], [self.power(dq, current, 0.0)])
 
     def check_resistance(self) -> None:
         """Raise `UserError` where a winding resistance, which electrical power needs, is unknown."""

@@ -1,9 +1,9 @@
-"""The best motions for given springs. Phases share nothing but the springs, so each is searched alone; a phase has few local
-optima, and IPOPT ends in one of them within some hundredths of a second."""
+"""The best motions for given springs. Chains of phases share nothing but the springs, so each is searched alone: every phase where the
+arm rests in between, and both together where it moves on. A chain has few local optima, and IPOPT ends in one of them within some
+hundredths of a second."""
 
 import uuid
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,53 +20,53 @@ COARSE, FINE = 0, 1  # meshes
 VIAS = (1, 2)  # points of the proposed paths, in turn: one makes a swing out and back, two make finer ones
 STRETCHES = (0.85, 0.92, 1.08, 1.15)  # [1] factors on a duration that a hop tries; with steps twice as large it skips optima
 LEADING = (4, 2)  # motions from which hops start, on each mesh; doubled, twice as many hops find a little more
-FOLLOWED = 12  # motions of a phase that are followed to the fine mesh, since the coarse one misjudges long ones; doubled, slower and surer
+FOLLOWED = 12  # motions of a chain that are followed to the fine mesh, since the coarse one misjudges long ones; doubled, slower and surer
 HOPS = 3  # rounds of hops at most; doubled, the search takes longer where every one finds a better motion
 LEAST_GAIN = 1e-4  # [1] relative decrease of the cost below which a round of hops is the last one
 AT_ONCE = 4  # solves of one call; doubled, fewer calls, which are shared out less evenly
-Motions = list[list[Optimum]]  # distinct local optima of each phase, cheapest first
+Motions = list[list[Optimum]]  # distinct local optima of each chain of phases, cheapest first
 
 
-class PhaseSolver:
-    """Solves each phase alone with fixed springs, on the coarse mesh and on the fine one.
+class ChainSolver:
+    """Solves each chain of phases alone with fixed springs, on the coarse mesh and on the fine one.
 
     Attributes:
-        solvers: For each phase, that of each mesh.
+        solvers: For each chain, that of each mesh.
         data: The problem's data for each mesh: the springs are wide on the coarse one.
     """
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
         meshes = ((options.coarse, Options(tolerance=1e-6, iterations=100)), (options.fine, Options(barrier=1e-6)))
         self.solvers = []
-        for phase in design.problem.phases:
-            alone, method = replace(design.problem, phases=(phase,), design=None, designs=()), _scheme(options)
+        for chain in design.problem.chains:
+            alone, method = design.problem.alone(chain), _scheme(options)
             transcriptions = [Transcription(alone, method, uniform_mesh(alone, n), compiled=True) for n, _ in meshes]
             self.solvers.append([Solver(t, settings) for t, (_, settings) in zip(transcriptions, meshes, strict=True)])
         self.data = [design.data(width) for width in (options.width, options.widths[-1])]
 
-    def solve(self, mesh: int, phase: int, parameters: np.ndarray, starts: Sequence[np.ndarray]) -> list[Solution | None]:
+    def solve(self, mesh: int, chain: int, parameters: np.ndarray, starts: Sequence[np.ndarray]) -> list[Solution | None]:
         """The optima to which some starts lead, without multipliers; None where IPOPT finds none."""
-        solver, data = self.solvers[phase][mesh], self.data[mesh]
+        solver, data = self.solvers[chain][mesh], self.data[mesh]
         found = [solver.solve(w, data, check=False, parameters=(parameters, parameters)) for w in starts]
-        return [self.solution(mesh, phase, s.cost, s.w) if s.status == SOLVED else None for s in found]
+        return [self.solution(mesh, chain, s.cost, s.w) if s.status == SOLVED else None for s in found]
 
-    def solution(self, mesh: int, phase: int, cost: float, w: np.ndarray) -> Solution:
+    def solution(self, mesh: int, chain: int, cost: float, w: np.ndarray) -> Solution:
         """An optimum without multipliers, of its cost and scaled variables."""
-        return Solution(self.solvers[phase][mesh].transcription, w, np.empty(0), np.empty(0), cost, SOLVED, 0, 0.0)
+        return Solution(self.solvers[chain][mesh].transcription, w, np.empty(0), np.empty(0), cost, SOLVED, 0, 0.0)
 
 
 class MotionSearch:
-    """The search for the motions of a design's phases."""
+    """The search for the motions of a design's chains of phases."""
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
         self.design, self.options, self.key = design, options, uuid.uuid4().hex
-        self.solver = PhaseSolver(design, options)  # for its transcriptions; worker processes have one of their own
+        self.solver = ChainSolver(design, options)  # for its transcriptions; worker processes have one of their own
 
     def best(self, parameters: np.ndarray, skip: int, known: Motions | None = None) -> Motions:
-        """The motions of each phase with the springs of `parameters` (np,), on the fine mesh.
+        """The motions of each chain with the springs of `parameters` (np,), on the fine mesh.
 
         Proposed motions are solved on the coarse mesh, then hops over the durations of the best ones, as long as these lower a
-        phase's cost. The best are followed to the fine mesh, and hop there, too. `Optimum.reached` is the number of proposed
+        chain's cost. The best are followed to the fine mesh, and hop there, too. `Optimum.reached` is the number of proposed
         motions that led to each.
 
         Args:
@@ -82,7 +82,7 @@ class MotionSearch:
         return self._hopped(FINE, parameters, self._solved(FINE, parameters, starts))
 
     def proposed(self, parameters: np.ndarray, count: int, skip: int = 0, known: Sequence[Solution] = ()) -> Motions:
-        """The motions of each phase on the coarse mesh to which `count` proposed ones lead, the first `skip` left out, and those of
+        """The motions of each chain on the coarse mesh to which `count` proposed ones lead, the first `skip` left out, and those of
         known solutions, which may have other springs."""
         starts = [
             [(w, 1) for w in self._starts(i, parameters, count, skip)] + [(self._packed(i, s), 0) for s in known]
@@ -90,22 +90,25 @@ class MotionSearch:
         ]
         return self._solved(COARSE, parameters, starts)
 
-    def _packed(self, phase: int, solution: Solution) -> np.ndarray:
-        """Scaled variables of a solution's motion of one phase on the coarse mesh."""
+    def _packed(self, chain: int, solution: Solution) -> np.ndarray:
+        """Scaled variables of a solution's motion of one chain on the coarse mesh."""
         guess = solution.guess()
-        return self.solver.solvers[phase][COARSE].transcription.pack(Guess((guess.phases[phase],), guess.parameters))
+        phases = tuple(guess.phases[i] for i in self.design.problem.chains[chain])
+        return self.solver.solvers[chain][COARSE].transcription.pack(Guess(phases, guess.parameters))
 
-    def _starts(self, phase: int, parameters: np.ndarray, count: int, skip: int) -> list[np.ndarray]:
+    def _starts(self, chain: int, parameters: np.ndarray, count: int, skip: int) -> list[np.ndarray]:
         """Scaled variables of proposed motions on the coarse mesh."""
-        m, count, starts = len(self.design.task.moving), -(-count // len(VIAS)), []
+        phases, count, starts = self.design.problem.chains[chain], -(-count // len(VIAS)), []
         for via in VIAS:
-            for vector in sobol_points(2 + m * via, skip + count, self.options.seed)[skip:]:
-                guess = Guess((phase_guess(self.design.task, phase, vector),), parameters)
-                starts.append(self.solver.solvers[phase][COARSE].transcription.pack(guess))
+            size = 2 + len(self.design.task.moving) * via
+            for vector in sobol_points(size * len(phases), skip + count, self.options.seed)[skip:]:
+                own = zip(phases, np.split(vector, len(phases)), strict=True)
+                guess = Guess(tuple(phase_guess(self.design.task, i, part) for i, part in own), parameters)
+                starts.append(self.solver.solvers[chain][COARSE].transcription.pack(guess))
         return starts
 
     def _hopped(self, mesh: int, parameters: np.ndarray, motions: Motions) -> Motions:
-        """Motions, with those to which hops over the durations of the best ones of each phase lead."""
+        """Motions, with those to which hops over the durations of the best ones of each chain lead."""
         hopping = [True] * len(motions)
         for _ in range(HOPS):
             starts = [
@@ -122,15 +125,17 @@ class MotionSearch:
         return motions
 
     def _stretched(self, motion: Optimum) -> list[np.ndarray]:
-        """Scaled variables of a motion run through in other durations."""
-        at, (shortest, longest) = len(self.design.problem.parameters), self.design.task.duration
-        starts = [motion.solution.w.copy() for _ in STRETCHES]
-        for w, factor in zip(starts, STRETCHES, strict=True):
-            w[at] = np.clip(factor * w[at], shortest, longest)
+        """Scaled variables of a motion with one phase run through in other durations."""
+        (shortest, longest), starts = self.design.task.duration, []
+        for block in motion.solution.transcription.blocks:
+            for factor in STRETCHES:
+                w = motion.solution.w.copy()
+                w[block.duration] = np.clip(factor * w[block.duration], shortest, longest)
+                starts.append(w)
         return starts
 
     def _solved(self, mesh: int, parameters: np.ndarray, starts: Sequence[Sequence[tuple[np.ndarray, int]]]) -> Motions:
-        """The motions to which starts of each phase lead, each reached as often as its start and those of equal ones were."""
+        """The motions to which starts of each chain lead, each reached as often as its start and those of equal ones were."""
         calls = [(i, some[k : k + AT_ONCE]) for i, some in enumerate(starts) for k in range(0, len(some), AT_ONCE)]
         shared = self.key, self.design, self.options
         found = ordered(_solve, [(*shared, (mesh, i), parameters, [w for w, _ in some]) for i, some in calls])
@@ -150,8 +155,8 @@ def _solve(
     parameters: np.ndarray,
     starts: Sequence[np.ndarray],
 ) -> list[tuple[float, np.ndarray] | None]:
-    """Cost and scaled variables of what starts on a mesh of a phase lead to, `at` = (mesh, phase)."""
-    solver = once_per_process(key, lambda: PhaseSolver(design, options))
+    """Cost and scaled variables of what starts on a mesh of a chain lead to, `at` = (mesh, chain)."""
+    solver = once_per_process(key, lambda: ChainSolver(design, options))
     return [None if s is None else (s.cost, s.w) for s in solver.solve(*at, parameters, starts)]
 
 
@@ -160,10 +165,10 @@ def _scheme(options: SearchOptions):
 
 
 def combined(motions: Motions, parameters: np.ndarray, next_best: int = 2) -> list[tuple[Guess, int]]:
-    """Motions put together: the best of every phase, then those with one of the next best of one phase.
+    """Motions put together: the best of every chain, then those with one of the next best of one chain.
 
     Returns:
-        Each with the least number of starts that led to any of its motions; nothing where a phase has no motion.
+        Each with the least number of starts that led to any of its motions; nothing where a chain has no motion.
     """
     if not all(motions):
         return []
@@ -173,6 +178,6 @@ def combined(motions: Motions, parameters: np.ndarray, next_best: int = 2) -> li
     result = []
     for choice in choices:
         chosen = [some[i] for some, i in zip(motions, choice, strict=True)]
-        guess = Guess(tuple(o.solution.guess().phases[0] for o in chosen), parameters)
+        guess = Guess(tuple(phase for o in chosen for phase in o.solution.guess().phases), parameters)
         result.append((guess, min(o.reached for o in chosen)))
     return result

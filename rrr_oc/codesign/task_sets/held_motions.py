@@ -22,15 +22,17 @@ class SpringCost:
     def __init__(self, design: CoDesign, transcription: Transcription, data: np.ndarray) -> None:
         self.design, self.transcription = design, transcription
         self.widths = data[1 : 1 + design.model.widths.size]
-        self._rates = [self._rate(phase) for phase in range(len(PHASES))]
+        power = float(data[1 + self.widths.size]) if design.cost == "energy" else 0.0
+        self._rates = [self._rate(phase, power) for phase in range(len(PHASES))]
 
-    def _rate(self, phase: int) -> ca.Function:
-        """(q, dq, ddq, payload, need, p, widths) -> the cost's rate and its gradient by p."""
+    def _rate(self, phase: int, power: float) -> ca.Function:
+        """(q, dq, ddq, payload, need, p, widths) -> the cost's rate and its gradient by p; `power` is the width of power [W]."""
         design, m = self.design, len(self.design.task.moving)
         q, dq, ddq, need = (ca.SX.sym(name, m) for name in ("q", "dq", "ddq", "need"))
         p, widths = ca.SX.sym("p", len(design.problem.parameters)), ca.SX.sym("widths", self.widths.size)
         payload = ca.SX.sym("payload")
-        rate = design.cost_rate(dq, ddq, need - design.torques(q, dq, ddq, payload, design.engaged(phase, p), widths)[1])
+        load = need - design.torques(q, dq, ddq, payload, design.engaged(phase, p), widths)[1]
+        rate = design.cost_rate(dq, ddq, load, power)
         outputs = [rate, ca.densify(ca.gradient(rate, p))]
         return ca.Function("rate", [q, dq, ddq, payload, need, p, widths], outputs)
 

@@ -17,7 +17,7 @@ from rrr_oc.codesign.design_problem import CoDesign, Scenario
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES, PRESETS, End, Task, TaskFile, read_task, task_of
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.problem import Guess, Problem
+from rrr_oc.optimal_control.problem import Guess, Link, Problem
 from rrr_oc.schema import Interval, Payload, Positive, Schema, Text, check_interval, check_names, parsed, read_preset
 from rrr_oc.storage import plain, read_utf8
 
@@ -239,7 +239,12 @@ class SetDesign:
         exists = alone.design and ca.Function("design", [p, every], [alone.design(p, every[:size])])
         groups = tuple(k // cases if self.tasks.objective == "sum" else 0 for k in range(count))
         scale = self.total([design.problem.cost_scale for design in self.designs])
-        return replace(alone, phases=phases, data=self.data(), design=exists, cost_scale=scale, groups=groups)
+        links = tuple(
+            Link(len(PHASES) * t + link.before, len(PHASES) * t + link.after, link.states)
+            for t, design in enumerate(self.designs)
+            for link in design.problem.links
+        )
+        return replace(alone, phases=phases, links=links, data=self.data(), design=exists, cost_scale=scale, groups=groups)
 
     def total(self, costs: Sequence[float] | np.ndarray) -> float:
         """The objective from the tasks' costs (T,)."""
