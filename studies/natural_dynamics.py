@@ -96,7 +96,7 @@ class Run:
 
     def design(self, ends: str, cost: str, configuration: str) -> CoDesign:
         """The problem."""
-        task = replace(self.task, speeds=(ends, ends))  # pyright: ignore[reportArgumentType]
+        task = replace(self.task, speeds=(ends, ends))
         return CoDesign(task, spring_bounds(task, configuration), COSTS[cost][0], self.drives_of(cost))
 
     def drives_of(self, cost: str) -> Actuators:
@@ -198,7 +198,7 @@ def _followed(run: Run, ends: str, cost: str, name: str, found: Mapping[str, Any
     parameters = np.array(found["parameters"])
     known = DrivenArm(design, parameters, drives)
     return {
-        arm: {c: plain(asdict(follow(replace(known, payload=mass, friction=friction), motion, c, known))) for c in CONTROLS}  # pyright: ignore[reportArgumentType]
+        arm: {c: plain(asdict(follow(replace(known, payload=mass, friction=friction), motion, c, known))) for c in CONTROLS}
         for arm, (mass, friction) in ARMS.items()
     }
 

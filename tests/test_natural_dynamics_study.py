@@ -4,6 +4,7 @@ import json
 from importlib.resources import files
 
 import natural_dynamics as study
+import numpy as np
 from commands import run
 
 SMALL = ["--starts", "1", "--motions", "0", "--intervals", "10", "--tolerance", "1e-2", "--jobs", "1"]
@@ -26,8 +27,9 @@ def test_a_small_study_leaves_a_report_and_is_not_run_twice(monkeypatch, capsys,
     assert run(study, monkeypatch, *arguments) == 0
     optima = json.loads((tmp_path / "summary.json").read_text())["optima"]
     rest, moving = optima["rest load SA"], optima["moving load SA"]
-    assert moving["cost"] < 0.8 * rest["cost"]
-    assert rest["speed_at_release"] == [0, 0] != moving["speed_at_release"]
+    assert moving["cost"] < rest["cost"]
+    np.testing.assert_allclose(rest["speed_at_release"], 0, atol=1e-9)
+    assert np.abs(moving["speed_at_release"]).max() > 0.1
     for found in (rest, moving):
         planned, other = (found["followed"][arm] for arm in study.ARMS)
         assert abs(planned["feed-forward"]["E1"] / found["cost"] - 1) < 0.05  # the mesh's 10 intervals
