@@ -11,7 +11,7 @@ from typing import Any
 import casadi
 import cmeel
 from setuptools import Extension, setup
-from setuptools.command.build_py import build_py
+from setuptools.command.bdist_wheel import bdist_wheel
 
 site = Path(cmeel.__file__).parent.parent
 include = site / "cmeel.prefix" / "include"
@@ -22,19 +22,20 @@ libcasadi = str(next(casadi_dir.glob("libcasadi.so.*")))
 without_folders = f"-ffile-prefix-map={site}=site-packages"
 
 os.environ.setdefault("SOURCE_DATE_EPOCH", "1577836800")  # of all files in the wheel: the start of 2020, as good as any time
-os.umask(0o022)  # files in the wheel have the same rights whatever those of the builder's files are
 
 
-class BuildPy(build_py):
-    """Data files, too, get the rights that the umask gives, not those that they have in the builder's tree."""
+class BdistWheel(bdist_wheel):
+    """All files in the wheel have the same rights, whatever those of the builder's files are."""
 
-    def copy_file(self, infile: Any, outfile: Any, preserve_mode: bool = True, *others: Any, **named: Any) -> Any:
-        """A copy with the rights of a new file."""
-        return super().copy_file(infile, outfile, False, *others, **named)
+    def write_wheelfile(self, *arguments: Any) -> None:
+        """The last file of the wheel; then it is packed."""
+        super().write_wheelfile(*arguments)
+        for path in Path(self.bdist_dir).rglob("*"):
+            path.chmod(0o755 if path.is_dir() or path.suffix == ".so" else 0o644)
 
 
 setup(
-    cmdclass={"build_py": BuildPy},
+    cmdclass={"bdist_wheel": BdistWheel},
     ext_modules=[
         Extension(
             "rrr_oc.robot._rigid_body",
