@@ -22,7 +22,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.springs import saved_springs
-from rrr_oc.codesign.study import Request, _asked, once
+from rrr_oc.codesign.study import Request, _asked, kept_motion, once
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import check_apart
@@ -358,16 +358,31 @@ def test_files_that_belong_together_are_replaced_in_one_step(tmp_path, monkeypat
 
 
 def test_what_a_killed_process_left_is_removed(tmp_path):
-    stale, young, used, folder = (tmp_path / f".{name}.0123abcd.rrr_oc" for name in ("stale", "young", "used", "folder"))
+    stale, used, folder = (tmp_path / f".{name}.0123abcd.rrr_oc" for name in ("stale", "used", "folder"))
     folder.mkdir()
-    for path in (stale, young, used, folder / "inside", tmp_path / ".other.0123abcd.tmp"):
+    for path in (stale, used, folder / "inside", tmp_path / ".other.0123abcd.tmp"):
         path.touch()
-    for path in (stale, used, folder):
-        os.utime(path, (1e9, 1e9))
     with used.open() as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         check_folder(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {young.name, used.name, ".other.0123abcd.tmp"}
+    assert {path.name for path in tmp_path.iterdir()} == {used.name, ".other.0123abcd.tmp"}
+
+
+def test_a_temporary_file_that_another_process_removes_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    made = []
+
+    new = storage.NEW
+
+    def taken(path):
+        new(path)
+        made.append(path)
+        if len(made) == 1:
+            path.unlink()
+
+    monkeypatch.setattr(storage, "NEW", taken)
+    write_text(tmp_path / "a", "a")
+    assert len(made) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
@@ -410,14 +425,14 @@ def test_a_damaged_result_is_solved_again(tmp_path, harm):
     study = SimpleNamespace(out=tmp_path, asked={"code": "1"}, listener=SimpleNamespace(show=said.append))
 
     def solve():
-        write_npz(tmp_path / "SA.npz", {"x": np.ones(1)})
+        write_npz(kept_motion(study, "SA"), {"x": np.ones(1)})
         return {"E1": 0.1 + len(said), "interrupted": False}
 
     first, saved = once(study, "SA", solve), tmp_path / ".SA.json"
     if harm == "result":
         saved.write_text(saved.read_text().replace("0.1", "0.2"))
     elif harm == "motion":
-        (tmp_path / "SA.npz").write_bytes((tmp_path / "SA.npz").read_bytes()[:-9])
+        kept_motion(study, "SA").write_bytes(kept_motion(study, "SA").read_bytes()[:-9])
     elif harm == "settings":
         study.asked = {"code": "2"}
     elif harm:

@@ -16,7 +16,6 @@ import io
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -30,8 +29,7 @@ import numpy as np
 import typer
 from rich.progress import track
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rrr_oc.errors import entry_point
 from rrr_oc.report.tables import markdown
@@ -40,6 +38,7 @@ from validation.concealed.build import build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case
 
+ROOT = Path(__file__).resolve().parents[1]
 KILLS, OTHERS = ("killed at a moment", "killed at a change"), ("Ctrl-C", "disk full", "folder read-only", "file cut off")
 SENTENCE = {2, 130}  # exit statuses of a run that says why it ended
 CHANGE_OF_TIME = ("wall_s", "peak_MB", "versions")  # keys of JSON files that are not results
