@@ -41,8 +41,9 @@ setup(
             "rrr_oc.robot._rigid_body",
             sources=["rrr_oc/robot/_rigid_body.cpp"],
             include_dirs=[str(include), str(include / "eigen3"), str(casadi_dir / "include")],
-            # As the wheel's own CMake configuration exports them.
             define_macros=[
+                ("EIGEN_MPL2_ONLY", None),  # an error where a part of Eigen is under the LGPL
+                # As the wheel's own CMake configuration exports them.
                 ("BOOST_MPL_LIMIT_LIST_SIZE", "30"),
                 ("BOOST_MPL_LIMIT_VECTOR_SIZE", "30"),
                 ("BOOST_MPL_CFG_NO_PREPROCESSED_HEADERS", None),

@@ -16,8 +16,9 @@ import shutil
 import stat
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -87,6 +88,55 @@ def code() -> str:
     for package in RESULTS_DEPEND_ON:
         found.update(f"{package} {version(package)}\0".encode())
     return found.hexdigest()[:24]
+
+
+def hash_of(paths: Iterable[Path]) -> str:
+    """A hash of the content of files, and of all visible files in folders; a missing one counts as empty."""
+    found = hashlib.sha256()
+    for path in paths:
+        inside = sorted(p for p in path.rglob("*") if "__pycache__" not in p.parts) if path.is_dir() else [path]
+        for file in (p for p in inside if p.is_file() and not p.name.startswith(".")):
+            found.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode() + file.read_bytes())
+    return found.hexdigest()[:24]
+
+
+@dataclass(frozen=True)
+class Made:
+    """Files that a study makes once: they are taken again if they are whole and were made with the same settings, code and inputs.
+
+    Attributes:
+        files: Paths; beside the first one a hidden file says how they were made.
+        asked: Settings on which they depend, as plain data.
+        read: Files and folders on which they depend: inputs, and code outside of this package.
+    """
+
+    files: Sequence[Path]
+    asked: Any
+    read: Sequence[Path]
+
+    @property
+    def there(self) -> bool:
+        """Whether they need not be made again."""
+        return self._mark.is_file() and self._mark.read_text(encoding="utf-8") == self._written()
+
+    def keep(self) -> None:
+        """Note that they have just been made."""
+        write_text(self._mark, self._written())
+
+    def once(self, make: Callable[[], Any]) -> None:
+        """Have them made unless they are there."""
+        if not self.there:
+            make()
+            self.keep()
+
+    @property
+    def _mark(self) -> Path:
+        return self.files[0].with_name(f".{self.files[0].name}.made")
+
+    def _written(self) -> str:
+        asked = json.dumps(plain(self.asked), sort_keys=True)
+        key = hashlib.sha256(f"{code()} {hash_of(self.read)} {asked}".encode()).hexdigest()[:24]
+        return f"{key} {hash_of(self.files)}\n"
 
 
 def write_text(path: str | Path, text: str) -> None:

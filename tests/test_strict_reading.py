@@ -35,7 +35,7 @@ from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.report.console import PlainConsole
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.robot.robot import load_robot
-from rrr_oc.storage import check_file, check_folder, new_files, plain, read_npz, read_regular, write_npz, write_text
+from rrr_oc.storage import Made, check_file, check_folder, new_files, plain, read_npz, read_regular, write_npz, write_text
 
 PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
 
@@ -401,6 +401,32 @@ def test_results_of_other_code_are_not_taken(tmp_path):
         assert Run(tmp_path, {"a": 1}, "new").found is None
         assert Run(tmp_path, asked, code).found == {"E1": 1.0}
     assert Run(tmp_path, {}).code == storage.code()
+
+
+@pytest.mark.parametrize("harm", ["settings", "code", "input", "new input", "result", "second result", "mark"])
+def test_what_is_made_once_is_made_again_when_anything_has_changed(tmp_path, monkeypatch, harm):
+    files, inputs, calls = [tmp_path / "a.json", tmp_path / "b.csv"], tmp_path / "inputs", []
+    inputs.mkdir()
+    (inputs / "x").write_text("1")
+
+    def make():
+        calls.append(1)
+        for file in files:
+            file.write_text("made")
+
+    for _ in range(2):
+        Made(files, {"a": 1}, [inputs, Path("bundled")]).once(make)
+    assert calls == [1]
+    changed = {"input": inputs / "x", "new input": inputs / "y", "result": files[0], "second result": files[1]}
+    if harm == "code":
+        monkeypatch.setattr(storage, "code", lambda: "other")
+    elif harm == "mark":
+        (tmp_path / ".a.json.made").unlink()
+    elif harm != "settings":
+        changed[harm].write_text("mad")
+    Made(files, {"a": 2 if harm == "settings" else 1}, [inputs, Path("bundled")]).once(make)
+    assert calls == [1, 1]
+    assert files[1].read_text() == "made"
 
 
 def test_limits_of_the_arm_are_among_what_a_design_depends_on(tmp_path):

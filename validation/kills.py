@@ -204,7 +204,7 @@ def content(name: str, data: bytes) -> Any:
         matplotlib.image.imread(io.BytesIO(data))
         return None  # a picture of numbers that are compared
     if kind in (".html", ".md"):
-        if not data.decode().endswith("</html>\n" if kind == ".html" else "\n"):
+        if not data.decode().rstrip().endswith("</html>" if kind == ".html" else ""):
             raise ValueError(f"{name}: has no end")
         return None
     raise ValueError(f"{name}: nothing is known of such files")
