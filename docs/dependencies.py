@@ -35,11 +35,8 @@ SPELLED = {
     "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0",
     "Python Software Foundation License": "PSF-2.0",
 }
-READ_IN_FILES = {
-    "cmeel-eigen": "MPL-2.0",
-    "cmeel-qhull": "Qhull",
-    "partd": "BSD-3-Clause",
-}  # where metadata say nothing or too little
+# Where metadata say nothing or too little; of what only the build needs.
+READ_IN_FILES = {"cmeel-eigen": "MPL-2.0", "cmeel-qhull": "Qhull", "partd": "BSD-3-Clause", "setuptools": "MIT"}
 PERMISSIVE = "0BSD Apache-2.0 BSD BSD-2-Clause BSD-3-Clause BSL-1.0 CC0-1.0 ISC MIT MIT-CMU PSF-2.0 Qhull Zlib"
 PERMITS = dict.fromkeys(PERMISSIVE.split(), "permissive") | {
     "LGPL-3.0-or-later": "weak copyleft",
@@ -79,10 +76,10 @@ lie in the wheels of these versions say:
 ## What the wheel of this package contains
 
 Its Python files and data are this project's. Its extensions `_rigid_body` and `_along` are compiled with headers of Pinocchio
-(BSD-3-Clause), Boost (BSL-1.0), Eigen (MPL-2.0, unchanged; `EIGEN_MPL2_ONLY` leaves out its parts under the LGPL) and CasADi (LGPL-3.0, unchanged); templates and inline functions of these are
-in the compiled files. Whoever passes the wheel on keeps their notices: the headers, which have them, are in the distributions
-`libpinocchio`, `cmeel-boost`, `cmeel-eigen` and `casadi` of the versions below. The extensions link `libcasadi` dynamically, and can be
-compiled anew against another version.
+(BSD-3-Clause), Boost (BSL-1.0), Eigen (MPL-2.0, unchanged; `EIGEN_MPL2_ONLY` leaves out its parts under the LGPL) and CasADi (LGPL-3.0,
+unchanged); templates and inline functions of these are in the compiled files. Whoever passes the wheel on keeps their notices: the
+headers, which have them, are in the distributions `libpinocchio`, `cmeel-boost`, `cmeel-eigen` and `casadi` of the versions below. The
+extensions link `libcasadi` dynamically, and can be compiled anew against another version.
 
 ## All
 
@@ -99,7 +96,7 @@ def requirements() -> dict[str, list[Requirement]]:
 
 def reached() -> dict[str, tuple[Distribution | None, set[str]]]:
     """Every distribution that a requirement leads to, here, and the parts that need it, by canonical name; None where it is not
-    installed."""
+    installed, as what only the build needs, and gets in an environment of its own."""
     found: dict[str, tuple[Distribution | None, set[str]]] = {}
     for part, some in requirements().items():
         todo, seen = list(some), set()
@@ -113,7 +110,7 @@ def reached() -> dict[str, tuple[Distribution | None, set[str]]]:
             found.setdefault(name, (installed, set()))[1].add(part)
             if installed is not None:
                 todo += _below(installed, one.extras)
-    return dict(sorted(found.items()))
+    return {name: (None if needed == {BUILD} else one, needed) for name, (one, needed) in sorted(found.items())}
 
 
 def _installed(name: str) -> Distribution | None:

@@ -56,12 +56,10 @@ def test_only_what_the_extension_is_compiled_against_is_exact(requirement):
 
 
 def test_the_extension_is_built_with_the_versions_that_it_runs_with():
-    build = {
-        r.name: str(r.specifier)
-        for r in map(Requirement, tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"])
-    }
+    build = {r.name: str(r.specifier) for r in dependencies.requirements()[dependencies.BUILD]}
     run = {r.name: str(r.specifier) for r in FOR_USERS}
     assert {name: build[name] for name in COMPILED_AGAINST} == {name: run[name] for name in COMPILED_AGAINST}
+    assert build == {name: f"=={dependencies.pinned()[name]}" for name in build}
 
 
 def test_the_citation_names_this_version():
@@ -91,7 +89,6 @@ REACHED = dependencies.reached()
 
 @pytest.mark.parametrize("name", REACHED)
 def test_all_that_is_installed_is_pinned_in_the_version_that_is_installed(name):
-    """With `pip check`, so that nothing else can have been installed in the place of what was tested."""
     installed, parts = REACHED[name]
     if installed is None:
         assert parts == {dependencies.BUILD}
@@ -118,5 +115,5 @@ def test_an_unknown_licence_is_refused():
         metadata = Message()
 
     Made.metadata["License-Expression"] = "MIT AND GPL-3.0-only"
-    with pytest.raises(UserError, match="made: its licence is 'MIT AND GPL-3.0-only'; docs/dependencies.py knows 0BSD"):
+    with pytest.raises(UserError, match=r"made: its licence is 'MIT AND GPL-3.0-only'; docs/dependencies\.py knows 0BSD"):
         dependencies.licence("made", cast(Any, Made))
