@@ -41,7 +41,7 @@ from validation.concealed.write import write_case
 ROOT = Path(__file__).resolve().parents[1]
 KILLS, OTHERS = ("killed at a moment", "killed at a change"), ("Ctrl-C", "disk full", "folder read-only", "file cut off")
 SENTENCE = {2, 130}  # exit statuses of a run that says why it ended
-CHANGE_OF_TIME = ("wall_s", "peak_MB", "versions")  # keys of JSON files that are not results
+NO_RESULTS = ("wall_s", "seconds", "peak_MB")  # keys of JSON files
 LONGEST = 600.0  # [s] of a run
 KEPT = ("cases/", "oracle/")  # folders in which a study keeps what it has done; they may hold old and new files side by side
 SECONDS = 8.0  # of a recording
@@ -177,9 +177,11 @@ def _wait_for_children(session: int) -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Visible files of results by their names; with `TEMPORARY` ones, but not those in which a run keeps what it has done."""
-    found = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found if not path.name.startswith(".")}
+    """Visible files by their names; hidden ones are temporary, or those in which a run keeps what it has done."""
+    every = {path.relative_to(folder): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        name.as_posix(): path.read_bytes() for name, path in every.items() if not any(p.startswith(".") for p in name.parts)
+    }
 
 
 def temporary(folder: Path) -> list[str]:
@@ -213,7 +215,7 @@ def content(name: str, data: bytes) -> Any:
 def _results(data: Any) -> Any:
     """Plain data without times and memory."""
     if isinstance(data, dict):
-        return {key: _results(value) for key, value in data.items() if key not in CHANGE_OF_TIME}
+        return {key: _results(value) for key, value in data.items() if key not in NO_RESULTS}
     return [_results(value) for value in data] if isinstance(data, list) else data
 
 
