@@ -107,18 +107,18 @@ DESIGN += ["--tolerance", "1e-2", "--catalogue", "none", "--quiet", "--out", "ou
 DIAGNOSE = ["--jobs", "1", "--quiet", "--out", "out"]
 STUDY = [str(ROOT / "studies" / "concealed_physics.py"), "--jobs", "1", "--out", "out", "--cases"]
 SUBJECTS = (
-    Subject("rrr-oc design", [*DESIGN, "--intervals", "10", "--jobs", "1"], [*DESIGN, "--intervals", "8", "--jobs", "2"], 0.3),
+    Subject("rrr-oc design", [*DESIGN, "--intervals", "10", "--jobs", "1"], [*DESIGN, "--intervals", "8", "--jobs", "2"], 0.16),
     Subject(
         "rrr-oc calibrate",
         ["-m", "rrr_oc", "calibrate", "old/clean/data", "--quiet", "--out", "out"],
         ["-m", "rrr_oc", "calibrate", "new/clean/data", "--quiet", "--out", "out"],
-        0.3,
+        0.4,
     ),
     Subject(
         "rrr-oc diagnose",
         ["-m", "rrr_oc", "diagnose", "old/clean/data", *DIAGNOSE],
         ["-m", "rrr_oc", "diagnose", "new/clean/data", *DIAGNOSE],
-        0.2,
+        0.24,
     ),
     Subject("concealed_physics.py", [*STUDY, "old"], [*STUDY, "new"], 0.2),
 )
