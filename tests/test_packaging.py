@@ -1,6 +1,7 @@
 """The package's metadata against the repository and what is installed: constraints and licences of dependencies, the cited version,
 the hooks and `make lint`."""
 
+import importlib.util
 import re
 import subprocess
 import sys
@@ -60,6 +61,15 @@ def test_the_extension_is_built_with_the_versions_that_it_runs_with():
     run = {r.name: str(r.specifier) for r in FOR_USERS}
     assert {name: build[name] for name in COMPILED_AGAINST} == {name: run[name] for name in COMPILED_AGAINST}
     assert build == {name: f"=={dependencies.pinned()[name]}" for name in build}
+
+
+@pytest.mark.parametrize("module", ["robot._rigid_body", "numerics._along", "numerics._stepping"])
+def test_a_compiled_extension_does_not_name_the_folder_where_it_was_compiled(module):
+    """Else its bytes, and the wheel's, are others in every build; see docs/supply_chain.md."""
+    found = importlib.util.find_spec(f"rrr_oc.{module}")
+    assert found is not None
+    named = re.findall(rb"/[\w./-]*(?:site-packages|cmeel\.prefix|include)/[\w./-]+", Path(found.origin or "").read_bytes())
+    assert [path for path in named if not path.startswith(b"/cmeel.prefix")] == []
 
 
 def test_the_citation_names_this_version():
