@@ -21,7 +21,7 @@ from rrr_oc.storage import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "licences.md"
-RUN, BUILD, ALL = "run", "build", "test"  # the parts beside extras; the extra that has all others
+RUN, BUILD = "run", "build"  # the parts beside extras
 TOPIC = re.compile(r"(?!License )[A-Z][A-Za-z ]+ :: ")  # of a classifier that is not about licences
 # What metadata of distributions say in place of an SPDX expression.
 SPELLED = {
@@ -160,7 +160,7 @@ def page() -> str:
             raise UserError(f"{name} is not installed; `make test` makes an environment with all extras")
         expression = licence(name, installed)
         kind = " and ".join(sorted({PERMITS[part] for part in parts(expression)}))
-        needing = [RUN] if RUN in needed else [part for part in (*requirements(),) if part in needed]
+        needing = [RUN] if RUN in needed else [part for part in requirements() if part in needed]
         rows.append([f"`{name}`", version, expression, kind, ", ".join(needing)])
         if kind != "permissive":
             copyleft.append(f"- `{name}`: {expression}, for {', '.join(needing)}")

@@ -32,7 +32,7 @@ TEMPORARY = re.compile(r"\..*\.[0-9a-f]{8}\.rrr_oc", re.DOTALL)  # names of what
 RESULTS_DEPEND_ON = ("casadi", "cma", "mujoco", "numpy", "pin", "scipy")
 SHOWN_BY = ("commands", "report")  # folders of this package that show results and compute none
 LARGEST = 2_000_000_000  # [bytes] of a file that is read; doubled, a file of this size may take all memory of a small machine
-NEW = partial(Path.touch, exist_ok=False)
+NEW = partial(Path.touch, exist_ok=False)  # makes a file that must not be there yet
 
 
 def read_regular(path: str | Path) -> bytes:
@@ -117,7 +117,7 @@ class Made:
     @property
     def there(self) -> bool:
         """Whether they need not be made again."""
-        return self._mark.is_file() and self._mark.read_text(encoding="utf-8") == self._written()
+        return self._mark.is_file() and self._mark.read_bytes() == self._written().encode()
 
     def keep(self) -> None:
         """Note that they have just been made."""
