@@ -104,6 +104,7 @@ def series(**changes):
         (("noise", "joint1"), -1.0, "noise.joint1: found -1.0; a finite number of 0 or more"),
         (("robot", "inertial", "link1", 0), -2.0, "robot.inertial.link1: found [-2.0"),
         (("robot", "inertial", "link2", 9), 9.0, "robot.inertial.link2: found ["),
+        (("robot", "inertial", "link3", 0), 1e-300, "robot.inertial.link3: found [1e-300"),  # its centre would overflow
         (("robot", "inertial", "link3"), "heavy", "robot.inertial.link3: found 'heavy'"),
         (("gravity",), [0, 0, -1e300], "gravity[2]: found -1e+300"),
     ],
