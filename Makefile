@@ -11,7 +11,7 @@ SHORT = tests/test_akima.py tests/test_robot.py tests/test_rigid_body.py tests/t
   tests/test_recordings.py tests/test_importers.py tests/test_cli.py tests/test_metrics.py tests/test_solver.py \
   tests/test_rollout.py tests/test_evolution.py
 
-.PHONY: study test test-lowest docs lint
+.PHONY: study test test-lowest docs lint wheel
 study: $(VENV)/installed
 	$(VENV)/bin/python studies/pea_bpea.py $(ARGS)
 
@@ -24,6 +24,10 @@ test-lowest: $(LOWEST)/installed
 
 docs: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict $(ARGS)
+
+# The wheel of the last commit, its proof and its list of ingredients, in build/wheel.
+wheel:
+	PYTHON="$(PYTHON)" .ci/wheel $(SHORT)
 
 lint: $(VENV)/installed
 	$(VENV)/bin/ruff check .

@@ -4,9 +4,13 @@ A program says where its calls run, once, by `with workers(jobs, where)`; the fu
 take no such argument, and what they compute does not depend on it. Outside of `workers` they run one after the other.
 """
 
+import os
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
+from functools import cache
+from threading import Thread
 from typing import Any, TypeVar, cast
 
 import joblib
@@ -18,6 +22,7 @@ _T = TypeVar("_T")
 LOCAL = "local"
 SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error; doubled, a wrong address takes longer
 DEATHS = 3  # of worker processes with no call done between them, from which on a call is taken to be what kills them
+WATCH = 1.0  # [s] between two looks of a worker process whether its program still runs; doubled, it may outlive it by as much
 _made: dict[str, Any] = {}  # the one value of this process that `once_per_process` keeps
 
 
@@ -68,11 +73,11 @@ def _numbered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterato
     """(number, result) of each call as it finishes. Calls that were lost with a worker process are made again."""
     left, deaths = dict(enumerate(arguments)), 0
     if len(left) == 1:
-        yield _call(0, function, left[0])
+        yield _call(os.getpid(), 0, function, left[0])
         return
     while left:
         pool = joblib.Parallel(return_as="generator_unordered", batch_size=cast(Any, 1))
-        calls = [joblib.delayed(_call)(number, function, a) for number, a in left.items()]
+        calls = [joblib.delayed(_call)(os.getpid(), number, function, a) for number, a in left.items()]
         try:
             for number, found in cast(Iterator[Any], pool(calls)):
                 del left[number]
@@ -85,10 +90,24 @@ def _numbered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterato
                 raise UserError(f"{reason}; fewer --jobs need less") from None
 
 
-def _call(number: int, function: Callable, arguments: Sequence[Any]) -> tuple[int, Any]:
-    """One call, while other processes use the other cores."""
+def _call(program: int, number: int, function: Callable, arguments: Sequence[Any]) -> tuple[int, Any]:
+    """One call of the program of a process number, while other processes use the other cores."""
+    if os.getppid() == program:  # else this process is the program, or a worker of a cluster
+        _end_with(program)
     with one_thread(), joblib.parallel_config(backend="sequential"):
         return number, function(*arguments)
+
+
+@cache
+def _end_with(program: int) -> None:
+    """Have this worker process end when its program was killed; by itself it would wait for further calls for minutes."""
+
+    def watch() -> None:
+        while os.getppid() == program:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

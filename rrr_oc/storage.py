@@ -14,12 +14,12 @@ import re
 import secrets
 import shutil
 import stat
-import time
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -29,10 +29,10 @@ import numpy as np
 from rrr_oc.errors import UserError
 
 TEMPORARY = re.compile(r"\..*\.[0-9a-f]{8}\.rrr_oc", re.DOTALL)  # names of what is being written
-YOUNG = 5.0  # [s] after which a temporary file is surely locked by who writes it; doubled, it is removed later
 RESULTS_DEPEND_ON = ("casadi", "cma", "mujoco", "numpy", "pin", "scipy")
 SHOWN_BY = ("commands", "report")  # folders of this package that show results and compute none
 LARGEST = 2_000_000_000  # [bytes] of a file that is read; doubled, a file of this size may take all memory of a small machine
+NEW = partial(Path.touch, exist_ok=False)  # makes a file that must not be there yet
 
 
 def read_regular(path: str | Path) -> bytes:
@@ -88,6 +88,55 @@ def code() -> str:
     for package in RESULTS_DEPEND_ON:
         found.update(f"{package} {version(package)}\0".encode())
     return found.hexdigest()[:24]
+
+
+def hash_of(paths: Iterable[Path]) -> str:
+    """A hash of the content of files, and of all visible files in folders; a missing one counts as empty."""
+    found = hashlib.sha256()
+    for path in paths:
+        inside = sorted(p for p in path.rglob("*") if "__pycache__" not in p.parts) if path.is_dir() else [path]
+        for file in (p for p in inside if p.is_file() and not p.name.startswith(".")):
+            found.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode() + file.read_bytes())
+    return found.hexdigest()[:24]
+
+
+@dataclass(frozen=True)
+class Made:
+    """Files that a study makes once: they are taken again if they are whole and were made with the same settings, code and inputs.
+
+    Attributes:
+        files: Paths; beside the first one a hidden file says how they were made.
+        asked: Settings on which they depend, as plain data.
+        read: Files and folders on which they depend: inputs, and code outside of this package.
+    """
+
+    files: Sequence[Path]
+    asked: Any
+    read: Sequence[Path]
+
+    @property
+    def there(self) -> bool:
+        """Whether they need not be made again."""
+        return self._mark.is_file() and self._mark.read_bytes() == self._written().encode()
+
+    def keep(self) -> None:
+        """Note that they have just been made."""
+        write_text(self._mark, self._written())
+
+    def once(self, make: Callable[[], Any]) -> None:
+        """Have them made unless they are there."""
+        if not self.there:
+            make()
+            self.keep()
+
+    @property
+    def _mark(self) -> Path:
+        return self.files[0].with_name(f".{self.files[0].name}.made")
+
+    def _written(self) -> str:
+        asked = json.dumps(plain(self.asked), sort_keys=True)
+        key = hashlib.sha256(f"{code()} {hash_of(self.read)} {asked}".encode()).hexdigest()[:24]
+        return f"{key} {hash_of(self.files)}\n"
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -166,9 +215,8 @@ def _check_place(folder: Path) -> None:
     while not folder.exists():
         folder = folder.parent
     _remove_stale(folder)
-    probe = _beside(folder / "probe")
-    probe.open("xb").close()
-    probe.unlink()
+    with _temporary(folder / "probe", NEW):
+        pass
 
 
 @cache
@@ -181,10 +229,8 @@ def _remove_stale(folder: Path) -> None:
 
 
 def _remove_unused(path: Path) -> None:
-    """Remove a temporary file or folder unless a process has its lock, or may be about to."""
+    """Remove a temporary file or folder unless a process has its lock."""
     with suppress(OSError):  # that of others, or one that has just gone
-        if time.time() - path.lstat().st_mtime < YOUNG:
-            return
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -197,15 +243,38 @@ def _remove_unused(path: Path) -> None:
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Others see that a temporary file or folder is in use while the block runs, where the file system has locks."""
-    descriptor = os.open(path, os.O_RDONLY)
+def _temporary(path: Path, make: Callable[[Path], Any]) -> Iterator[Path]:
+    """A file or folder that `make` makes under an unused hidden name beside a path, so that renaming stays within one file system; what
+    is left of it after the block is removed. Others see that it is in use, where the file system has locks."""
+    while True:
+        temporary = path.absolute().with_name(f".{path.name}.{secrets.token_hex(4)}.rrr_oc")
+        make(temporary)
+        descriptor = _locked(temporary)
+        if descriptor is not None:
+            break
     try:
-        with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
+        yield temporary
     finally:
         os.close(descriptor)
+        if temporary.is_dir():
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                temporary.unlink()
+
+
+def _locked(path: Path) -> int | None:
+    """A descriptor that holds the lock of a new file or folder; None where another process has removed it as unused before that."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return None
+    with suppress(OSError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    if path.exists():
+        return descriptor
+    os.close(descriptor)
+    return None
 
 
 def _to_disk(folder: Path) -> None:
@@ -222,21 +291,16 @@ def _to_disk(folder: Path) -> None:
 def new_file(path: str | Path) -> Iterator[BinaryIO]:
     """A file to fill, which gets its name when the block ends without an error and is removed after an error."""
     path = Path(path)
-    temporary = _beside(path)
-    try:
-        with _as_user_error(path):
-            _check_replaceable(path)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _remove_stale(path.absolute().parent)
-            with temporary.open("xb") as file, _locked(temporary):
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-                os.replace(temporary, path)
-            _to_disk(path.absolute().parent)
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+    with _as_user_error(path):
+        _check_replaceable(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_stale(path.absolute().parent)
+        with _temporary(path, NEW) as temporary, temporary.open("r+b") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+            os.replace(temporary, path)
+        _to_disk(path.absolute().parent)
 
 
 @contextmanager
@@ -249,17 +313,11 @@ def new_folder(folder: str | Path) -> Iterator[Path]:
     with _as_user_error(folder):
         if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
             raise UserError(f"{folder}: exists already; give a new or an empty folder")
-    temporary = _beside(folder)
-    try:
-        with _as_user_error(folder):
-            temporary.mkdir(parents=True)
+        with _temporary(folder, partial(Path.mkdir, parents=True)) as temporary:
             _remove_stale(temporary.parent)
-            with _locked(temporary):
-                yield temporary
-                os.replace(temporary, folder)
-            _to_disk(temporary.parent)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            yield temporary
+            os.replace(temporary, folder)
+        _to_disk(folder.absolute().parent)
 
 
 @contextmanager
@@ -273,29 +331,17 @@ def new_files(folder: str | Path, patterns: Sequence[str]) -> Iterator[Path]:
     with _as_user_error(folder):
         folder.mkdir(parents=True, exist_ok=True)
         _remove_stale(folder)
-    temporary = _beside(folder / "new")
-    try:
-        with _as_user_error(folder):
-            temporary.mkdir()
-            with _locked(temporary):
-                yield temporary
-                new = sorted(temporary.iterdir())
-                for path in new:
-                    _check_replaceable(folder / path.name)
-                for path in {old for pattern in patterns for old in folder.glob(pattern) if old.is_file()}:
-                    path.unlink()
-                _to_disk(folder)
-                for path in new:
-                    os.replace(path, folder / path.name)
+        with _temporary(folder / "new", Path.mkdir) as temporary:
+            yield temporary
+            new = sorted(temporary.iterdir())
+            for path in new:
+                _check_replaceable(folder / path.name)
+            for path in {old for pattern in patterns for old in folder.glob(pattern) if old.is_file()}:
+                path.unlink()
             _to_disk(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _beside(path: Path) -> Path:
-    """An unused hidden name in the same folder, so that renaming stays within one file system."""
-    path = path.absolute()
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.rrr_oc")
+            for path in new:
+                os.replace(path, folder / path.name)
+        _to_disk(folder)
 
 
 @contextmanager

@@ -4,8 +4,8 @@
     python studies/concealed_physics.py --cases cases --out results/concealed
 
 The diagnosis of a case is given its `data` folder alone and is written to `out/cases/<id>.json` when it is whole, so that a run
-that was interrupted goes on where it was. `unseen`, recordings of other motions, serve to compare predictions afterwards. The truth
-is opened when no diagnosis is left to do, or with --score-only.
+that was interrupted goes on where it was; results of other recordings or other code are made anew. `unseen`, recordings of other
+motions, serve to compare predictions afterwards. The truth is opened when no diagnosis is left to do, or with --score-only.
 
 An effect counts as named where name and joint are right of what the diagnosis lists (of a single effect: lists first), or of
 what it says cannot be told from that, or where what it lists is, by the plant's own Jacobian, equal to the truth on these data.
@@ -52,7 +52,7 @@ from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.console import wide_console
 from rrr_oc.report.figures import save_figure
 from rrr_oc.report.tables import markdown
-from rrr_oc.storage import write_json, write_text
+from rrr_oc.storage import Made, write_json, write_text
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -136,12 +136,14 @@ def without_nan(x: Any) -> Any:
 
 
 def run_all(what: str, function: Callable[..., str], arguments: Mapping[str, Sequence[Any]], out: Path) -> None:
-    """Call a function for the cases that have no result yet; its arguments by case, less the folder of results."""
-    todo = [(*a, out) for case, a in arguments.items() if not (out / f"{case}.json").exists()]
+    """Call a function for the cases that have no result yet; its arguments by case, paths, less the folder of results."""
+    made = {case: Made([out / f"{case}.json"], case, [Path(__file__), *a]) for case, a in arguments.items()}
+    todo = [(*a, out) for case, a in arguments.items() if not made[case].there]
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console) as progress:
         bar = progress.add_task(what, total=len(arguments), completed=len(arguments) - len(todo))
         for case in parallel.unordered(function, todo):
+            made[case].keep()
             progress.update(bar, advance=1, description=f"{what} {case}")
 
 

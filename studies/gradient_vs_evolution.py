@@ -53,7 +53,7 @@ from rrr_oc.paper.run_store import Run, all_runs
 from rrr_oc.report.comparison_figures import draw_comparison
 from rrr_oc.report.comparison_report import tables
 from rrr_oc.report.console import wide_console
-from rrr_oc.storage import write_json, write_npz, write_text
+from rrr_oc.storage import Made, write_json, write_npz, write_text
 
 STAGES = ("engine", "model", "gradient", "restricted", "again", "race", "fixed", "transfer", "tables")
 console = wide_console()
@@ -113,6 +113,7 @@ def main(
     size, store, task = SIZES[protocol], out / "runs", load_task(preset)
     for name in names:
         _ = experiment(task, name)
+    transferred = Made([out / "transfer.json"], preset, [Path(__file__).with_name("transfer_to_plant.py")])
     began = time.perf_counter()
     with parallel.workers(jobs, workers):
         for stage in wanted:
@@ -122,13 +123,14 @@ def main(
             from transfer_to_plant import transfer  # which needs the validation's plant, beside this package
 
             write_json(out / "transfer.json", transfer(out, preset, names))
+            transferred.keep()
     if "tables" in wanted:
         summary = summarise(store, preset) | {
             "protocol": protocol,
             "command": f"python studies/gradient_vs_evolution.py --protocol {protocol} --preset {preset}",
             "wall_s": time.perf_counter() - began,
         }
-        if (out / "transfer.json").is_file():
+        if transferred.there:
             summary["transfer"] = json.loads((out / "transfer.json").read_text())
         write_json(out / "summary.json", summary)
         text = tables(summary)

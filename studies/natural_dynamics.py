@@ -17,7 +17,7 @@ Eq. 7 and 9, whose friction `--friction` scales. The same command resumes an int
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +33,7 @@ from rrr_oc.codesign.optimum import SAVED, SampledMotion, embedded, restart_arra
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import offered, spring_bounds
-from rrr_oc.codesign.study import once
+from rrr_oc.codesign.study import kept_motion, once
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import Jobs, Workers, named
@@ -83,7 +83,7 @@ class Run:
     options: SearchOptions
     listener: Output
 
-    @cached_property
+    @property
     def asked(self) -> dict[str, Any]:
         """The settings on which a result depends."""
         task = {name: value for name, value in vars(self.task).items() if name not in ("robot", "tool", "files")}
@@ -147,6 +147,7 @@ def main(
             found[label] |= {
                 "followed": once(run, f"{label} followed", partial(_followed, run, ends, cost, name, found[label]), [label])
             }
+            write_npz(out / f"{label}.npz", read_npz(kept_motion(run, label)))
             _written(run, found, wanted, names)
     console.print(f"Everything is in {out}: report.md, summary.json, phase_plane.png, one npz an optimum.")
 
@@ -162,7 +163,7 @@ def _solved(run: Run, before: Mapping[str, Any], ends: str, cost: str, name: str
         own_ends, own_cost, own = other.split(" ")
         if own_cost == cost and (own_ends == ends or own == name):
             inner = run.design(own_ends, cost, own)
-            known.append(embedded(restored(inner, run.options, read_npz(run.out / f"{other}.npz")), inner, design))
+            known.append(embedded(restored(inner, run.options, read_npz(kept_motion(run, other))), inner, design))
     with run.listener.count(_label(ends, cost, name), run.options.starts) as count:
         polished: list[float] = []
 
@@ -172,7 +173,7 @@ def _solved(run: Run, before: Mapping[str, Any], ends: str, cost: str, name: str
 
         result = solve_multistart(design, run.options, show, [guess for guess in known if guess is not None]).whole()
     solution, motion = result.best.solution, sample_motion(design, result.best.solution)
-    write_npz(run.out / f"{_label(ends, cost, name)}.npz", motion.arrays | restart_arrays(solution))
+    write_npz(kept_motion(run, _label(ends, cost, name)), motion.arrays | restart_arrays(solution))
     m = len(design.task.moving)
     speeds = [solution.at(i, np.ones(1))[0][m:, 0] for i in range(len(PHASES))]
     return plain(
@@ -193,7 +194,7 @@ def _solved(run: Run, before: Mapping[str, Any], ends: str, cost: str, name: str
 def _followed(run: Run, ends: str, cost: str, name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     """What each arm needs under each control."""
     label, design = _label(ends, cost, name), run.design(ends, cost, name)
-    saved, drives = read_npz(run.out / f"{label}.npz"), run.drives_of(cost)
+    saved, drives = read_npz(kept_motion(run, label)), run.drives_of(cost)
     motion = SampledMotion(**dict[str, Any]({key: saved[key] for key in SAVED}))
     parameters = np.array(found["parameters"])
     known = DrivenArm(design, parameters, drives)
@@ -226,7 +227,8 @@ def _written(run: Run, found: Mapping[str, Any], costs: Sequence[str], names: Se
 def _optima(found: Mapping[str, Any], done: Sequence[tuple[str, str, str]]):
     rows = []
     for ends, cost, name in done:
-        c, stiff, rest = (found.get(_label(*key)) for key in ((ends, cost, name), (ends, cost, "SA"), ("rest", cost, name)))
+        c = found[_label(ends, cost, name)]
+        stiff, rest = (found.get(_label(*key)) for key in ((ends, cost, "SA"), ("rest", cost, name)))
         less = "" if stiff is None or name == "SA" else f"{100 * decrease(c['cost'], stiff['cost']):.1f} %"
         moving = f"{100 * decrease(c['cost'], rest['cost']):.1f} %" if ends == "moving" and rest else ""
         times = ", ".join(f"{t:.2f}" for t in c["durations"].values())
@@ -254,7 +256,7 @@ def _drawn(run: Run, keys: Sequence[tuple[str, str, str]], names: Sequence[str])
         len(joints), len(names), figsize=(3.2 * len(names), 2.6 * len(joints)), squeeze=False, sharex="row", sharey="row"
     )
     for ends, cost, name in keys:
-        motion = read_npz(run.out / f"{_label(ends, cost, name)}.npz")
+        motion = read_npz(kept_motion(run, _label(ends, cost, name)))
         for row, axis in enumerate(axes[:, list(names).index(name)]):
             q, dq = np.degrees(motion["q"][row]), np.degrees(motion["dq"][row])
             axis.plot(q, dq, color=COLOURS[ENDS.index(ends)], lw=1.2, label=ends)

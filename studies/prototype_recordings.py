@@ -33,7 +33,7 @@ from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.tables import markdown
-from rrr_oc.storage import write_json, write_text
+from rrr_oc.storage import Made, write_json, write_text
 
 THINNED = 4  # samples for one that a black box is trained on
 VARIANTS = ("labelled", "no_payload", "no_springs", "bare")
@@ -60,16 +60,17 @@ def variant(recordings: RecordingSet, name: str) -> RecordingSet:
 def diagnosed(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:
     """Diagnose a variant, write its report, return the content of its diagnosis.json."""
     folder = out / name
-    done = folder / "diagnosis.json"
-    if not done.exists():
+    done, boxes = folder / "diagnosis.json", folder / "black_box.json"
+
+    def make() -> None:
         console.rule(name)
         with one_thread():
             found = diagnose(variant(recordings, name), lambda line: console.print(line, highlight=False))
-        write_json(folder / "black_box.json", black_boxes(found))
-        write_diagnosis(found, folder)  # diagnosis.json comes last
-    return json.loads(done.read_text(encoding="utf-8")) | {
-        "black_box": json.loads((folder / "black_box.json").read_text(encoding="utf-8"))
-    }
+        write_json(boxes, black_boxes(found))
+        write_diagnosis(found, folder)
+
+    Made([done, boxes], name, [Path(__file__), *recordings.files]).once(make)
+    return json.loads(done.read_text(encoding="utf-8")) | {"black_box": json.loads(boxes.read_text(encoding="utf-8"))}
 
 
 def black_boxes(diagnosis: Diagnosis) -> dict[str, dict[str, float]]:

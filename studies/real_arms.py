@@ -16,12 +16,13 @@ What is published about the sets is in a file of the user's; the diagnosis never
              "absent": [{"effect": "gravity_tilt"}]}}
 
 A set's result is in out/sets/<set>.json when it is whole, so that an interrupted run goes on where it was; delete the file to have
-it done again. The full report of its diagnosis is in out/diagnoses/<set>.
+it done again. Results of other recordings or of other code are made anew. The full report of its diagnosis is in out/diagnoses/<set>.
 """
 
 import json
 import multiprocessing
 import resource
+import shutil
 import signal
 import sys
 import time
@@ -59,7 +60,7 @@ from rrr_oc.report.console import wide_console
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.tables import NONE, markdown
 from rrr_oc.schema import Schema, read_json
-from rrr_oc.storage import check_folder, number, write_json, write_text
+from rrr_oc.storage import Made, check_folder, number, write_json, write_text
 
 STEP = 0.01  # [s] between the samples that a regression is trained on; doubled, half the time, and noise counts for more
 SURE = 0.999  # probabilities above it are not shown closer; nearer to 1, digits that no data support
@@ -221,8 +222,12 @@ def loaded(one: RealSet, out: Path) -> RecordingSet:
     if one.variant is None:
         return load_recordings(one.train)
     converted = out / "converted" / one.name
-    if not converted.exists():
+
+    def convert() -> None:
+        shutil.rmtree(converted, ignore_errors=True)
         import_prototype(one.train, converted)
+
+    Made([converted], one.name, [one.train]).once(convert)
     return variant(load_recordings(converted), one.variant)
 
 
@@ -312,8 +317,8 @@ def regression_errors(make: Callable[[], Any], every: Sequence[tuple[list[Part],
 
 
 def run_all(sets: Sequence[RealSet], out: Path, jobs: int) -> None:
-    """Examine the sets that have no whole result yet, `jobs` at once; a set that fails has that as its result."""
-    todo = [s for s in sets if not _is_done(out, s.name)]
+    """Examine the sets that have no result yet, of these recordings by this code, `jobs` at once; a set that fails has that as its result."""
+    todo = [s for s in sets if not _is_done(out, s)]
     running: dict[Connection, tuple[RealSet, SpawnProcess, TaskID]] = {}  # by the end at which a set's progress arrives
     columns = TextColumn("{task.description}", markup=False), BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console) as progress:
@@ -355,6 +360,7 @@ def _worker(one: RealSet, out: Path, sender: Connection) -> None:
     except Exception as wrong:
         found = {"set": one.name, "failed": f"{type(wrong).__name__}: {wrong}", "traceback": traceback.format_exc()}
     write_json(result_file(out, one.name), found)
+    _made(out, one).keep()
 
 
 def _ended(one: RealSet, out: Path, exit_code: int | None) -> str:
@@ -378,9 +384,14 @@ def read(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def _is_done(out: Path, name: str) -> bool:
-    file = result_file(out, name)
-    return file.is_file() and "failed" not in read(file)
+def _is_done(out: Path, one: RealSet) -> bool:
+    return _made(out, one).there and "failed" not in read(result_file(out, one.name))
+
+
+def _made(out: Path, one: RealSet) -> Made:
+    own = Path(__file__)
+    read = [own, own.with_name("prototype_recordings.py"), one.train, *([] if one.test is None else [one.test])]
+    return Made([result_file(out, one.name)], [one.name, one.variant], read)
 
 
 # --- the table ---

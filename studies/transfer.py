@@ -11,7 +11,7 @@ Eq. 14's sweeps by the paper's protocol. Two questions:
   labelled and on the one that the diagnosis repaired; the arm itself says what each costs.
 
 What an arm hides is drawn from the seed and written to `truth.json` when everything else is done. Every stage leaves its files in
---out and is not done again.
+--out and is not done again; a folder of other options or other code is refused.
 """
 
 import json
@@ -59,7 +59,7 @@ from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.figures import save_figure
 from rrr_oc.report.tables import markdown
 from rrr_oc.robot.drives import load_actuators
-from rrr_oc.storage import write_json, write_npz, write_text
+from rrr_oc.storage import code, hash_of, write_json, write_npz, write_text
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from studies.calibration import SIGNALS, Run, coverage, draw_coverage, follow, table
@@ -73,6 +73,7 @@ from validation.concealed.sensors import Sensing, sample
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+PLANT = Path(__file__).resolve().parents[1] / "validation" / "concealed"  # the code of the arm
 STEP = 2e-3  # of the plant [s]
 NOISE = 0.25  # of the recorded torque, about 1 % of joint 2's [Nm]
 GROUPS = ("payload", "bare")  # set-up of the arm in the task's phases, as in the protocol's recordings
@@ -620,8 +621,9 @@ def main(
     if task.robot.name != "rrr_prototype":
         raise UserError(f"--preset {preset} is a task of the robot {task.robot.name!r}; the arm here is 'rrr_prototype'")
     asked = {"preset": preset, "seconds": seconds, "starts": starts, "tolerance": tolerance, "seed": seed}
+    asked |= {"code": [code(), hash_of([Path(__file__), PLANT])]}
     if cached(out / "asked.json", lambda: asked) != asked:
-        raise UserError(f"--out {out} holds a run with other options; give another folder or the same options again")
+        raise UserError(f"--out {out} holds a run with other options or of other code; give another folder")
     options = SearchOptions(starts=starts, seed=seed, kept=3, refinement=Refinement(tolerance))
     motion = replace(PROTOTYPE_SWEEP, duration=seconds)
     with parallel.workers(jobs, workers):

@@ -6,6 +6,7 @@ repaired model. Each optimum is then followed on the plant by the paper's P-cont
 (or repaired) model expects, and E1 is integrated over the load torque of the plant itself.
 """
 
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -37,12 +38,14 @@ from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.simulation.tracking import Reference
+from rrr_oc.storage import Made
 from validation.concealed.build import Built, build
 from validation.concealed.cases import Case, Concealed
 from validation.concealed.plant import LEAD, Plant, Setup
 from validation.concealed.write import write_set
 
 HIDDEN = (Concealed("payload_com", 3.0), Concealed("cable_harness", 3.0))
+PLANT = Path(__file__).resolve().parents[1] / "validation" / "concealed"  # the code of the plant
 STEP = 1e-3  # of the plant [s]
 SETTLED = 0.2  # [s] that the reference stands still after a phase
 console = Console()
@@ -68,8 +71,12 @@ def transfer(out: Path, preset: str, names: Sequence[str]) -> dict[str, Any]:
         raise UserError(f"the plant is the paper's arm 'rrr'; preset {preset!r} is of {task.robot.name!r}")
     built = build(Case("transfer", "pair", 0, "rrr", HIDDEN))
     data = out / "plant"
-    if not (data / "recordings.json").is_file():
+
+    def make() -> None:
+        shutil.rmtree(data, ignore_errors=True)
         write_set(built, data, range(built.seen))
+
+    Made([data], "plant", [Path(__file__), PLANT]).once(make)
     with one_thread():
         diagnosis = diagnose(load_recordings(data))
     found = [f.term for f in diagnosis.findings]

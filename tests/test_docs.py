@@ -70,7 +70,9 @@ def exists(dotted: str) -> bool:
 
 def missing_paths(text: str) -> list[str]:
     """Paths below the repository's folders, in code, that do not exist."""
-    folders = "|".join(re.escape(p.name) for p in ROOT.iterdir() if p.is_dir() and p.name not in (".git", ".venv", "results"))
+    folders = "|".join(
+        re.escape(p.name) for p in ROOT.iterdir() if p.is_dir() and p.name not in (".git", ".venv", "build", "results")
+    )
     named = {path for span in code(text) for path in re.findall(rf"(?<![\w./-])(?:{folders})/[\w./-]*\w/?", span)}
     return [path for path in sorted(named) if not (ROOT / path).exists()]
 

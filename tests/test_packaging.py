@@ -1,13 +1,22 @@
-"""The package's metadata against the repository: constraints for each dependency, the cited version, the hooks and `make lint`."""
+"""The package's metadata against the repository and what is installed: constraints and licences of dependencies, the cited version,
+the hooks and `make lint`."""
 
+import importlib.util
 import re
+import subprocess
+import sys
 import tomllib
+from email.message import Message
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import rrr_oc
+from docs import dependencies
+from rrr_oc.errors import UserError
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -48,12 +57,19 @@ def test_only_what_the_extension_is_compiled_against_is_exact(requirement):
 
 
 def test_the_extension_is_built_with_the_versions_that_it_runs_with():
-    build = {
-        r.name: str(r.specifier)
-        for r in map(Requirement, tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"])
-    }
+    build = {r.name: str(r.specifier) for r in dependencies.requirements()[dependencies.BUILD]}
     run = {r.name: str(r.specifier) for r in FOR_USERS}
     assert {name: build[name] for name in COMPILED_AGAINST} == {name: run[name] for name in COMPILED_AGAINST}
+    assert build == {name: f"=={dependencies.pinned()[name]}" for name in build}
+
+
+@pytest.mark.parametrize("module", ["robot._rigid_body", "numerics._along", "numerics._stepping"])
+def test_a_compiled_extension_does_not_name_the_folder_where_it_was_compiled(module):
+    """Else its bytes, and the wheel's, are others in every build; see docs/supply_chain.md."""
+    found = importlib.util.find_spec(f"rrr_oc.{module}")
+    assert found is not None
+    named = re.findall(rb"/[\w./-]*(?:site-packages|cmeel\.prefix|include)/[\w./-]+", Path(found.origin or "").read_bytes())
+    assert [path for path in named if not path.startswith(b"/cmeel.prefix")] == []
 
 
 def test_the_citation_names_this_version():
@@ -76,3 +92,38 @@ def test_types_are_packaged():
     assert (ROOT / "rrr_oc" / "py.typed").exists()
     setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     assert "py.typed" in setuptools["package-data"]["rrr_oc"]
+
+
+REACHED = dependencies.reached()
+
+
+@pytest.mark.parametrize("name", REACHED)
+def test_all_that_is_installed_is_pinned_in_the_version_that_is_installed(name):
+    installed, parts = REACHED[name]
+    if installed is None:
+        assert parts == {dependencies.BUILD}
+    else:
+        assert dependencies.pinned()[name] == installed.version
+
+
+def test_nothing_else_is_pinned():
+    assert set(dependencies.pinned()) == set(REACHED)
+
+
+def test_what_is_installed_fits_together():
+    done = subprocess.run([sys.executable, "-m", "pip", "check"], capture_output=True, text=True)
+    named = [line for line in done.stdout.splitlines() if canonicalize_name(line.split()[0]) in REACHED]
+    assert done.returncode == 0 or not named, done.stdout
+
+
+def test_the_page_of_licences_is_that_of_what_is_installed():
+    assert dependencies.PAGE.read_text() == dependencies.page(), "python docs/dependencies.py writes it anew"
+
+
+def test_an_unknown_licence_is_refused():
+    class Made:
+        metadata = Message()
+
+    Made.metadata["License-Expression"] = "MIT AND GPL-3.0-only"
+    with pytest.raises(UserError, match=r"made: its licence is 'MIT AND GPL-3.0-only'; docs/dependencies\.py knows 0BSD"):
+        dependencies.licence("made", cast(Any, Made))

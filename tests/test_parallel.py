@@ -2,6 +2,9 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,6 +66,30 @@ def test_a_worker_that_is_killed_costs_nothing_but_time(tmp_path):
 def test_a_call_that_kills_every_worker_is_an_error():
     with parallel.workers(2), pytest.raises(UserError, match="worker processes ended 3 times"):
         parallel.ordered(killed_always, [(0,), (1,)])
+
+
+def test_workers_end_with_a_program_that_is_killed(tmp_path):
+    program = "\n".join(
+        [
+            "import os, signal, time",
+            "from rrr_oc import parallel",
+            "def own(n):",
+            "    time.sleep(0.2)",
+            "    return os.getpid()",
+            "with parallel.workers(2):",
+            "    print(*set(parallel.ordered(own, [(n,) for n in range(4)])), flush=True)",
+            "    os.kill(os.getpid(), signal.SIGKILL)",
+        ]
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, cwd=tmp_path)
+    pids = [int(pid) for pid in done.stdout.split()]
+    assert done.returncode == -signal.SIGKILL
+    assert pids
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):  # noqa: PT012
+            for _ in range(100):
+                os.kill(pid, 0)
+                time.sleep(0.2)
 
 
 @pytest.mark.parametrize("jobs", [0, -2])

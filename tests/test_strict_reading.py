@@ -22,7 +22,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.springs import saved_springs
-from rrr_oc.codesign.study import Request, _asked, once
+from rrr_oc.codesign.study import Request, _asked, kept_motion, once
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import check_apart
@@ -35,7 +35,7 @@ from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.report.console import PlainConsole
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.robot.robot import load_robot
-from rrr_oc.storage import check_file, check_folder, new_files, plain, read_npz, read_regular, write_npz, write_text
+from rrr_oc.storage import Made, check_file, check_folder, new_files, plain, read_npz, read_regular, write_npz, write_text
 
 PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
 
@@ -104,6 +104,7 @@ def series(**changes):
         (("noise", "joint1"), -1.0, "noise.joint1: found -1.0; a finite number of 0 or more"),
         (("robot", "inertial", "link1", 0), -2.0, "robot.inertial.link1: found [-2.0"),
         (("robot", "inertial", "link2", 9), 9.0, "robot.inertial.link2: found ["),
+        (("robot", "inertial", "link3", 0), 1e-300, "robot.inertial.link3: found [1e-300"),  # its centre would overflow
         (("robot", "inertial", "link3"), "heavy", "robot.inertial.link3: found 'heavy'"),
         (("gravity",), [0, 0, -1e300], "gravity[2]: found -1e+300"),
     ],
@@ -359,16 +360,31 @@ def test_files_that_belong_together_are_replaced_in_one_step(tmp_path, monkeypat
 
 
 def test_what_a_killed_process_left_is_removed(tmp_path):
-    stale, young, used, folder = (tmp_path / f".{name}.0123abcd.rrr_oc" for name in ("stale", "young", "used", "folder"))
+    stale, used, folder = (tmp_path / f".{name}.0123abcd.rrr_oc" for name in ("stale", "used", "folder"))
     folder.mkdir()
-    for path in (stale, young, used, folder / "inside", tmp_path / ".other.0123abcd.tmp"):
+    for path in (stale, used, folder / "inside", tmp_path / ".other.0123abcd.tmp"):
         path.touch()
-    for path in (stale, used, folder):
-        os.utime(path, (1e9, 1e9))
     with used.open() as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         check_folder(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {young.name, used.name, ".other.0123abcd.tmp"}
+    assert {path.name for path in tmp_path.iterdir()} == {used.name, ".other.0123abcd.tmp"}
+
+
+def test_a_temporary_file_that_another_process_removes_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    made = []
+
+    new = storage.NEW
+
+    def taken(path):
+        new(path)
+        made.append(path)
+        if len(made) == 1:
+            path.unlink()
+
+    monkeypatch.setattr(storage, "NEW", taken)
+    write_text(tmp_path / "a", "a")
+    assert len(made) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
@@ -387,6 +403,32 @@ def test_results_of_other_code_are_not_taken(tmp_path):
         assert Run(tmp_path, {"a": 1}, "new").found is None
         assert Run(tmp_path, asked, code).found == {"E1": 1.0}
     assert Run(tmp_path, {}).code == storage.code()
+
+
+@pytest.mark.parametrize("harm", ["settings", "code", "input", "new input", "result", "second result", "mark"])
+def test_what_is_made_once_is_made_again_when_anything_has_changed(tmp_path, monkeypatch, harm):
+    files, inputs, calls = [tmp_path / "a.json", tmp_path / "b.csv"], tmp_path / "inputs", []
+    inputs.mkdir()
+    (inputs / "x").write_text("1")
+
+    def make():
+        calls.append(1)
+        for file in files:
+            file.write_text("made")
+
+    for _ in range(2):
+        Made(files, {"a": 1}, [inputs, Path("bundled")]).once(make)
+    assert calls == [1]
+    changed = {"input": inputs / "x", "new input": inputs / "y", "result": files[0], "second result": files[1]}
+    if harm == "code":
+        monkeypatch.setattr(storage, "code", lambda: "other")
+    elif harm == "mark":
+        (tmp_path / ".a.json.made").unlink()
+    elif harm != "settings":
+        changed[harm].write_text("mad")
+    Made(files, {"a": 2 if harm == "settings" else 1}, [inputs, Path("bundled")]).once(make)
+    assert calls == [1, 1]
+    assert files[1].read_text() == "made"
 
 
 def test_limits_of_the_arm_are_among_what_a_design_depends_on(tmp_path):
@@ -411,14 +453,14 @@ def test_a_damaged_result_is_solved_again(tmp_path, harm):
     study = SimpleNamespace(out=tmp_path, asked={"code": "1"}, listener=SimpleNamespace(show=said.append))
 
     def solve():
-        write_npz(tmp_path / "SA.npz", {"x": np.ones(1)})
+        write_npz(kept_motion(study, "SA"), {"x": np.ones(1)})
         return {"E1": 0.1 + len(said), "interrupted": False}
 
     first, saved = once(study, "SA", solve), tmp_path / ".SA.json"
     if harm == "result":
         saved.write_text(saved.read_text().replace("0.1", "0.2"))
     elif harm == "motion":
-        (tmp_path / "SA.npz").write_bytes((tmp_path / "SA.npz").read_bytes()[:-9])
+        kept_motion(study, "SA").write_bytes(kept_motion(study, "SA").read_bytes()[:-9])
     elif harm == "settings":
         study.asked = {"code": "2"}
     elif harm:

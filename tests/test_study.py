@@ -20,6 +20,7 @@ from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign import study as steps
 from rrr_oc.codesign.springs import arrangements, saved_springs, spring_bounds
 from rrr_oc.codesign.task import load_task
+from rrr_oc.commands import design as design_command
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
@@ -167,6 +168,36 @@ def test_a_summary_is_never_beside_the_report_of_another_run(out, tmp_path, monk
     monkeypatch.setattr(study_files, step, interrupted)
     assert rrr_oc(monkeypatch, "design", "paper", *TINY, "--out", str(folder)) == 130
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def visible(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.startswith(".")}
+
+
+def test_a_motion_is_never_beside_the_summary_of_another_run(out, tmp_path, monkeypatch):
+    """A run of other settings that ends before it writes its results leaves those of the run before, motions included; when it is
+    given again, it goes on, and nothing of the run before is left."""
+    folder, other = tmp_path / "results", [*TINY, "--configurations", "SA", "--intervals", "8"]
+    shutil.copytree(out, folder)
+    (folder / "PEA_notes.csv").write_text("mine")
+    before, write_study = visible(folder), design_command.write_study
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(design_command, "write_study", killed)
+    assert rrr_oc(monkeypatch, "design", "paper", *other, "--out", str(folder)) == 130
+    assert visible(folder) == before
+    monkeypatch.setattr(design_command, "write_study", write_study)
+    monkeypatch.setattr(steps, "solve_multistart", lambda *a: pytest.fail("it was solved already"))
+    assert rrr_oc(monkeypatch, "design", "paper", *other, "--out", str(folder)) == 0
+    after = visible(folder)
+    assert {name for name in after if "PEA" in name} == {"PEA_notes.csv"}
+    with np.load(folder / "SA.npz") as m:
+        integral = sum(np.trapezoid((m["tau_load"][:, k] ** 2).sum(0), m["t"][k]) for k in (m["phase"] == 0, m["phase"] == 1))
+    found = json.loads(after["summary.json"])["configurations"]["SA"]["E1"]
+    assert integral == pytest.approx(found, rel=1e-4)  # trapezoids over 20 ms
+    assert after["SA.npz"] != before["SA.npz"]
 
 
 def test_repeating_the_command_takes_the_saved_results(out, summary, monkeypatch, capsys):
@@ -371,8 +402,8 @@ def test_a_spring_that_is_never_taut_is_said_and_its_motion_offered_to_the_stiff
     """A spring that pulls below -100° and an arm that stays above -20°; the stiff arm's own search is made worse by 3 %."""
     describe = steps._describe
 
-    def worse(out, name, result, began):
-        found = describe(out, name, result, began)
+    def worse(study, name, result, began):
+        found = describe(study, name, result, began)
         return (
             found | {"cost": 1.03 * found["cost"], "E1": 1.03 * found["E1"]} if name == "SA" and len(result.starts) else found
         )

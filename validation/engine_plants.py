@@ -36,7 +36,7 @@ from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.parallel import unordered, workers
 from rrr_oc.recordings.reader import load_recordings
-from rrr_oc.storage import write_json, write_text
+from rrr_oc.storage import Made, write_json, write_text
 
 STEP = 0.0005  # [s], of the engine
 EFFECTS = (
@@ -327,7 +327,8 @@ def make(number: int, folder: Path) -> Plant:
 def judged(number: int, out: Path) -> dict[str, Any]:
     """Make a set and diagnose it; what was hidden and what was found."""
     file = out / f"{number:03d}.json"
-    if not file.exists():
+
+    def judge() -> None:
         one = make(number, out / f"{number:03d}")
         found = to_json(diagnose(load_recordings(out / f"{number:03d}")))
         claims = [
@@ -338,6 +339,8 @@ def judged(number: int, out: Path) -> dict[str, Any]:
         claims += [{"names": ["unexplained"], "joint": e["joint"]} for e in found["unexplained"]]
         hidden = {"set": number, "effect": one.effect, "joint": f"joint{one.joint + 1}", "joints": one.n, "sign": one.sign}
         write_json(file, hidden | {"claims": claims, "nrmse": found["nrmse"]["held_out"]})
+
+    Made([file], number, [Path(__file__)]).once(judge)
     return json.loads(file.read_text())
 
 

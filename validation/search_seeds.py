@@ -9,6 +9,8 @@ are kept seed by seed: the same command goes on where it was.
 
 import json
 import time
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -24,17 +26,21 @@ from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import entry_point
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.report.tables import markdown
-from rrr_oc.storage import check_folder, write_json, write_text
+from rrr_oc.storage import Made, check_folder, write_json, write_text
 
 WITHIN = 1e-3  # [1] of the best cost
 
 
-def searched(task: str, configuration: str, seed: int, options: SearchOptions) -> dict[str, float]:
+def searched(task: str, configuration: str, options: SearchOptions) -> dict[str, float]:
     """Cost, time of this processor [s] and how often the optimum was reached."""
     began = time.process_time()
     ways = [CoDesign(load_task(task), springs) for springs in arrangements(load_task(task), configuration)]
     best = solve_multistart(best_arranged(ways, options), options).whole().best
     return {"cost": best.cost, "reached": best.reached, "seconds": time.process_time() - began}
+
+
+def _write(file: Path, task: str, name: str, options: SearchOptions) -> None:
+    write_json(file, searched(task, name, options))
 
 
 def row(label: str, name: str, found: list[dict[str, float]]) -> list[str]:
@@ -61,9 +67,9 @@ def main(
     results: dict[tuple[str, str], list[dict[str, float]]] = {}
     for task, name, seed in track(cases, "searches"):
         file = out / f"{load_task(task).name}_{name}_{seed}.json"
-        if not file.is_file():
-            options = SearchOptions(starts=starts, seed=seed, refinement=Refinement(tolerance))
-            write_json(file, searched(task, name, seed, options))
+        options = SearchOptions(starts=starts, seed=seed, refinement=Refinement(tolerance))
+        made = Made([file], [task, name, asdict(options)], [Path(__file__), Path(task)])
+        made.once(partial(_write, file, task, name, options))
         results.setdefault((task, name), []).append(json.loads(file.read_text()))
         rows = [row(load_task(t).name, n, results[t, n]) for t in tasks for n in wanted[t] if (t, n) in results]
         header = ["task", "springs", "best E1", "within 0.1 %", "worst", "reached once", "processor [s]"]

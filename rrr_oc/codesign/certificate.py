@@ -19,6 +19,7 @@ from rrr_oc.optimal_control.solver import Solution
 _SAVING = 1e-6  # [1] a bound that saves no more of the cost by one unit is not listed; doubled, the list is a little shorter
 # [1] of a variable's scale: a parameter this close to its bound is at it; doubled, bounds further away are listed
 _TOUCHED = 1e-4
+PIECES = 8  # of an interval for the exact cost, whose rate has kinks; doubled, they are met four times as well
 _Bound = tuple[str, float, str, float]  # name, value [unit], unit, decrease of the cost for moving it outward by one unit
 _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
 
@@ -197,14 +198,20 @@ def _path_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
 
 def exact_cost(design: CoDesign, solution: Solution) -> float:
     """The cost with exact, non-smooth springs on the same motion and its mesh, by fine quadrature."""
-    nodes, weights = np.polynomial.legendre.leggauss(9)
+    nodes, weights = _composite(9, PIECES)
     data, total = design.data(0.0), np.zeros(len(solution.problem.groups))
     for i, phase in enumerate(solution.problem.phases):
-        _, x, _, u = solution.sample(i, (nodes + 1) / 2)
+        _, x, _, u = solution.sample(i, nodes)
         rates = phase.rates(x.reshape(len(x), -1), u.reshape(len(u), -1), solution.parameters[:, None], data[:, None])
         h = solution.transcription.mesh[i] * solution.durations[i]
-        total += np.einsum("cnk,k,n->c", np.array(rates[1]).reshape(-1, *x.shape[1:]), weights / 2, h)
+        total += np.einsum("cnk,k,n->c", np.array(rates[1]).reshape(-1, *x.shape[1:]), weights, h)
     return solution.problem.cost(total)
+
+
+def _composite(points: int, pieces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes in [0, 1] and weights of Gauss's quadrature on equal pieces of that."""
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    return ((np.arange(pieces)[:, None] + (nodes + 1) / 2) / pieces).ravel(), np.tile(weights / 2 / pieces, pieces)
 
 
 def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float]:

@@ -239,12 +239,12 @@ def _with_idle_motion(study: Study, found: dict[str, Any]) -> dict[str, Any]:
     if stiff["interrupted"] or found[cheapest]["cost"] >= stiff["cost"] * (1 - CHEAPER):
         return {}
     began = time.perf_counter()
-    file = read_npz(study.out / f"{cheapest}.npz")
+    file = read_npz(kept_motion(study, cheapest))
     guess = restored(_chosen(designs[cheapest], found[cheapest]), study.options, file).guess()
     tried = continue_from([(design, replace(guess, parameters=np.zeros(0)))], study.options)
     if not tried or tried[0][1].cost >= stiff["cost"]:
         return {}
-    better = _describe(study.out, "SA", SearchResult(design, (tried[0][1],), (), False), began)
+    better = _describe(study, "SA", SearchResult(design, (tried[0][1],), (), False), began)
     better |= {key: stiff[key] for key in ("optima", "layers")}
     save(study, "SA", better, ["SA"])
     return {"SA": better | _compared(study, "SA", design)}
@@ -278,9 +278,15 @@ class Kept(Protocol):
         ...
 
 
+def kept_motion(study: Kept, name: str) -> Path:
+    """Where a run keeps a motion until its results are written as a whole, and for a run that goes on: beside an earlier run's results,
+    of which it is no part."""
+    return study.out / f".{name}.npz"
+
+
 def once(study: Kept, name: str, solve: Callable[[], dict[str, Any]], files: Sequence[str] | None = None) -> dict[str, Any]:
     """A result by name: the one in the folder if a run with the same settings wrote it, else that of `solve`, which is saved at once
-    unless it was interrupted. `files` are the npz files that belong to it, by default that of its name."""
+    unless it was interrupted. `files` are the motions that belong to it, by default that of its name."""
     files = [name] if files is None else files
     found = taken(study, name, files)
     if found is not None:
@@ -293,12 +299,12 @@ def once(study: Kept, name: str, solve: Callable[[], dict[str, Any]], files: Seq
 
 
 def taken(study: Kept, name: str, files: Sequence[str]) -> dict[str, Any] | None:
-    """The result in the folder if a run with the same settings wrote it, with its npz files; else it is removed."""
+    """The result in the folder if a run with the same settings wrote it, with its motions; else it is removed."""
     saved = study.out / f".{name}.json"
     if saved.exists():
         content = _read(saved)
         same = content is not None and content["asked"] == _key(study)
-        if content is None or (same and content["hash"] != _hash(study.out, content["found"], files)):
+        if content is None or (same and content["hash"] != _hash(study, content["found"], files)):
             study.listener.show(f"{name}: what is saved in {study.out} is damaged; it is solved again")
         elif same:
             return content["found"]
@@ -307,8 +313,8 @@ def taken(study: Kept, name: str, files: Sequence[str]) -> dict[str, Any] | None
 
 
 def save(study: Kept, name: str, found: dict[str, Any], files: Sequence[str]) -> None:
-    """Keep a result in the folder, with the settings under which it was made, and a hash of it and of its npz files."""
-    content = {"asked": _key(study), "hash": _hash(study.out, found, files), "found": found}
+    """Keep a result in the folder, with the settings under which it was made, and a hash of it and of its motions."""
+    content = {"asked": _key(study), "hash": _hash(study, found, files), "found": found}
     write_json(study.out / f".{name}.json", content)
 
 
@@ -321,11 +327,11 @@ def _read(saved: Path) -> dict[str, Any] | None:
         return None
 
 
-def _hash(folder: Path, found: dict[str, Any], files: Sequence[str]) -> str:
-    """Of a result and of its npz files, so that neither is taken for another's."""
+def _hash(study: Kept, found: dict[str, Any], files: Sequence[str]) -> str:
+    """Of a result and of its motions, so that neither is taken for another's."""
     result = hashlib.sha256(json.dumps(found, sort_keys=True).encode())
-    for file in files:
-        result.update((folder / f"{file}.npz").read_bytes() if (folder / f"{file}.npz").is_file() else b"missing")
+    for path in (kept_motion(study, file) for file in files):
+        result.update(path.read_bytes() if path.is_file() else b"missing")
     return result.hexdigest()
 
 
@@ -344,19 +350,19 @@ def _solve(study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[st
     for other, result in before.items():
         if other in study.designs and not result["interrupted"]:
             inner = _chosen(study.designs[other], result)
-            file = read_npz(study.out / f"{other}.npz")
+            file = read_npz(kept_motion(study, other))
             known.append(embedded(restored(inner, study.options, file), inner, design))
-    return _describe(study.out, name, _search(study, name, design, [guess for guess in known if guess is not None]), began)
+    return _describe(study, name, _search(study, name, design, [guess for guess in known if guess is not None]), began)
 
 
 def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
     """A starred design, from the saved optimum of its configuration; writes its motion."""
     began = time.perf_counter()
-    start = restored(design, study.options, read_npz(study.out / f"{name.rstrip('*')}.npz"))
+    start = restored(design, study.options, read_npz(kept_motion(study, name.rstrip("*"))))
     assert study.shop is not None
     with study.listener.count(name) as count:
         bought = search_catalogue(design, start, study.shop, study.options, lambda done: count(done, "problems solved"))
-    found = _describe(study.out, name, SearchResult(bought.design, (bought.optimum,), (), False), began, design)
+    found = _describe(study, name, SearchResult(bought.design, (bought.optimum,), (), False), began, design)
     gap = bought.optimum.cost / start.cost - 1
     left = {key: value for key, value in found.items() if key not in ("optima", "layers")}
     return left | {"catalogue": plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})}
@@ -390,13 +396,13 @@ def _search(study: Study, name: str, design: CoDesign, known: Sequence[Guess]) -
             ) from None
 
 
-def _describe(out: Path, name: str, result: SearchResult, began: float, offered: CoDesign | None = None) -> dict[str, Any]:
-    """The entry of a configuration in summary.json; first writes its motion to an npz. Its springs are compared with those of
+def _describe(study: Study, name: str, result: SearchResult, began: float, offered: CoDesign | None = None) -> dict[str, Any]:
+    """The entry of a configuration in summary.json; first keeps its motion. Its springs are compared with those of
     `offered`, by default with the design's own."""
     design, solution = result.design, result.best.solution
     motion = sample_motion(design, solution)
     joints = {"joints": np.array(design.task.joints)}
-    write_npz(out / f"{name}.npz", motion.arrays | joints | restart_arrays(solution))
+    write_npz(kept_motion(study, name), motion.arrays | joints | restart_arrays(solution))
     described = describe(design, motion.metrics()) | {
         "cost": solution.cost,
         "lowest_tool_m": min(float(design.model.tool_height(q)) for q in design.task.full(motion.q).T[::7]),
@@ -429,7 +435,7 @@ def _describe(out: Path, name: str, result: SearchResult, began: float, offered:
 
 def _transferred(study: Study, name: str, design: CoDesign, twin: Twin) -> dict[str, Any]:
     """Metrics of a saved optimum in the calibrated twin."""
-    saved = read_npz(study.out / f"{name}.npz")
+    saved = read_npz(kept_motion(study, name))
     motion, values = (
         SampledMotion(**dict[str, Any]({key: saved[key] for key in SAVED})),
         restored(design, study.options, saved).parameters,

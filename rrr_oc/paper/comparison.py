@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.codesign.optimum import describe
-from rrr_oc.codesign.task import load_task
+from rrr_oc.codesign.task import Speed, load_task
 from rrr_oc.paper.encoding import WEIGHT, Encoding
 from rrr_oc.paper.experiments import ENDS, EXPERIMENTS, candidate_motion, experiment, roles
 from rrr_oc.paper.run_store import Run, all_runs
@@ -57,7 +57,7 @@ def _way_of(asked: Mapping[str, Any]) -> str:
     return asked["way"] + (f"-{asked['model']}" if "model" in asked else "")
 
 
-def _way(preset: str, name: str, ends: str, way: str, runs: list[Run]) -> dict[str, Any] | None:
+def _way(preset: str, name: str, ends: Speed, way: str, runs: list[Run]) -> dict[str, Any] | None:
     """Summary of one way's runs of an experiment; None where there are none."""
     if not runs:
         return None

@@ -1,5 +1,6 @@
 """The files of a study: its summary as JSON, its report in Markdown and as a page, and its figures."""
 
+import glob
 import platform
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,9 +16,9 @@ from rrr_oc import __version__
 from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
 from rrr_oc.codesign.optimum import profiles
 from rrr_oc.codesign.springs import configurations, saved_springs
-from rrr_oc.codesign.study import Study
+from rrr_oc.codesign.study import Study, kept_motion
 from rrr_oc.codesign.task import Task
-from rrr_oc.codesign.task_sets.set_study import SetStudy
+from rrr_oc.codesign.task_sets.set_study import SetStudy, file_of
 from rrr_oc.report import set_report
 from rrr_oc.report.design_figures import draw_all
 from rrr_oc.report.design_report import report
@@ -69,7 +70,7 @@ def write_study(study: Study, found: Mapping[str, Any], wall_s: float, command: 
         "configurations": {name: found[name] for name in names},
     }
     text = report(summary)
-    with _new_files(study.out, FILES, summary, text, study.task) as made:
+    with _new_files(study, FILES, summary, text, {name: kept_motion(study, name) for name in names}) as made:
         draw_all(made, study.task)
         write_design_page(made)
     return summary, text
@@ -101,7 +102,8 @@ def write_set_study(study: SetStudy, found: Mapping[str, Any], wall_s: float, co
         "configurations": dict(found),
     }
     text = set_report.report(summary)
-    with _new_files(study.out, SET_FILES, summary, text, first) as made:
+    files = [file_of(name, t) for name in found for t in range(len(tasks.tasks))]
+    with _new_files(study, SET_FILES, summary, text, {name: kept_motion(study, name) for name in files}) as made:
         draw_set(made)
         write_set_page(made)
     return summary, text
@@ -117,13 +119,15 @@ def cost_in_words(design: CoDesign) -> str:
 
 
 @contextmanager
-def _new_files(out: Path, names: Sequence[str], summary: dict[str, Any], text: str, task: Task) -> Iterator[Path]:
+def _new_files(
+    study: Study | SetStudy, names: Sequence[str], summary: dict[str, Any], text: str, motions: Mapping[str, Path]
+) -> Iterator[Path]:
     """A folder with the motions, the summary, the report and the profiles of springs, for figures and pages; when the block ends, all
-    takes the place of the earlier run's files in `out`."""
-    with new_files(out, names) as made:
-        for motion in out.glob("*.npz"):
-            if not motion.name.startswith("."):
-                shutil.copyfile(motion, made / motion.name)
+    takes the place of the earlier run's files in the study's folder."""
+    task = study.tasks.tasks[0] if isinstance(study, SetStudy) else study.task
+    with new_files(study.out, [*names, *_of_configurations()]) as made:
+        for name, kept in motions.items():
+            shutil.copyfile(kept, made / f"{name}.npz")
         write_json(made / "summary.json", summary)
         write_text(made / "report.md", text)
         for name in summary["configurations"]:
@@ -141,6 +145,19 @@ def outline_dxf(x: np.ndarray, y: np.ndarray) -> str:
         groups += [(0, "VERTEX"), (8, "0"), *((code, f"{value:.6f}") for code, value in zip((10, 20), point, strict=True))]
     groups += [(0, "SEQEND"), (0, "ENDSEC"), (0, "EOF")]
     return "".join(f"{code}\n{value}\n" for code, value in groups)
+
+
+def _of_configurations() -> list[str]:
+    """Patterns of the names of motions and profiles."""
+    patterns = []
+    for name, effects in configurations().items():
+        for own in (name, glob.escape(f"{name}*")):
+            patterns += [
+                f"{own}.npz",
+                f"{own}_[0-9]*.npz",
+                *(f"{own}_{effect}_*.{kind}" for effect in effects for kind in ("csv", "dxf")),
+            ]
+    return patterns
 
 
 def _versions() -> dict[str, str]:

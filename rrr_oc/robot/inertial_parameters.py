@@ -104,6 +104,8 @@ def is_possible(parameters: np.ndarray) -> bool:
     """As `is_physical`, up to rounding, and with bodies without extent, as URDFs have them: mass above 0, moments of a body."""
     if not (np.all(np.isfinite(parameters)) and parameters[0] > 0 and np.all(np.abs(parameters) <= LARGEST)):
         return False
+    if not np.all(np.abs(parameters[1:4]) <= LARGEST * parameters[0]):  # a centre further away than any number that is read
+        return False
     return possible(np.linalg.eigvalsh(about_centre(parameters)[1]))
 
 

@@ -34,7 +34,7 @@ from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SearchResult, arranged_costs, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds, arrangements, offered, ways_to_mount
-from rrr_oc.codesign.study import Listener, Request, Twin, once, save, taken
+from rrr_oc.codesign.study import Listener, Request, Twin, kept_motion, once, save, taken
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.codesign.task_sets.set_search import SetResult, SetStart, front, solve_chosen, solve_set
 from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
@@ -225,7 +225,7 @@ def _described(study: SetStudy, name: str, result: SetResult, choice: dict[str, 
     ]
     tasks = {}
     for t, (task, (found, arrays)) in enumerate(zip(study.tasks.tasks, ordered(_describe, calls), strict=True)):
-        write_npz(study.out / f"{file_of(name, t)}.npz", arrays)
+        write_npz(kept_motion(study, file_of(name, t)), arrays)
         compared = {"alone": result.alone[t].cost, "with_first": result.first[t].cost}
         own = design.designs[t].hardware(result.alone[t].solution.parameters)
         tasks[task.name] = found | compared | {"springs_alone": own}
@@ -259,7 +259,7 @@ def _best_arranged(study: SetStudy, name: str, ways: Sequence[SetDesign]) -> Set
 def _alone(study: SetStudy, name: str, design: SetDesign) -> list[Optimum]:
     """The optimum of each task with springs of its own; each is saved as soon as it is solved, for a run that is interrupted."""
     names = [f"{name} alone {t + 1}" for t in range(len(design.designs))]
-    open_ = [t for t, one in enumerate(names) if taken(study, one, [f".{one}"]) is None]
+    open_ = [t for t, one in enumerate(names) if taken(study, one, [one]) is None]
     with study.listener.count(f"{name} alone", len(names)) as count:
         count(len(names) - len(open_), "tasks alone")
         calls = [(t, design.designs[t], study.options) for t in open_]
@@ -268,8 +268,8 @@ def _alone(study: SetStudy, name: str, design: SetDesign) -> list[Optimum]:
                 task = design.designs[t].task.name
                 raise UserError(f"no motion of task {task!r} was found within its limits: {optimum}")
             multipliers = {"lam_g": optimum.solution.lam_g, "lam_w": optimum.solution.lam_w}
-            write_npz(study.out / f".{names[t]}.npz", restart_arrays(optimum.solution) | multipliers)
-            save(study, names[t], plain({"meshes": optimum.meshes}), [f".{names[t]}"])
+            write_npz(kept_motion(study, names[t]), restart_arrays(optimum.solution) | multipliers)
+            save(study, names[t], plain({"meshes": optimum.meshes}), [names[t]])
             count(done, "tasks alone")
     return [_restored(study, one, own) for one, own in zip(names, design.designs, strict=True)]
 
@@ -282,9 +282,9 @@ def _search(task: int, design: CoDesign, options: SearchOptions) -> tuple[int, O
 
 
 def _restored(study: SetStudy, name: str, design: CoDesign) -> Optimum:
-    found = taken(study, name, [f".{name}"])
+    found = taken(study, name, [name])
     assert found is not None
-    file = read_npz(study.out / f".{name}.npz")
+    file = read_npz(kept_motion(study, name))
     solution = replace(restored(design, study.options, file), lam_g=file["lam_g"], lam_w=file["lam_w"])
     return Optimum(solution, found["meshes"])
 
