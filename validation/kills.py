@@ -19,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -330,15 +330,13 @@ def table(results: Sequence[dict[str, Any]]) -> str:
     """Counts by command and disturbance, in Markdown."""
     header = ["command", "disturbed", "times", "torn files", "old beside new", "files missing until it is given again"]
     header += ["no sentence", "temporary files left", "went on", "same numbers"]
-    rows, count = [], Callable[[dict[str, Any]], Any]
+    rows = []
     for name in dict.fromkeys(r["command"] for r in results):
         for fault in (*KILLS, *OTHERS):
             some = [r for r in results if (r["command"], r["fault"]) == (name, fault)]
-            if some:
-                asked: list[count] = [lambda r: r["torn"], lambda r: r["mixed"], lambda r: r["missing"]]
-                asked += [lambda r: r["without_a_sentence"], lambda r: r["temporary"], lambda r: not r["again"]]
-                asked += [lambda r: not r["differs"]]
-                rows.append([name, fault, *(str(n) for n in (len(some), *(sum(bool(ask(r)) for r in some) for ask in asked)))])
+            bad = [sum(bool(r[key]) for r in some) for key in ("torn", "mixed", "missing", "without_a_sentence", "temporary")]
+            good = [sum(not r[key] for r in some) for key in ("again", "differs")]
+            rows += [[name, fault, *map(str, (len(some), *bad, *good))]] * bool(some)
     return markdown(header, rows)
 
 
