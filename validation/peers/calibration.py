@@ -42,8 +42,8 @@ from rrr_oc.robot.robot import load_robot  # noqa: E402
 from rrr_oc.storage import write_json  # noqa: E402
 from validation.calibration_coverage import WIDTH, record  # noqa: E402
 
-# pyright: reportAttributeAccessIssue=false
-# (pin's and mujoco's wheels have no stubs)
+# pyright: reportAttributeAccessIssue=false, reportMissingImports=false
+# (pin's and mujoco's wheels have no stubs, and peers are in environments of their own)
 
 COUNT, HELD, SECONDS, SEED = 8, 2, 10.0, 5001
 CHUNK, STEP = 0.5, 2e-3  # [s], of the rollouts

@@ -81,7 +81,7 @@ class Problem:
     y: list[np.ndarray]
     meanings: list[Meaning]
     group: np.ndarray
-    screen: Callable[[Sequence[int]], np.ndarray]
+    screen: Callable[[Sequence[int] | np.ndarray], np.ndarray]
     predict: Callable[[Recording, np.ndarray], np.ndarray]
 
 
@@ -262,7 +262,7 @@ class _Screen:
         grams = [[part[:, s].T @ part[:, s] for s in parts] for part in x]
         return cls(grams, [[part[:, s].T @ left for s in parts] for part, left in zip(x, y, strict=True)], start, places)
 
-    def columns(self, seen: Sequence[int]) -> np.ndarray:
+    def columns(self, seen: Sequence[int] | np.ndarray) -> np.ndarray:
         """Numbers of the columns that are kept, from these recordings."""
         by_place: dict[tuple, list[tuple[float, int]]] = {}
         for k, place in enumerate(self.places):

@@ -16,6 +16,9 @@ from sklearn.linear_model import LassoCV, lasso_path
 
 from validation.peers.library import Problem
 
+# pyright: reportMissingImports=false
+# (PySINDy is in the extra "peers")
+
 FOLDS = 4  # at most, of whole recordings
 THRESHOLDS = np.geomspace(0.02, 0.8, 10)  # of coefficients, as shares of the residual's size
 PENALTIES = np.geomspace(1e-3, 1.0, 30)  # of the lasso, as shares of the least that keeps no term
@@ -29,7 +32,7 @@ def folds(count: int) -> list[np.ndarray]:
     return [part for part in np.array_split(np.arange(count), min(FOLDS, count)) if len(part)]
 
 
-def joined(parts: Sequence[np.ndarray], numbers: Sequence[int]) -> np.ndarray:
+def joined(parts: Sequence[np.ndarray], numbers: Sequence[int] | np.ndarray) -> np.ndarray:
     """Rows of these recordings."""
     return np.concatenate([parts[k] for k in numbers])
 
@@ -38,7 +41,7 @@ def compressed(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fewer rows with the same normal equations, by a QR decomposition; no peer loses by it, and all are faster."""
     if len(y) <= x.shape[1] + 1:
         return x, y
-    triangle = np.linalg.qr(np.hstack([x, y[:, None]]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.hstack([x, y[:, None]]), mode="r"))
     return triangle[:, :-1], triangle[:, -1]
 
 

@@ -17,7 +17,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from rrr_oc.storage import write_json  # noqa: E402
-from tests.benchmarks.bench_rollout import FORMS, STEPS, batch  # noqa: E402
+from tests.benchmarks.bench_rollout import FORMS, STEPS, Batch, batch  # noqa: E402
 
 ROUNDS = 5
 
@@ -29,7 +29,8 @@ def main() -> None:
     path = options.out / "rollouts.json"
     if path.exists():
         return
-    works, best = {form: batch(form, "euler") for form in FORMS}, dict.fromkeys(FORMS, float("inf"))
+    works: dict[str, Batch] = {form: batch(form, "euler") for form in FORMS}
+    best: dict[str, float] = dict.fromkeys(works, float("inf"))
     for _ in range(ROUNDS):
         for form, work in works.items():
             began = time.process_time()
