@@ -85,6 +85,7 @@ NOT_RUN = {
     "validation/analytic_vs_mujoco.py": ("minutes", "tests/test_tracking.py"),
     "validation/calibration_coverage.py": ("hours", "tests/test_calibration.py"),
     "validation/calibration_ways.py": ("minutes", "tests/test_calibration.py"),
+    "validation/peers/": ("hours, and needs other tools", "tests/test_peers.py"),
     "validation/engine_plants.py": ("minutes to hours", "tests/test_diagnosis.py"),
 }
 
