@@ -171,7 +171,7 @@ def _arm_law(problem: Problem, index: int) -> Callable[[Sequence[Any], Sequence[
 
     rng = np.random.default_rng(0)
     samples = rng.uniform(-1, 1, (40, 3, 2))
-    a = np.concatenate([np.array(columns(*sample, np)) for sample in samples])
+    a = np.concatenate([np.array(columns(sample[0], sample[1], sample[2], np)) for sample in samples])
     b = np.concatenate([np.array(torques.call([*sample, payload, [], []])[0]).ravel() for sample in samples])
     found = np.linalg.lstsq(a, b, rcond=None)[0]
     if np.abs(a @ found - b).max() > 1e-9:
