@@ -9,8 +9,8 @@ from rrr_oc.optimal_control.solver import Options, Solution, Solver
 
 SMALL = 0.1  # [1] of the tolerance of the cost that an interval may lose by one switch; doubled, more rounds, fewer intervals
 # Of the cost [1], the barrier parameter with which the first mesh starts whose limits hold everywhere. Ten times as much leads away to
-# other optima; a ten thousandth takes up to eight times as many iterations in flat valleys.
-BARRIER, LATER = 1e-4, 1e-8
+# other optima; a thousandth takes up to eight times as many iterations in flat valleys.
+BARRIER, LATER = 1e-5, 1e-8
 NEAR = 1e-4  # [1] of its scale: a control this close to a limit is at it; doubled, more intervals are split that need not be
 
 

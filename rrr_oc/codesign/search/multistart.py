@@ -40,9 +40,10 @@ PROMISING = (
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
 SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
 FEW = 1  # meshes to which all optima close to the best are refined; more tell them apart better and take longer
-# Initial barrier parameters of the starts from Sobol points, in turn. A large one leads every start to the middle of all bounds first,
-# and from there to few, good optima; IPOPT's adaptive strategy, for all other starts, ends in more of them.
-BARRIERS = (1.0, 0.1, 0.01)
+# Initial barrier parameters of the starts from Sobol points, in turn; None is IPOPT's adaptive strategy, which all other starts have. A
+# large one leads every start to the middle of all bounds first, and from there to one good optimum or few; more of them, and the
+# optima that are not on that way are missed.
+BARRIERS = (1.0, None, None, None)
 TRIED = 4  # starts for each way to mount the springs; doubled, choosing among them takes twice as long and errs less often
 
 
@@ -117,7 +118,7 @@ class Polisher:
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
         self.design, self.options = design, options
-        settings, barriers = Options(tolerance=1e-6, iterations=200), (None, *BARRIERS)
+        settings, barriers = Options(tolerance=1e-6, iterations=200), set(BARRIERS)
         self.transcription = transcribed(design, options, options.coarse)
         self.solvers = {b: Solver(self.transcription, replace(settings, barrier=b)) for b in barriers}
         self.data = design.data(options.width)
@@ -128,7 +129,7 @@ class Polisher:
         return self.polished(layer, proposed_guess(self.design, vector, self.options.via), barrier)
 
     def polished(self, layer: str, guess: Guess, barrier: float | None = None) -> Start:
-        """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS` or IPOPT's adaptive one."""
+        """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`."""
         w = self.transcription.pack(guess)
         cost = float(self.transcription.functions["nlp"](w, self.data)[0]) * self.design.problem.cost_scale
         try:
@@ -332,7 +333,7 @@ def _with_best_motions(search: MotionSearch, optima: list[Optimum]) -> list[Opti
             parameters = o.solution.parameters
             motions = search.best(parameters, number * options.motions, motions)
             optima = distinct([*optima, *_followed(design, final, combined(motions, parameters))])
-        if optima[0].cost > best * (1 - LEAST_GAIN):
+        if number and optima[0].cost > best * (1 - LEAST_GAIN):
             break
     return optima
 
