@@ -156,7 +156,7 @@ def test_the_best_motions_never_lose():
 def test_the_motion_of_a_cycle_is_searched_as_a_whole():
     """Its phases share their speeds; its optimum is better than one that stops, and what is proved of those is not said of it."""
     design = design_of("SA", replace(TASK, speeds=("moving", "moving")))
-    few = replace(OPTIONS, starts=2, within=0.0, kept=1, springs=1, rounds=1, refinement=Refinement(1e-3, rounds=1))
+    few = replace(OPTIONS, starts=8, within=0.0, kept=1, springs=1, rounds=1, refinement=Refinement(1e-3, rounds=1))
     result = solve_multistart(design, few)
     (some,) = MotionSearch(design, few).best(np.zeros(0), 0, [[result.best]])
     assert some[0].cost <= result.best.cost * (1 + 1e-2)  # on the fine mesh of 12 intervals
