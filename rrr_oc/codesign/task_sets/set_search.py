@@ -28,8 +28,10 @@ from rrr_oc.parallel import once_per_process, ordered, unordered
 LAYERS = ("alone", "sobol")  # sources of starting springs: tasks alone, and the whole of their bounds
 # Initial barrier parameters of a start: from the middle of all bounds, and nearer to the tasks' own motions.
 BARRIERS = (0.1, 1e-2)
-THOROUGH = (Options(barrier=1e-6), Options(barrier=BARRIERS[1]))  # from motions that are good, and where others may be better
+# From motions that are good, and where others may be better; to a tolerance that the solve on refined meshes makes up for.
+THOROUGH = (Options(tolerance=1e-6, barrier=1e-6), Options(tolerance=1e-6, barrier=BARRIERS[1]))
 QUICK = (Options(tolerance=1e-6, barrier=BARRIERS[0]),)  # for one of many sets of springs
+AGAIN = 100  # iterations at most of the joint solve on refined meshes, which starts at its optimum but for the meshes
 CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum's; doubled, a little is left
 GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
 FEW = 12  # proposed motions of each phase at most for one of many sets of springs; doubled, the front of a price takes longer
@@ -317,7 +319,9 @@ def _refined(design: SetDesign, joint: Optimum, options: SearchOptions) -> tuple
     transcription = replace(transcribed(design, options, 1, everywhere), mesh=mesh)
     settings = Options(barrier=1e-8, tolerance=min(1e-8, 1e-3 * options.refinement.tolerance))
     start = design.guess([o.solution.guess() for o in motions], parameters)
-    again = Solver(transcription, settings).solve(start, design.data(options.widths[-1]), check=False)
+    again = Solver(transcription, replace(settings, iterations=AGAIN)).solve(
+        start, design.data(options.widths[-1]), check=False
+    )
     if again.status != SOLVED or again.cost >= before:
         return parameters, tuple(motions), 0.0 if again.status == SOLVED else None
     held = design.held(again.parameters)

@@ -88,13 +88,17 @@ def spring_front(
     count = len(point.springs)
     while point.springs:
         progress(len(point.springs), count)
-        point = search.exchanged(point)
-        best[len(point.springs)] = point
-        point = search.without_one(point)
+        fewer = search.without_one(point)
+        if fewer.total > point.total * (1 + GAIN):  # else so many springs are not worth having, however they are exchanged
+            other = search.exchanged(point)
+            fewer, point = (fewer if other is point else search.without_one(other)), other
+        best[len(point.springs)], point = point, fewer
     for number in range(1, count + 1):
         if best[number].total >= best[number - 1].total * (1 - GAIN):  # then what the smaller set found may help the larger one
             grown = search.with_one(best[number - 1])
-            best[number] = grown if grown and grown.total < best[number].total else best[number]
+            if grown is None or grown.total >= best[number - 1].total * (1 - GAIN):
+                break
+            best[number] = min(best[number], grown, key=lambda p: p.total)
     kept: list[ChoicePoint] = []
     for number in sorted(best):
         if not kept or best[number].total < kept[-1].total * (1 - GAIN):
