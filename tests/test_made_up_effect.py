@@ -64,6 +64,7 @@ class RubberBand(Effect):
     listing = Listing("bands", ("stiffness_Nm_per_rad3", "rest_rad"))
     design = DesignForm(
         "BAND",
+        "rubber bands along joints",
         (Quantity("k_r", "stiffness_Nm_per_rad3", "Nm/rad³", lowest=0.0), Quantity("q_r", "rest_deg", "rad", np.pi / 180, free=True)),
         shop="rubber_bands",
     )

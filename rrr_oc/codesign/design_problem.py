@@ -97,6 +97,14 @@ class CoDesign:
         hardware = [bound for s in self.springs for bounds in s.hardware.values() for bound in bounds]
         return np.r_[self.task.payload, widths, power, hardware]
 
+    def widths(self, data):
+        """Smoothing widths of the springs among the problem's data, numbers or casadi's."""
+        return data[1 : 1 + self.model.widths.size]
+
+    def power_width(self, data):
+        """Smoothing width of power [W] among the problem's data; 0 where the cost is not the energy."""
+        return data[1 + self.model.widths.size] if self.cost == "energy" else 0.0
+
     @cached_property
     def problem(self) -> Problem:
         """The optimal-control problem: states q, dq of the moving joints, controls their accelerations.
@@ -154,14 +162,13 @@ class CoDesign:
         task, m = self.task, len(self.task.moving)
         sizes = {"x": 2 * m, "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
         x, u, p, d = (ca.SX.sym(name, size) for name, size in sizes.items())
-        widths, torques = d[1 : 1 + self.model.widths.size], []
+        widths, torques = self.widths(d), []
         for scenario in self.scenarios:
             theta, payload = ca.SX(self.engaged(index, p)), d[0] * scenario.payload if index == 0 else 0.0
             for at, value in scenario.theta:
                 theta[at] = value
             torques.append(self._load_torque(x[:m], x[m:], u, payload, theta, widths)[0])
-        power_width = d[1 + self.model.widths.size] if self.cost == "energy" else 0.0
-        costs = ca.vertcat(*[self.cost_rate(x[m:], u, tau, power_width) for tau in torques])
+        costs = ca.vertcat(*[self.cost_rate(x[m:], u, tau, self.power_width(d)) for tau in torques])
         path = ca.vertcat(*[tau[int(i)] / task.torque[i] for tau in torques for i in limited])
         if np.isfinite(task.floor):
             path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m], self.task.locked)))

@@ -90,8 +90,14 @@ class DrivenArm:
         return [np.r_[self.design.engaged(i, self.parameters), self.friction] for i in range(len(PHASES))]
 
     def motor_torque(self, motion: Motion, theta: np.ndarray) -> np.ndarray:
-        """The torque that a motion needs from the motors, springs and drives included (n, K) [Nm], with parameters as `thetas`."""
-        return replace(self.physics, theta=theta).torques(motion)[0] + self.armature[:, None] * motion.ddq
+        """The torque that a motion of the task needs from the motors, springs and drives included (n, K) [Nm].
+
+        Args:
+            motion: With the task's payload, to which `payload` is applied here.
+            theta: Of `thetas`.
+        """
+        carried = replace(motion, payload=self.payload * motion.payload)
+        return replace(self.physics, theta=theta).torques(carried)[0] + self.armature[:, None] * motion.ddq
 
     def power(self, phase: TrackedPhase) -> np.ndarray:
         """Electrical power of the drives along a simulated motion, what flows back as far as it is kept (m, K) [W]."""
@@ -145,10 +151,10 @@ def follow(arm: DrivenArm, motion: SampledMotion, control: Control, known: Drive
     task, believed = arm.design.task, known or arm
 
     def forward(phase: Motion, theta: np.ndarray) -> np.ndarray:
-        known_theta = np.r_[theta[:-1], believed.friction]
-        return np.zeros_like(phase.q) if control == "P" else believed.motor_torque(phase, known_theta)
+        return np.zeros_like(phase.q) if control == "P" else believed.motor_torque(phase, theta)
 
-    references = [replace(r, payload=arm.payload * r.payload) for r in motion.references(task, arm.thetas, forward)]
+    planned = zip(motion.references(task, believed.thetas, forward), arm.thetas, strict=True)
+    references = [replace(r, payload=arm.payload * r.payload, theta=theta) for r, theta in planned]
     gains = p_control(arm.design) if control == "P" else controller(arm.design.model)
     settings = Settings("native", start=start_of(task), armature=arm.armature)
     physics = arm.physics

@@ -86,7 +86,7 @@ def sample_motion(design: CoDesign, solution: Solution, tolerance: float = 2e-5)
 
 
 def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
-    widths = solution.problem.data[1 : 1 + design.model.widths.size]
+    widths = design.widths(solution.problem.data)
     m, start, parts = len(design.task.moving), 0.0, []
     for i, payload in enumerate(design.task.payloads):
         t, x, _, u = solution.sample(i, np.linspace(0, 1, points))
@@ -196,7 +196,7 @@ def check_simulation(design: CoDesign) -> None:
 
 def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form: Form = "generated") -> Tracked:
     """Track the optimum in MuJoCo with its load torque as feed-forward and the paper's P-controllers; all joints are simulated."""
-    model, widths = design.model, solution.problem.data[1 : 1 + design.model.widths.size]
+    model, widths = design.model, design.widths(solution.problem.data)
 
     def load(phase: Motion, theta: np.ndarray) -> np.ndarray:
         return np.array(model.inverse(phase.q, phase.dq, phase.ddq, phase.payload[0], theta, widths)[0])

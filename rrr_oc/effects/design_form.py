@@ -37,6 +37,7 @@ class DesignForm:
 
     Attributes:
         label: Name of the configuration that has these springs alone.
+        words: What they are, as a phrase.
         quantities: What a task bounds.
         shop: Key of these springs in a catalogue of purchasable hardware, or "". If one quantity is bought, the catalogue has a list
             for each joint; if several are, a list for each quantity.
@@ -45,6 +46,7 @@ class DesignForm:
     """
 
     label: str
+    words: str
     quantities: tuple[Quantity, ...]
     shop: str = ""
     tables: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

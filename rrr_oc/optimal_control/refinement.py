@@ -8,8 +8,8 @@ from rrr_oc.optimal_control.scheme import scheme
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
 
 SMALL = 0.1  # [1] of the tolerance of the cost that an interval may lose by one switch; doubled, more rounds, fewer intervals
-# Of the cost [1], the barrier parameter with which the first mesh starts whose limits hold everywhere. Ten times as much leads away to
-# other optima; a thousandth takes up to eight times as many iterations in flat valleys.
+# Initial barrier parameter over the scaled cost [1] on the first mesh on which limits hold everywhere. Ten times as much leads away to
+# other optima; with a thousandth, flat valleys take many more iterations. On later meshes it is the second number.
 BARRIER, LATER = 1e-5, 1e-8
 NEAR = 1e-4  # [1] of its scale: a control this close to a limit is at it; doubled, more intervals are split that need not be
 
@@ -111,9 +111,8 @@ def refine(
             break
         finer = replace(solution.transcription, scheme=method, mesh=mesh)
         first = not solution.transcription.scheme.everywhere
-        barrier = BARRIER * _magnitude(solution) / solution.problem.cost_scale if first else 0.0
-        settings = replace(options, barrier=max(barrier, LATER))
-        previous, solution = solution, Solver(finer, settings).solve(solution.guess())
+        barrier = max(BARRIER * _magnitude(solution) / solution.problem.cost_scale, LATER) if first else LATER
+        previous, solution = solution, Solver(finer, replace(options, barrier=barrier)).solve(solution.guess())
         error = mesh_error(solution)
         change = abs(solution.cost - previous.cost) / _magnitude(solution)
         excess = max(e.max() for e in error.excess)

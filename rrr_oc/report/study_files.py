@@ -134,7 +134,8 @@ def _new_files(
             for label, columns in profiles(task, saved_springs(made / "summary.json", name, task).mounted).items():
                 file = f"{name}_{label.replace('[', '_').rstrip(']')}"
                 write_csv(made / f"{file}.csv", columns)
-                write_text(made / f"{file}.dxf", outline_dxf(columns["outline_x_mm"], columns["outline_y_mm"]))
+                if "outline_x_mm" in columns:
+                    write_text(made / f"{file}.dxf", outline_dxf(columns["outline_x_mm"], columns["outline_y_mm"]))
         yield made
 
 

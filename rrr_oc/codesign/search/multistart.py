@@ -34,9 +34,8 @@ SPRINGS = 3  # springs of which the best motions are searched at first; doubled,
 APART = 0.03  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
 POSTURES = 64  # in which their torque is compared; doubled, springs that differ in a few postures only are told apart
 IDLE = 5  # springs tried one after the other without a lower cost, before no more are; doubled, slower and surer
-PROMISING = (
-    0.15  # [1] above the best cost that a finer mesh and better motions may undo; doubled, more optima are solved in vain
-)
+# [1] above the best cost that a finer mesh and better motions may undo; doubled, more optima are solved in vain
+PROMISING = 0.15
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
 SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
 FEW = 1  # meshes to which all optima close to the best are refined; more tell them apart better and take longer
@@ -118,7 +117,7 @@ class Polisher:
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
         self.design, self.options = design, options
-        settings, barriers = Options(tolerance=1e-6, iterations=200), set(BARRIERS)
+        settings, barriers = Options(tolerance=1e-6, iterations=200), {None, *BARRIERS}
         self.transcription = transcribed(design, options, options.coarse)
         self.solvers = {b: Solver(self.transcription, replace(settings, barrier=b)) for b in barriers}
         self.data = design.data(options.width)
@@ -129,7 +128,7 @@ class Polisher:
         return self.polished(layer, proposed_guess(self.design, vector, self.options.via), barrier)
 
     def polished(self, layer: str, guess: Guess, barrier: float | None = None) -> Start:
-        """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`."""
+        """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`, or IPOPT's adaptive one."""
         w = self.transcription.pack(guess)
         cost = float(self.transcription.functions["nlp"](w, self.data)[0]) * self.design.problem.cost_scale
         try:

@@ -12,18 +12,19 @@ from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.solver import Solution
 from rrr_oc.optimal_control.transcription import Transcription
 
+Along = list[tuple[list[np.ndarray], np.ndarray]]  # for each phase: (q, dq, ddq, payload, need) at the stages, and weights [s]
+
 
 class SpringCost:
     """The cost of one task by its springs. The dynamics are evaluated once a motion, the springs for every set of parameters.
 
-    Springs do not change what a motion needs in all, so the load torque is that need less the springs' torque.
+    The torque that a motion needs without springs does not depend on them; the load torque is that torque minus the springs'.
     """
 
     def __init__(self, design: CoDesign, transcription: Transcription, data: np.ndarray) -> None:
         self.design, self.transcription = design, transcription
-        self.widths = data[1 : 1 + design.model.widths.size]
-        power = float(data[1 + self.widths.size]) if design.cost == "energy" else 0.0
-        self._rates = [self._rate(phase, power) for phase in range(len(PHASES))]
+        self.widths = design.widths(data)
+        self._rates = [self._rate(phase, design.power_width(data)) for phase in range(len(PHASES))]
 
     def _rate(self, phase: int, power: float) -> ca.Function:
         """(q, dq, ddq, payload, need, p, widths) -> the cost's rate and its gradient by p; `power` is the width of power [W]."""
@@ -36,7 +37,7 @@ class SpringCost:
         outputs = [rate, ca.densify(ca.gradient(rate, p))]
         return ca.Function("rate", [q, dq, ddq, payload, need, p, widths], outputs)
 
-    def along(self, w: np.ndarray, parameters: np.ndarray) -> list[tuple[list[np.ndarray], np.ndarray]]:
+    def along(self, w: np.ndarray, parameters: np.ndarray) -> Along:
         """A motion (scaled variables) at all stages, for each phase: (q, dq, ddq, payload, need), each with one column a stage, and
         the weights of the quadrature [s]. Of the parameters (np,) only those of known effects matter."""
         empty, t = np.empty(0), self.transcription
@@ -50,7 +51,7 @@ class SpringCost:
             phases.append((columns, (solution.durations[i] * t.scheme.b[:, None] * fractions).ravel()))
         return phases
 
-    def __call__(self, along: list[tuple[list[np.ndarray], np.ndarray]], parameters: np.ndarray) -> tuple[float, np.ndarray]:
+    def __call__(self, along: Along, parameters: np.ndarray) -> tuple[float, np.ndarray]:
         """The cost along a motion, as `along` gives it, and its gradient by the parameters (np,)."""
         total, slope = 0.0, np.zeros(len(parameters))
         for rate, (columns, weights) in zip(self._rates, along, strict=True):

@@ -323,7 +323,7 @@ def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, in
         w[at] = value / solution.problem.p_scale[at]
     case = replace(solution, w=w)
     there = replace(design, task=replace(task, payload=task.payload * scenario.payload), scenarios=design.scenarios[:1])
-    widths = solution.problem.data[1 : 1 + design.model.widths.size]
+    widths = design.widths(solution.problem.data)
     payloads = there.task.payloads
     thetas = [there.engaged(i, case.parameters) for i in range(len(PHASES))]
     torques = [

@@ -98,7 +98,7 @@ def spring_front(
             grown = search.with_one(best[number - 1])
             if grown is None or grown.total >= best[number - 1].total * (1 - GAIN):
                 break
-            best[number] = min(best[number], grown, key=lambda p: p.total)
+            best[number] = grown
     kept: list[ChoicePoint] = []
     for number in sorted(best):
         if not kept or best[number].total < kept[-1].total * (1 - GAIN):

@@ -138,6 +138,7 @@ class BiarticularSpring(Effect):
     listing = Listing("bpea", ("stiffness_Nm_per_rad", "equilibrium_rad", *RADII), zero=RADII[2:])
     design = BiarticularForm(
         "BPEA",
+        "a spring across two joints",
         (
             Quantity("k_b", "k_b_Nm_per_rad", "Nm/rad"),
             Quantity("q_0", "q_0_deg", "rad", np.pi / 180, free=True),

@@ -34,6 +34,7 @@ class ClutchedBiarticularSpring(BiarticularSpring):
     options = {**BiarticularSpring.options, "phase": PHASES}  # noqa: RUF012
     design = BiarticularForm(
         "CBPEA",
+        "a spring across two joints that a clutch connects in one phase",
         (
             Quantity("k_bc", "k_b_Nm_per_rad", "Nm/rad"),
             Quantity("q_0c", "q_0_deg", "rad", np.pi / 180, free=True),

@@ -33,6 +33,7 @@ class ClutchedSpring(TwoSidedSpring):
     options = {"phase": PHASES}  # noqa: RUF012
     design = DesignForm(
         "CPEA",
+        "springs across one joint that a clutch connects in one phase",
         (
             Quantity("k_c", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
             Quantity("q_c", "equilibrium_deg", "rad", np.pi / 180, free=True),

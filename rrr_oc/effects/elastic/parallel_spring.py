@@ -42,6 +42,7 @@ class ParallelSpring(Effect):
     listing = Listing("pea", ("stiffness_Nm_per_rad", "equilibrium_rad"))
     design = DesignForm(
         "PEA",
+        "springs in parallel with joints",
         (
             Quantity("k_p", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
             Quantity("q_eq", "equilibrium_deg", "rad", np.pi / 180, free=True),

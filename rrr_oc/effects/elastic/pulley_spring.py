@@ -55,6 +55,7 @@ class PulleySpring(Effect):
     options = {"active": SIDES}  # noqa: RUF012
     design = DesignForm(
         "VPEA",
+        "cable springs over pulleys of changing radius",
         (
             Quantity("k_v", "stiffness_N_per_m", "N/m", lowest=0.0),
             Quantity("q_v", "equilibrium_deg", "rad", np.pi / 180, free=True),

@@ -39,6 +39,7 @@ class TableSpring(Effect):
     options = {"mounting": MOUNTINGS}  # noqa: RUF012
     design = DesignForm(
         "NPEA",
+        "springs across one joint as a table lists them",
         (
             Quantity("n_n", "number", "1", lowest=0.0),
             Quantity("q_n", "equilibrium_deg", "rad", np.pi / 180, free=True),

@@ -20,6 +20,7 @@ class TwoSidedSpring(Effect):
     scope = "mounted"
     design = DesignForm(
         "TPEA",
+        "springs in parallel with joints that pull both ways",
         (
             Quantity("k_t", "stiffness_Nm_per_rad", "Nm/rad", lowest=0.0),
             Quantity("q_t", "equilibrium_deg", "rad", np.pi / 180, free=True),

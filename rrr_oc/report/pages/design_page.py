@@ -66,6 +66,7 @@ def design_page(summary: Mapping[str, Any], motions: Mapping[str, Arrays], pictu
         quantity=quantity,
         best=best,
         verdict=say.verdict(summary),
+        kinds=say.kinds_of_springs(found),
         ends=tell.ends_in_words(summary),
         cautions=say.cautions(summary),
         configurations=[(name, name) for name in found],

@@ -1,10 +1,11 @@
 """A co-design study in words: the verdict, what is to be made or bought, and what to be careful about; made from its summary alone."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rrr_oc.codesign.study import does_nothing
+from rrr_oc.effects import design_forms
 from rrr_oc.effects.words import listed, words
 from rrr_oc.model.metrics import decrease
 from rrr_oc.report.design_report import Quantity, of_joint
@@ -21,6 +22,12 @@ def best_of(found: Mapping[str, Any], bought: bool = False) -> str | None:
     """The cheapest configuration whose springs do something, of all or of those with hardware of the catalogue; None without one."""
     some = [n for n, c in found.items() if c["springs"] and not does_nothing(c) and (n.endswith("*") or not bought)]
     return min(some, key=lambda name: found[name]["cost"], default=None)
+
+
+def kinds_of_springs(names: Iterable[str]) -> list[tuple[str, str]]:
+    """Of each kind of springs in some configurations its label and what it is, as a phrase."""
+    labels = {label for name in names for label in name.rstrip("*").split("+")}
+    return [(label, kind.design.words) for label, kind in design_forms().items() if kind.design is not None and label in labels]
 
 
 def verdict(summary: Summary) -> str:

@@ -53,6 +53,7 @@ def set_page(summary: Mapping[str, Any], data: Mapping[str, Mapping[str, np.ndar
         quantity=quantity,
         best=best,
         verdict=verdict(summary),
+        kinds=say.kinds_of_springs(found),
         minimised=tell.minimised(content),
         cautions=tell.cautions(content),
         configurations=[(name, name) for name in found],
