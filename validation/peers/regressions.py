@@ -54,7 +54,11 @@ def tuned(path: Path, problem: Problem, strengths: np.ndarray) -> tuple[np.ndarr
         columns = problem.screen(seen)
         found = path(*compressed(joined(problem.x, seen)[:, columns], joined(problem.y, seen)), strengths)
         x, y = joined(problem.x, out)[:, columns], joined(problem.y, out)
+        if not np.any(y):  # a joint may stand still in all recordings that are left out
+            continue
         left.append(np.sum((y[:, None] - x @ found.T) ** 2, axis=0) / np.sum(y**2))
+    if len(left) < 2:  # no error of the mean
+        return np.zeros(problem.x[0].shape[1]), np.inf
     mean, error = np.mean(left, axis=0), np.std(left, axis=0, ddof=1) / np.sqrt(len(left))
     best = int(np.argmin(mean))
     coefficients = np.zeros(problem.x[0].shape[1])
