@@ -27,9 +27,10 @@ INCLUDED = 0.9  # share of an ensemble's models that must have a term (Fasel et 
 Path = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (X, y, strengths) -> coefficients (strengths, C)
 
 
-def folds(count: int) -> list[np.ndarray]:
-    """Numbers of the recordings that are left out together."""
-    return [part for part in np.array_split(np.arange(count), min(FOLDS, count)) if len(part)]
+def folds(y: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Numbers of the recordings that are left out together, of those that have rows; none where only one has, so that none is seen."""
+    own = np.flatnonzero([len(part) > 0 for part in y])
+    return np.array_split(own, min(FOLDS, len(own))) if len(own) > 1 else []
 
 
 def joined(parts: Sequence[np.ndarray], numbers: Sequence[int] | np.ndarray) -> np.ndarray:
@@ -49,15 +50,13 @@ def tuned(path: Path, problem: Problem, strengths: np.ndarray) -> tuple[np.ndarr
     """Coefficients (C,) and their strength by the rule of one standard error; zeros and infinity where no term is worth it."""
     count = len(problem.x)
     left = []
-    for out in folds(count):
+    for out in folds(problem.y):
         seen = np.setdiff1d(np.arange(count), out)
         columns = problem.screen(seen)
         found = path(*compressed(joined(problem.x, seen)[:, columns], joined(problem.y, seen)), strengths)
         x, y = joined(problem.x, out)[:, columns], joined(problem.y, out)
-        if not np.any(y):  # a joint may stand still in all recordings that are left out
-            continue
         left.append(np.sum((y[:, None] - x @ found.T) ** 2, axis=0) / np.sum(y**2))
-    if len(left) < 2:  # no error of the mean
+    if not left:
         return np.zeros(problem.x[0].shape[1]), np.inf
     mean, error = np.mean(left, axis=0), np.std(left, axis=0, ddof=1) / np.sqrt(len(left))
     best = int(np.argmin(mean))
@@ -127,7 +126,9 @@ def lasso_default(problem: Problem) -> np.ndarray:
     count = len(problem.x)
     a, b, back = scaled(joined(problem.x, range(count)), joined(problem.y, range(count)), np.sqrt(sum(map(len, problem.y))))
     of = np.repeat(np.arange(count), [len(part) for part in problem.y])
-    cv = [(np.flatnonzero(~np.isin(of, out)), np.flatnonzero(np.isin(of, out))) for out in folds(count)]
+    cv = [(np.flatnonzero(~np.isin(of, out)), np.flatnonzero(np.isin(of, out))) for out in folds(problem.y)]
+    if not cv:
+        return np.zeros(a.shape[1])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return LassoCV(cv=cv).fit(a, b).coef_ * back
@@ -186,13 +187,15 @@ def boosted(x: Sequence[np.ndarray], y: Sequence[np.ndarray]) -> tuple[Any | Non
         it, and the importance of each input for that (inputs,). None, 0 and zeros where that is not above 0 by one standard error.
     """
     left, important = [], []
-    for out in folds(len(x)):
+    for out in folds(y):
         seen = np.setdiff1d(np.arange(len(x)), out)
         model = HistGradientBoostingRegressor(random_state=0).fit(joined(x, seen), joined(y, seen))
         held, target = joined(x, out), joined(y, out)
         left.append(1.0 - np.sum((target - model.predict(held)) ** 2) / np.sum(target**2))
         found: Any = permutation_importance(model, held, target, n_repeats=2, random_state=0, scoring="neg_mean_squared_error")
         important.append(found.importances_mean)
+    if not left:
+        return None, 0.0, np.zeros(x[0].shape[1])
     gain, error = float(np.mean(left)), float(np.std(left, ddof=1) / np.sqrt(len(left)))
     if gain <= error:
         return None, 0.0, np.zeros(x[0].shape[1])
