@@ -4,7 +4,7 @@ import numpy as np
 
 from validation.peers.discovery import claimed
 from validation.peers.library import INPUTS, MEANS, OTHERS, Meaning, Problem
-from validation.peers.regressions import PENALTIES, compressed, lasso, lasso_default, tuned
+from validation.peers.regressions import PENALTIES, compressed, folds, lasso, lasso_default, tuned
 from validation.peers.scores import names, of_case, table_of
 
 
@@ -27,6 +27,12 @@ def test_the_tuned_lasso_keeps_the_term_that_is_there_and_none_in_noise():
 def test_the_lasso_by_its_defaults_keeps_it_too():
     found = lasso_default(problem(1.0))
     assert np.argmax(np.abs(found)) == 2
+
+
+def test_recordings_in_which_a_joint_stands_still_are_not_left_out():
+    rows, none = np.ones(3), np.zeros(0)
+    assert [part.tolist() for part in folds([rows, none, rows, rows])] == [[0], [2], [3]]
+    assert folds([none, rows, none]) == []
 
 
 def test_fewer_rows_have_the_same_normal_equations():
@@ -63,6 +69,10 @@ def test_cases_are_scored_and_counted():
     assert (there["first"], there["among"], there["joint"], there["beyond"], there["error"]) == (False, True, True, 1, 0.5)
     clean = of_case({"effects": []}, {"claims": claims, "nrmse": 1.0, "seconds": 4.0}, 1.0)
     assert clean["alarm"]
+    faults = [{"effect": c["effects"][0], "joint": c["joint"], "in_catalogue": True} for c in claims]
+    imperfect = {"effects": [], "small": faults}
+    assert not of_case(imperfect, {"claims": claims, "nrmse": 1.0, "seconds": 4.0}, 1.0)["alarm"]
+    assert of_case(imperfect | {"small": faults[:1]}, {"claims": claims, "nrmse": 1.0, "seconds": 4.0}, 1.0)["alarm"]
     header, rows = table_of({"one": [there, clean]})
     assert len(header) == len(rows[0])
     assert rows[0][1:6] == ["0 of 1", "0 of 1", "1 of 1", "1 of 1", "1 of 1"]

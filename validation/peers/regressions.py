@@ -194,9 +194,7 @@ def boosted(x: Sequence[np.ndarray], y: Sequence[np.ndarray]) -> tuple[Any | Non
         left.append(1.0 - np.sum((target - model.predict(held)) ** 2) / np.sum(target**2))
         found: Any = permutation_importance(model, held, target, n_repeats=2, random_state=0, scoring="neg_mean_squared_error")
         important.append(found.importances_mean)
-    if not left:
-        return None, 0.0, np.zeros(x[0].shape[1])
-    gain, error = float(np.mean(left)), float(np.std(left, ddof=1) / np.sqrt(len(left)))
+    gain, error = (float(np.mean(left)), float(np.std(left, ddof=1) / np.sqrt(len(left)))) if left else (0.0, 0.0)
     if gain <= error:
         return None, 0.0, np.zeros(x[0].shape[1])
     whole = HistGradientBoostingRegressor(random_state=0).fit(joined(x, range(len(x))), joined(y, range(len(y))))

@@ -40,7 +40,7 @@ def discovery_table(cases: Path, out: Path) -> list[str]:
     entries = next(iter(found.values()))
     there = sum("first" in e for e in entries)
     joints = [e["joints"] for e in entries]
-    kinds = f"{there} with one hidden effect and {len(entries) - there} clean"
+    kinds = f"{there} with hidden effects and {len(entries) - there} without"
     head = f"{len(entries)} sealed cases, {kinds}, arms of {min(joints)} to {max(joints)} joints."
     lines = ["### Discovery", "", head, "", markdown(*table_of(found))]
     real = [json.loads(p.read_text(encoding="utf-8")) for p in sorted((out / "discovery" / "peers").glob("real_*.json"))]
