@@ -52,7 +52,8 @@ def moved() -> tuple[CoDesign, SampledMotion, np.ndarray]:
         ddq = (two - one) * (60 * s - 180 * s**2 + 120 * s**3) / period**2
         payload = task.payloads[i]
         tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, theta, design.model.widths))
-        parts.append((s * period + i * period, q, dq, ddq, tau, spring, np.full(400, i), np.full(400, payload)))
+        signals = (q, dq, ddq, tau, spring, np.full(400, i), np.full(400, payload), np.zeros((3, *q.shape)))
+        parts.append((s * period + i * period, *signals))
     columns = [np.concatenate(c, axis=-1) for c in zip(*parts, strict=True)]
     return design, SampledMotion(**dict(zip(SAVED, columns, strict=True))), theta
 

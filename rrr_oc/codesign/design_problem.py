@@ -7,18 +7,20 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from rrr_oc.codesign.series_elastic import SeriesElastic
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Link, Phase, Problem
+from rrr_oc.optimal_control.problem import Guess, Link, Phase, Problem
 from rrr_oc.robot.drives import Actuators
 
 COSTS = ("load", "motor", "energy")
 FLOOR = "height of the tool"
 # [W/rad] width over which drawn power gives way to returned power, by the springs' width; doubled, solves are easier and further off
 POWER_WIDTH = 10.0
+RATE = 2 * np.pi  # [1/s] at which the torque of springs in series typically changes, for the scale of its derivatives
 NARROW = 1e-3  # [rad] springs' width where none is given, by which that of power follows
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
@@ -66,6 +68,32 @@ class CoDesign:
         clutched = [s.effect.name for s in self.springs if s.effect.acts_in]
         if clutched and not self.task.at_rest:
             raise UserError(f"{clutched[0]} needs an arm that is at rest between the phases, where its clutch opens and closes")
+        self._check_series()
+
+    def _check_series(self) -> None:
+        if not self.series.rows:
+            return
+        name = next(s.effect.name for s in self.springs if s.effect.moves_link)
+        if self.cost == "load":
+            raise UserError(f"{name} changes what the motors do, not the load torque; the costs motor and energy show it")
+        if len(self.scenarios) > 1:
+            raise UserError(
+                f"{name} makes the motion depend on what is carried; one scenario is allowed, got {len(self.scenarios)}"
+            )
+        if not self.task.at_rest:
+            raise UserError(f"{name} needs an arm that is at rest between the phases, while the load of its springs changes")
+
+    @cached_property
+    def series(self) -> SeriesElastic:
+        """The joints with springs between drive and link; those of known effects are not among them."""
+        firsts = np.cumsum([0, *(len(s.effect.parameters) for s in self.springs)]).tolist()
+        found = [
+            (self.task.moving.index(s.effect.joints[0]), first)
+            for s, first in zip(self.springs, firsts, strict=False)
+            if s.effect.moves_link and not s.known
+        ]
+        rows, compliances = zip(*sorted(found), strict=True) if found else ((), ())
+        return SeriesElastic(len(self.task.moving), rows, compliances)
 
     @cached_property
     def model(self) -> Model:
@@ -107,9 +135,11 @@ class CoDesign:
 
     @cached_property
     def problem(self) -> Problem:
-        """The optimal-control problem: states q, dq of the moving joints, controls their accelerations.
+        """The optimal-control problem: states q, dq of the moving joints, controls their accelerations; with springs between drives
+        and links as `SeriesElastic` says.
 
-        Phase i starts at the task's end i; where the arm moves there, its speed is that at the end of the other phase.
+        Phase i starts at the task's end i; where the arm moves there, its speed is that at the end of the other phase. Springs
+        between drives and links hold the arm still at both ends, with the payload of the phase.
         """
         lower = np.concatenate([np.zeros(0), *[s.lower for s in self.springs]])
         upper = np.concatenate([np.zeros(0), *[s.upper for s in self.springs]])
@@ -132,47 +162,101 @@ class CoDesign:
         )
 
     def _phase(self, index: int) -> Phase:
-        task, m = self.task, len(self.task.moving)
+        task, m, series = self.task, len(self.task.moving), self.series
+        e, torque = len(series.rows), np.sqrt(10 * self._holding_cost() / (4 * m))
         ends = zip(task.ends(index), task.speeds[:: 1 if index == 0 else -1], strict=True)
-        start, end = (np.r_[angles, np.full(m, 0.0 if speed == "rest" else np.nan)] for angles, speed in ends)
+        start, end = (
+            np.r_[angles, np.full(m, 0.0 if speed == "rest" else np.nan), [np.nan] * e, np.zeros(e)] for angles, speed in ends
+        )
         speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
-        peak = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed)
-        limited, floor = np.flatnonzero(np.isfinite(task.torque)), int(np.isfinite(task.floor))
+        peak, limit = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed), task.acceleration.copy()
+        peak[list(series.rows)], limit[list(series.rows)] = torque * RATE**2, np.inf  # there the torque's second derivative
+        limited, floor = self._limited
+        bounded, unbounded = len(limited) * len(self.scenarios) + len(self._accelerated), np.full(2 * e, np.inf)
+        kinds = ("angle", "speed"), ("torque of the spring in series with", "rate of torque of the spring in series with")
+        own = tuple(f"{kind} {task.joints[row]}" for kind in kinds[1] for row in series.rows)
         return Phase(
             name=PHASES[index],
-            rates=self._rates(index, limited),
-            states=tuple(f"{kind} of {j}" for kind in ("angle", "speed") for j in task.joints),
-            controls=tuple(f"acceleration of {j}" for j in task.joints),
-            x_lower=np.r_[task.lower, -task.speed],
-            x_upper=np.r_[task.upper, task.speed],
-            u_lower=-task.acceleration,
-            u_upper=task.acceleration,
+            rates=self._rates(index),
+            states=(*(f"{kind} of {j}" for kind in kinds[0] for j in task.joints), *own),
+            controls=tuple(
+                f"second derivative of the torque of the spring in series with {j}"
+                if i in series.rows
+                else f"acceleration of {j}"
+                for i, j in enumerate(task.joints)
+            ),
+            x_lower=np.r_[task.lower, -task.speed, -unbounded],
+            x_upper=np.r_[task.upper, task.speed, unbounded],
+            u_lower=-limit,
+            u_upper=limit,
             start=start,
             end=end,
             duration=task.duration,
-            x_scale=np.r_[np.ones(m), np.ones(m)],
+            x_scale=np.r_[np.ones(2 * m), np.full(e, torque), np.full(e, torque * RATE)],
             u_scale=peak,
-            paths=(*[torque_path(task.joints[i]) for i in limited] * len(self.scenarios), *([FLOOR] if floor else [])),
-            path_lower=np.r_[-np.ones(limited.size * len(self.scenarios)), np.full(floor, task.floor)],
-            path_upper=np.r_[np.ones(limited.size * len(self.scenarios)), np.full(floor, np.inf)],
+            paths=(
+                *[torque_path(task.joints[i]) for i in limited] * len(self.scenarios),
+                *[acceleration_path(task.joints[i]) for i in self._accelerated],
+                *([FLOOR] if floor else []),
+            ),
+            path_lower=np.r_[-np.ones(bounded), np.full(floor, task.floor)],
+            path_upper=np.r_[np.ones(bounded), np.full(floor, np.inf)],
             costs=tuple(range(len(self.scenarios))),
+            boundary=self._held_by_springs(index, torque) if e else None,
+            boundaries=own[:e],
         )
 
-    def _rates(self, index: int, limited: np.ndarray) -> ca.Function:
-        task, m = self.task, len(self.task.moving)
-        sizes = {"x": 2 * m, "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
-        x, u, p, d = (ca.SX.sym(name, size) for name, size in sizes.items())
-        widths, torques = self.widths(d), []
+    def _held_by_springs(self, index: int, unit: float) -> ca.Function:
+        """(x, p, d) -> torque of the springs in series less what holds the arm still, over a unit (e,)."""
+        m, rows = len(self.task.moving), list(self.series.rows)
+        x, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items() if name != "u")
+        still, payload = ca.SX.zeros(m), d[0] if index == 0 else 0.0
+        held = self._load_torque(x[:m], still, still, payload, self.engaged(index, p), self.widths(d))[0][rows]
+        return ca.Function("boundary", [x, p, d], [(x[2 * m : 2 * m + len(rows)] - held) / unit])
+
+    @property
+    def _sizes(self) -> dict[str, int]:
+        """Numbers of states, controls, parameters and data."""
+        m = len(self.task.moving)
+        return {"x": 2 * m + len(self.series.states), "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
+
+    @property
+    def _limited(self) -> tuple[list[int], int]:
+        """Rows of the moving joints with limits of torque, and whether there is a floor."""
+        return np.flatnonzero(np.isfinite(self.task.torque)).tolist(), int(np.isfinite(self.task.floor))
+
+    @property
+    def _accelerated(self) -> list[int]:
+        """Rows of the moving joints whose limited acceleration is no control."""
+        return [row for row in self.series.rows if np.isfinite(self.task.acceleration[row])]
+
+    def _rates(self, index: int) -> ca.Function:
+        task, m, series = self.task, len(self.task.moving), self.series
+        x, u, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items())
+        q, dq, widths, torques, ddq = x[:m], x[m : 2 * m], self.widths(d), [], u
         for scenario in self.scenarios:
             theta, payload = ca.SX(self.engaged(index, p)), d[0] * scenario.payload if index == 0 else 0.0
             for at, value in scenario.theta:
                 theta[at] = value
-            torques.append(self._load_torque(x[:m], x[m:], u, payload, theta, widths)[0])
-        costs = ca.vertcat(*[self.cost_rate(x[m:], u, tau, self.power_width(d)) for tau in torques])
-        path = ca.vertcat(*[tau[int(i)] / task.torque[i] for tau in torques for i in limited])
-        if np.isfinite(task.floor):
-            path = ca.vertcat(path, self.model.tool_height(self._all_joints(x[:m], self.task.locked)))
-        return ca.Function("rates", [x, u, p, d], [ca.vertcat(x[m:], u), costs, path])
+
+            def load(ddq: ca.SX, payload=payload, theta=theta) -> ca.SX:
+                return self._load_torque(q, dq, ddq, payload, theta, widths)[0]
+
+            ddq = series.accelerations(load, x, u)
+            tau = load(ddq)
+            tau[list(series.rows)] = x[2 * m : 2 * m + len(series.rows)]
+            torques.append(tau)
+        _, twist_rate, twist_acceleration = series.twist(x, u, p)
+        drives = dq - twist_rate, ddq - twist_acceleration
+        costs = ca.vertcat(*[self.cost_rate(*drives, tau, self.power_width(d)) for tau in torques])
+        limited, floor = self._limited
+        path = ca.vertcat(*[tau[i] / task.torque[i] for tau in torques for i in limited])
+        path = ca.vertcat(path, *[ddq[i] / task.acceleration[i] for i in self._accelerated])
+        if floor:
+            path = ca.vertcat(path, self.model.tool_height(self._all_joints(q, task.locked)))
+        e, own = len(series.rows), list(series.rows)
+        rate, second = x[2 * m + e :], u[own]
+        return ca.Function("rates", [x, u, p, d], [ca.vertcat(dq, ddq, rate, second), costs, path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
         moving = list(self.task.moving)
@@ -186,7 +270,8 @@ class CoDesign:
         return full
 
     def cost_rate(self, dq: ca.SX, ddq: ca.SX, tau: ca.SX, width: ca.SX | float) -> ca.SX:
-        """The cost's rate at speeds, accelerations and load torques of the moving joints, (m,) each, in the cost's unit per second.
+        """The cost's rate at speeds and accelerations of the drives and load torques of the moving joints, (m,) each, in the cost's
+        unit per second.
 
         Args:
             width: Over which drawn power gives way to returned power [W].
@@ -226,6 +311,16 @@ class CoDesign:
         inputs = [ca.SX.sym(name, size) for name, size in sizes.items()]
         return ca.Function("torques", inputs, [ca.densify(tau) for tau in self._load_torque(*inputs)])
 
+    def lifted(self, guess: Guess, phases: Sequence[int] = range(len(PHASES))) -> Guess:
+        """A guess of these phases for the arm without springs in series, with their torque."""
+
+        def load(phase: int):
+            payload, theta = self.task.payloads[phase], self.engaged(phase, guess.parameters)
+            return lambda *motion: np.array(self.torques(*motion, payload, theta, self.model.widths)[0])
+
+        parts = zip(phases, guess.phases, strict=True)
+        return replace(guess, phases=tuple(self.series.lifted(part, load(i)) for i, part in parts))
+
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
         """The springs of a solution by a designer's names: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI units and radians."""
         found, numbers = {}, iter(np.asarray(parameters, float).tolist())
@@ -243,6 +338,11 @@ class CoDesign:
     def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "CoDesign":
         """The same problem with springs fixed to hardware, except the names in `keep_free`."""
         return replace(self, springs=tuple(spring.held(hardware, keep_free) for spring in self.springs))
+
+
+def acceleration_path(joint: str) -> str:
+    """Name of the path that a joint's limit of acceleration bounds, where the acceleration is no control."""
+    return f"acceleration of {joint}"
 
 
 def torque_path(joint: str) -> str:

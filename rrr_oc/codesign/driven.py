@@ -15,6 +15,7 @@ from rrr_oc.model.metrics import measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import Model
+from rrr_oc.numerics.along import along
 from rrr_oc.robot.drives import Actuators
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.simulation.engine_model import Controller, Settings, controller
@@ -89,21 +90,24 @@ class DrivenArm:
         """Parameters of the model in each phase: of the springs, which a clutch may have let go, and of the friction."""
         return [np.r_[self.design.engaged(i, self.parameters), self.friction] for i in range(len(PHASES))]
 
-    def motor_torque(self, motion: Motion, theta: np.ndarray) -> np.ndarray:
+    def motor_torque(self, motion: Motion, twist: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """The torque that a motion of the task needs from the motors, springs and drives included (n, K) [Nm].
 
         Args:
-            motion: With the task's payload, to which `payload` is applied here.
+            motion: Of the links, with the task's payload, to which `payload` is applied here.
+            twist: q, dq, ddq of the links less those of their drives, (3, n, K).
             theta: Of `thetas`.
         """
-        carried = replace(motion, payload=self.payload * motion.payload)
-        return replace(self.physics, theta=theta).torques(carried)[0] + self.armature[:, None] * motion.ddq
+        q, dq, ddq = (x - by for x, by in zip((motion.q, motion.dq, motion.ddq), twist, strict=True))
+        physics, drives = self.physics, Motion(motion.t, q, dq, ddq, self.payload * motion.payload)
+        known = theta, physics.widths, physics.inertial, twist.reshape(-1, len(motion.t)), np.zeros((0, len(motion.t)))
+        return along(physics.model.recorded_inverse, *physics.inputs(drives), *known)[0] + self.armature[:, None] * ddq
 
     def power(self, phase: TrackedPhase) -> np.ndarray:
         """Electrical power of the drives along a simulated motion, what flows back as far as it is kept (m, K) [W]."""
         rows = list(self.design.task.moving)
         current = self.drives.c_1[:, None] * phase.tau_motor[rows]
-        return np.array(self.drives.exact_power(phase.dq[rows], current))
+        return np.array(self.drives.exact_power((phase.dq - phase.twist[1])[rows], current))
 
 
 @dataclass(frozen=True)
@@ -150,8 +154,8 @@ def follow(arm: DrivenArm, motion: SampledMotion, control: Control, known: Drive
         raise UserError(f"control is {control!r}; allowed are {', '.join(CONTROLS)}")
     task, believed = arm.design.task, known or arm
 
-    def forward(phase: Motion, theta: np.ndarray) -> np.ndarray:
-        return np.zeros_like(phase.q) if control == "P" else believed.motor_torque(phase, theta)
+    def forward(phase: Motion, twist: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        return np.zeros_like(phase.q) if control == "P" else believed.motor_torque(phase, twist, theta)
 
     planned = zip(motion.references(task, believed.thetas, forward), arm.thetas, strict=True)
     references = [replace(r, payload=arm.payload * r.payload, theta=theta) for r, theta in planned]

@@ -20,7 +20,7 @@ from rrr_oc.simulation.engine_model import Form, Settings, twin
 from rrr_oc.simulation.engine_model import Start as StartOfPhase
 from rrr_oc.simulation.tracking import Reference, Tracked, track
 
-SAVED = ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload")  # arrays of a saved design's motion
+SAVED = ("t", "q", "dq", "ddq", "tau_load", "tau_spring", "phase", "payload", "twist")  # arrays of a saved design's motion
 IDLE = 1e-3  # [1] of the largest torque: a spring that adds no more does nothing; doubled, weak springs are called idle sooner
 
 
@@ -33,11 +33,13 @@ class SampledMotion(Motion):
     Attributes:
         tau_load, tau_spring: [Nm], (m, K).
         phase: Index of the phase of each sample, not decreasing, (K,); the phases are the segments.
+        twist: q, dq, ddq of the links less those of their drives, (3, m, K); 0 but for springs in series.
     """
 
     tau_load: np.ndarray
     tau_spring: np.ndarray
     phase: np.ndarray
+    twist: np.ndarray
 
     def __post_init__(self) -> None:
         ends = np.searchsorted(self.phase, np.arange(len(PHASES) + 1)).tolist()
@@ -60,13 +62,14 @@ class SampledMotion(Motion):
         ]
 
     def references(
-        self, task: Task, thetas: Sequence[np.ndarray], torque: Callable[[Motion, np.ndarray], np.ndarray]
+        self, task: Task, thetas: Sequence[np.ndarray], torque: Callable[[Motion, np.ndarray, np.ndarray], np.ndarray]
     ) -> list[Reference]:
         """The phases as references of a tracking controller, with the parameters of the model in each; `torque` gives the feed-forward
-        (n, K) [Nm] from a phase and these."""
+        (n, K) [Nm] from a phase, its twist (3, n, K) and these."""
+        twists = [np.array([task.full_rates(x[:, k]) for x in self.twist]) for k in self.phases()]
         return [
-            Reference(p.t, p.q, p.dq, p.ddq, p.payload, name=name, feed_forward=torque(p, theta), theta=theta)
-            for name, p, theta in zip(PHASES, self.by_phase(task), thetas, strict=True)
+            Reference(p.t, p.q, p.dq, p.ddq, p.payload, name=name, feed_forward=torque(p, twist, own), theta=own, twist=twist)
+            for name, p, twist, own in zip(PHASES, self.by_phase(task), twists, thetas, strict=True)
         ]
 
     @property
@@ -91,10 +94,12 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
     for i, payload in enumerate(design.task.payloads):
         t, x, _, u = solution.sample(i, np.linspace(0, 1, points))
         keep = np.r_[np.flatnonzero(np.tile(np.arange(points) < points - 1, t.shape[0])), t.size - 1]
-        q, dq, ddq = x[:m].reshape(m, -1)[:, keep], x[m:].reshape(m, -1)[:, keep], u.reshape(m, -1)[:, keep]
+        ddq = solution.rates(i, x, u)[0][m : 2 * m]
+        x, u, ddq = (v.reshape(len(v), -1)[:, keep] for v in (x, u, ddq))
+        q, dq, twist = x[:m], x[m : 2 * m], np.array(design.series.twist(x, u, solution.parameters))
         tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, design.engaged(i, solution.parameters), widths))
         n = len(keep)
-        parts.append((start + t.ravel()[keep], q, dq, ddq, tau, spring, np.full(n, i), np.full(n, payload)))
+        parts.append((start + t.ravel()[keep], q, dq, ddq, tau, spring, np.full(n, i), np.full(n, payload), twist))
         start += solution.durations[i]
     columns = [np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)]
     return SampledMotion(**dict(zip(SAVED, columns, strict=True)))
@@ -133,11 +138,16 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
             for name, p in zip(PHASES, motion.by_phase(design.task), strict=True)
             if effect.acts_in in ("", name)
         ]
-        if spring.known or max(float(np.max(np.abs(np.array(tau)))) for tau in torques) > IDLE * needed:
-            continue
         names = [p.name for p in effect.parameters]
-        soft = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
-        idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
+        absent = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
+        if effect.moves_link:
+            reason = "too stiff to matter" if absent and not spring.known else ""
+        elif spring.known or max(float(np.max(np.abs(np.array(tau)))) for tau in torques) > IDLE * needed:
+            reason = ""
+        else:
+            reason = "too soft to matter" if absent else "never taut"
+        if reason:
+            idle[design.model.label(effect)] = reason
     return idle
 
 
@@ -186,7 +196,8 @@ def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | No
             middle = zip(effect.parameters, spring.lower, spring.upper, strict=True)
             values = [low if p.name in effect.amplitudes else (low + high) / 2 for p, low, high in middle]
         parameters += values
-    return None if own else Guess(solution.guess().phases, np.array(parameters))
+    guess = Guess(solution.guess().phases, np.array(parameters))
+    return None if own else guess if inner.series.rows == outer.series.rows else outer.lifted(guess)
 
 
 def check_simulation(design: CoDesign) -> None:
@@ -195,16 +206,29 @@ def check_simulation(design: CoDesign) -> None:
 
 
 def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form: Form = "generated") -> Tracked:
-    """Track the optimum in MuJoCo with its load torque as feed-forward and the paper's P-controllers; all joints are simulated."""
-    model, widths = design.model, design.widths(solution.problem.data)
+    """Track the optimum in MuJoCo with its load torque as feed-forward and the paper's P-controllers; all joints are simulated.
 
-    def load(phase: Motion, theta: np.ndarray) -> np.ndarray:
-        return np.array(model.inverse(phase.q, phase.dq, phase.ddq, phase.payload[0], theta, widths)[0])
+    Drives have no inertia but those behind springs in series.
+    """
+    model, widths, inertia = design.model, design.widths(solution.problem.data), rotors(design)
+
+    def load(phase: Motion, twist: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        links = np.array(model.inverse(phase.q, phase.dq, phase.ddq, phase.payload[0], theta, widths)[0])
+        return links + inertia[:, None] * (phase.ddq - twist[2])
 
     thetas = [design.engaged(i, solution.parameters) for i in range(len(PHASES))]
     references = motion.references(design.task, thetas, load)
-    settings = Settings(effects=form, start=start_of(design.task))
+    settings = Settings(effects=form, start=start_of(design.task), armature=inertia)
     return track(model, references, solution.parameters, settings=settings, widths=widths)
+
+
+def rotors(design: CoDesign) -> np.ndarray:
+    """Inertia of the drives of joints with springs in series, at the joint [kg m²], (n,); 0 for other joints."""
+    inertia = np.zeros(len(design.task.moving))
+    if design.actuators is not None:
+        rows = list(design.series.rows)
+        inertia[rows] = (design.actuators.inertia / design.actuators.c_1)[rows]
+    return design.task.full_rates(inertia)
 
 
 def start_of(task: Task) -> StartOfPhase:

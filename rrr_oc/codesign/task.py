@@ -29,7 +29,7 @@ from rrr_oc.schema import (
     read_preset,
 )
 
-PRESETS = ("paper", "prototype", "more_springs", "further_springs")
+PRESETS = ("paper", "prototype", "more_springs", "further_springs", "series_springs")
 PHASES = ("go", "return")
 Speed = Literal["rest", "moving", "free"]
 

@@ -112,7 +112,7 @@ def reference_phases(
     arms = [_calibrated_arm(design, calibrated, design.engaged(i, theta)) for i in range(len(PHASES))]
     like = arms[0]
     return motion.references(
-        design.task, [arm.theta for arm in arms], lambda phase, own: replace(like, theta=own).torques(phase)[0]
+        design.task, [arm.theta for arm in arms], lambda phase, _, own: replace(like, theta=own).torques(phase)[0]
     )
 
 

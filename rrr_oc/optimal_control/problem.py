@@ -25,6 +25,8 @@ class Phase:
         start, end: States at both ends (nx,); NaN leaves a state free there.
         duration: Bounds of the duration [s]; equal bounds fix it.
         x_scale (nx,), u_scale (nu,): Typical magnitudes, by which the solver's variables are scaled.
+        boundary: casadi Function (x, p, d) -> what is 0 at both ends, or None. It takes all of the problem's data.
+        boundaries: Names of these conditions.
 
     Raises `UserError` for wrong shapes and for bounds that contradict each other.
     """
@@ -48,6 +50,8 @@ class Phase:
     data: np.ndarray | None = None
     costs: tuple[int, ...] = (0,)
     weight: float = 1.0
+    boundary: ca.Function | None = None
+    boundaries: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         nx, ng, where = len(self.states), len(self.paths), f"phase {self.name!r}: "
@@ -65,6 +69,8 @@ class Phase:
         found = tuple(self.rates.numel_out(i) for i in range(self.rates.n_out()))
         if found != (nx, len(self.costs), ng):
             raise UserError(f"{where}rates returns sizes {found}, not (dx/dt {nx}, cost rate {len(self.costs)}, path {ng})")
+        if (0 if self.boundary is None else self.boundary.numel_out(0)) != len(self.boundaries):
+            raise UserError(f"{where}boundary does not return one number for each of {self.boundaries}")
         if not 0 < self.duration[0] <= self.duration[1] < np.inf:
             raise UserError(f"{where}durations {self.duration} must be positive, finite and not crossed")
 

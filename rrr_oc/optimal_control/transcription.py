@@ -125,7 +125,7 @@ class Transcription:
 
     @cached_property
     def row_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of the constraints, phase by phase, then the design's, those of the links, and those of the costs."""
+        """Bounds of the constraints, phase by phase, then the design's, those of the links, of the phases' boundaries, and of the costs."""
         sides = [], []
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
             first, paths = self._defects(phase), len(phase.paths)
@@ -134,8 +134,8 @@ class Transcription:
                 if self.scheme.shares_first:  # the node's constraint stands once, with the interval before it
                     rows[first : first + paths, 1:] = none
                 side.append(rows.ravel(order="F"))
-        designs, links = len(self.problem.designs), len(self._linked[0])
-        least = np.r_[np.full(designs, -np.inf), np.zeros(links), np.full(self.leveled, -np.inf)]
+        designs, equal = len(self.problem.designs), len(self._linked[0]) + sum(len(names) for *_, names in self._boundaries)
+        least = np.r_[np.full(designs, -np.inf), np.zeros(equal), np.full(self.leveled, -np.inf)]
         return np.concatenate([*sides[0], least]), np.concatenate([*sides[1], np.zeros(least.size)])
 
     @cached_property
@@ -148,6 +148,16 @@ class Transcription:
         ]
         before, after = np.array(pairs, int).reshape(-1, 2).T
         return before, after
+
+    @property
+    def _boundaries(self) -> list[tuple[ca.Function, np.ndarray, tuple[str, ...]]]:
+        """Boundary conditions at each end of each phase: the function, indices of the states there, and names."""
+        return [
+            (phase.boundary, block.nodes[:, node], tuple(f"{name} at the {end} of {phase.name!r}" for name in phase.boundaries))
+            for phase, block in zip(self.problem.phases, self.blocks, strict=True)
+            for node, end in ((0, "start"), (-1, "end"))
+            if phase.boundary is not None
+        ]
 
     def row_name(self, row: int) -> str:
         """The name of a constraint and its instant, for messages."""
@@ -164,7 +174,8 @@ class Transcription:
             for link in links
             for i in link.states
         ]
-        names = [*self.problem.designs, *ends, *(f"cost {k + 1}" for k in range(self.leveled))]
+        bounded = [name for *_, names in self._boundaries for name in names]
+        names = [*self.problem.designs, *ends, *bounded, *(f"cost {k + 1}" for k in range(self.leveled))]
         return names[row - self.blocks[-1].rows.stop]
 
     @property
@@ -239,6 +250,7 @@ class Transcription:
             hessian.add(np.minimum(gather[i], gather[j]), np.maximum(gather[i], gather[j]), values * ca.DM(both))
         self._add_design(value, d, lam_g, rows, jacobian, hessian)
         self._add_links(value, rows, jacobian)
+        self._add_boundaries(value, d, lam_g, rows, jacobian, hessian)
         cost, gradient = self._objective(w, costs, gradients, rows, jacobian)
         total_rows, triu = self.row_bounds[0].size, hessian.matrix(self.size, self.size)
         g, jac = ca.vertcat(*rows), jacobian.matrix(total_rows, self.size)
@@ -281,16 +293,29 @@ class Transcription:
         design = self.problem.design
         if design is None:
             return
-        n_p, start, scale = len(self.problem.parameters), self.blocks[-1].rows.stop, self.problem.p_scale
-        rows.append(design(value[:n_p], d))
-        p, data, lam = ca.SX.sym("p", n_p), ca.SX.sym("d", d.size1()), ca.SX.sym("lam", len(self.problem.designs))
-        outputs = design(p, data)
-        first, second = ca.jacobian(outputs, p), ca.triu(ca.hessian(ca.dot(lam, outputs), p)[0])
-        slopes = ca.Function("slopes", [p, data], [first.nz[:]])(value[:n_p], d)
-        curvatures = ca.Function("curvatures", [p, data, lam], [second.nz[:]])(
-            value[:n_p], d, lam_g[start : start + len(self.problem.designs)]
-        )
+        p, data = (ca.SX.sym(name, design.size1_in(i)) for i, name in enumerate("pd"))
+        own = ca.Function("design", [p, data], [design(p, data)])
+        self._add_rows(own, np.arange(p.numel()), self.blocks[-1].rows.stop, value, d, lam_g, rows, jacobian, hessian)
+
+    def _add_boundaries(self, value, d, lam_g, rows, jacobian, hessian) -> None:
+        at = self.blocks[-1].rows.stop + len(self.problem.designs) + len(self._linked[0])
+        n_p = len(self.problem.parameters)
+        for boundary, nodes, names in self._boundaries:
+            x, p, data = (ca.SX.sym(name, boundary.size1_in(i)) for i, name in enumerate("xpd"))
+            own = ca.Function("boundary", [ca.vertcat(p, x), data], [boundary(x, p, data)])
+            self._add_rows(own, np.r_[:n_p, nodes], at, value, d, lam_g, rows, jacobian, hessian)
+            at += len(names)
+
+    def _add_rows(self, function, indices, at, value, d, lam_g, rows, jacobian, hessian) -> None:
+        """Rows from `at` on: a function of the unscaled variables at `indices`, in increasing order, and of the data."""
+        z, data = (ca.SX.sym(name, function.size1_in(i)) for i, name in enumerate(("z", "data")))
+        outputs, lam, scale = function(z, data), ca.SX.sym("lam", function.size1_out(0)), self.scale[indices]
+        where = value[indices.tolist()]
+        rows.append(function(where, d))
+        first, second = ca.jacobian(outputs, z), ca.triu(ca.hessian(ca.dot(lam, outputs), z)[0])
+        slopes = ca.Function("slopes", [z, data], [first.nz[:]])(where, d)
+        curvatures = ca.Function("curvatures", [z, data, lam], [second.nz[:]])(where, d, lam_g[at : at + lam.numel()])
         i, j = nonzeros_of(first.sparsity())
-        jacobian.add(start + i, j, slopes * ca.DM(scale[j].tolist()))
+        jacobian.add(at + i, indices[j], slopes * ca.DM(scale[j].tolist()))
         i, j = nonzeros_of(second.sparsity())
-        hessian.add(i, j, curvatures * ca.DM((scale[i] * scale[j]).tolist()))
+        hessian.add(indices[i], indices[j], curvatures * ca.DM((scale[i] * scale[j]).tolist()))

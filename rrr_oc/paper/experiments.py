@@ -195,7 +195,9 @@ def candidate_motion(encoding: Encoding, x: np.ndarray) -> SampledMotion:
     phase = np.repeat(np.arange(len(PHASES)), t.shape[1])
     q, dq, ddq, load, spring = (values.reshape(m, -1) for values in (q, dq, ddq, load, spring))
     payload = np.array(design.task.payloads)[phase]
-    return SampledMotion(t.ravel(), q, dq, ddq, payload, tau_load=load, tau_spring=spring, phase=phase)
+    return SampledMotion(
+        t.ravel(), q, dq, ddq, payload, tau_load=load, tau_spring=spring, phase=phase, twist=np.zeros((3, *q.shape))
+    )
 
 
 def spring_torques(design: CoDesign, parameters: np.ndarray, motion: SampledMotion) -> dict[str, np.ndarray]:

@@ -142,6 +142,14 @@ class Twin:
         """Joints with elastic gears."""
         return tuple(sorted({e.joints[0] for e in self.model.effects if e.moves_link}))
 
+    def coordinates(self, q: np.ndarray, dq: np.ndarray, twist: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates of the engine and their rates (nv,) from those of the drives (n,) and of the twists (2, n), 0 by default."""
+        whole, gears = np.zeros((2, self.mj.nv)), list(self.elastic_joints)
+        whole[:, self.dofs] = q, dq
+        if twist is not None:
+            whole[:, self.dofs[gears] + 1] = twist[:, gears]
+        return whole[0], whole[1]
+
     def effects(self) -> AbstractContextManager[None]:
         """The context within which the compiled effects act on `mj`: step, forward and roll out inside it."""
         return nullcontext() if self.library is None else generated_c.installed(self.library)

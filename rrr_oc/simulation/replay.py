@@ -151,13 +151,8 @@ def _follow(
 def _start(engines: Sequence[Twin], piece: Motion, hidden: Hidden | None) -> State:
     """The first instant of a piece, for each engine."""
     first, n = engines[0], len(piece.q)
-    q, dq = np.zeros((2, first.mj.nv))
-    q[first.dofs], dq[first.dofs] = piece.q[:, 0], piece.dq[:, 0]
-    effects = np.array([s.nominal for s in first.model.states])
-    if hidden is not None:
-        gears = list(first.elastic_joints)
-        behind = first.dofs[gears] + 1
-        q[behind], dq[behind] = hidden.twist[gears, 0], hidden.twist[[n + j for j in gears], 0]
-        effects = hidden.effects[:, 0]
-    q, dq, effects = (np.tile(x, (len(engines), 1)) for x in (q, dq, effects))
+    twist = None if hidden is None else hidden.twist[: 2 * n, 0].reshape(2, n)
+    start = first.coordinates(piece.q[:, 0], piece.dq[:, 0], twist)
+    effects = np.array([s.nominal for s in first.model.states]) if hidden is None else hidden.effects[:, 0]
+    q, dq, effects = (np.tile(x, (len(engines), 1)) for x in (*start, effects))
     return State(q, dq, effects, float(piece.clock[0]))

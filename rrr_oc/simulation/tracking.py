@@ -31,11 +31,20 @@ class Reference(Motion):
         name: Used in messages.
         feed_forward: Torque that the controllers add, such as the load torque of Eq. 6 [Nm], shape (n, K).
         theta: Parameters of the effects in this phase; None where they are the simulation's.
+        twist: q, dq, ddq of the links less those of their drives, (3, n, K), which gears that give need; None for no such gears.
     """
 
     name: str
     feed_forward: np.ndarray
     theta: np.ndarray | None = None
+    twist: np.ndarray | None = None
+
+    @cached_property
+    def drives(self) -> Motion:
+        """The motion of the drives."""
+        twist = np.zeros((3, *self.q.shape)) if self.twist is None else self.twist
+        q, dq, ddq = (x - by for x, by in zip((self.q, self.dq, self.ddq), twist, strict=True))
+        return Motion(self.t, q, dq, ddq, self.payload)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -52,7 +61,7 @@ class Reference(Motion):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrackedPhase(Simulated):
-    """A phase as the engine moved it, at every step, on the reference's clock.
+    """A phase as the engine moved the links, at every step, on the reference's clock.
 
     `tau_motor` is the engine's `qfrc_actuator`; `tau_load` is `mj_rne` at the engine's `qacc`, which contains no armature, so that
     the motors' inertia and friction stand on the drive's side, less `qfrc_spring`.
@@ -64,8 +73,10 @@ class TrackedPhase(Simulated):
             torques, their own expression at the engine's positions.
         work_load, dissipated: Of tau_load, and in the joints' friction, since the start [J], shape (K,).
         reference: The phase to be followed.
+        twist: q, dq, ddq of the links less those of their drives, (3, n, K).
     """
 
+    twist: np.ndarray
     tau_spring: np.ndarray
     kinetic: np.ndarray
     potential: np.ndarray
@@ -143,7 +154,7 @@ def track(
                 f"phase {phase.name!r} moves {phase.q.shape[0]} joints, but {model.robot.name!r} has {model.robot.n}"
             )
     engine = twin(model, theta, control, settings, widths)
-    check_gears(engine)
+    check_gears(engine, phases)
     following, tracked, end = Following(control, settings.timestep), [], None
     with engine.effects():
         for phase in phases:
@@ -154,9 +165,9 @@ def track(
     return Tracked(tuple(tracked), engine, control, settings)
 
 
-def check_gears(engine: Twin) -> None:
-    """Raise `UserError` where a gear gives: a design's reference is that of the links, and drives would have to lead them."""
-    if engine.elastic_joints:
+def check_gears(engine: Twin, phases: Sequence[Reference] = ()) -> None:
+    """Raise `UserError` where a gear gives, and a reference does not say how its drive leads the link."""
+    if engine.elastic_joints and not (phases and all(phase.twist is not None for phase in phases)):
         joints = ", ".join(engine.model.robot.joints[j] for j in engine.elastic_joints)
         raise UserError(
             f"the gear of {joints} gives, and a design's motion is that of the links; only recordings can be replayed"
@@ -168,9 +179,10 @@ def _follow(engine: Twin, phase: Reference, following: Following, start: State |
     t, h = following.grid(phase)
     if start is None:
         rest = [x for effect in engine.model.effects for x in effect.rest(phase.feed_forward[:, 0])]
-        start = State(phase.q[:, 0], phase.dq[:, 0], np.array(rest))
+        twist = None if phase.twist is None else phase.twist[:2, :, 0]
+        start = State(*engine.coordinates(phase.drives.q[:, 0], phase.drives.dq[:, 0], twist), np.array(rest))
     engine.set_payload(float(phase.payload[0]))
-    u = following.signal(phase, phase.feed_forward, t, h)
+    u = following.signal(phase.drives, phase.feed_forward, t, h)
     found = roll_out([engine.mj], u[None], h, State(start.q[None], start.dq[None], start.effects[None]))
     q, dq, effects = found.q[0], found.dq[0], found.effects[0]
     fine = np.all(np.abs(np.concatenate([q, dq])) < DIVERGED, axis=0) & np.all(np.isfinite(effects), axis=0)
@@ -184,31 +196,36 @@ def _follow(engine: Twin, phase: Reference, following: Following, start: State |
 
 
 def _read(engine: Twin, phase: Reference, t: np.ndarray, states: np.ndarray) -> TrackedPhase:
-    """Torques and energies of the engine at its states (2 n + activations, K), on the reference's clock (K,)."""
+    """Torques and energies of the engine at its states (2 nv + activations, K), on the reference's clock (K,)."""
     m, d, n = engine.mj, mujoco.MjData(engine.mj), engine.model.robot.n
-    fields = {"ddq": "qacc", "tau_motor": "qfrc_actuator", "tau_spring": "qfrc_spring"}
+    at, gears = engine.dofs, list(engine.elastic_joints)
+    fields = {"tau_motor": "qfrc_actuator", "tau_spring": "qfrc_spring"}
     rows = {name: np.zeros((n, t.size)) for name in (*fields, "tau_load")}
-    lost, rne = np.zeros((n, t.size)), np.zeros(n)
+    lost, accelerations, rne = np.zeros((n, t.size)), np.zeros((m.nv, t.size)), np.zeros(m.nv)
     kinetic, gravity, total = np.zeros((3, t.size))
     for k in range(t.size):
-        d.time, d.qpos[:], d.qvel[:], d.act[:] = t[k], *np.split(states[:, k], [n, 2 * n])
+        d.time, d.qpos[:], d.qvel[:], d.act[:] = t[k], *np.split(states[:, k], [m.nv, 2 * m.nv])
         mujoco.mj_forward(m, d)
         mujoco.mj_rne(m, d, 1, rne)
         mujoco.mj_energyPos(m, d)
         mujoco.mj_energyVel(m, d)
         for name, field in fields.items():
-            rows[name][:, k] = getattr(d, field)
-        rows["tau_load"][:, k], lost[:, k] = rne - d.qfrc_spring, d.qfrc_damper + d.qfrc_constraint
+            rows[name][:, k] = getattr(d, field)[at]
+        rows["tau_load"][:, k], lost[:, k] = (rne - d.qfrc_spring)[at], (d.qfrc_damper + d.qfrc_constraint)[at]
+        accelerations[:, k] = d.qacc
         total[k], kinetic[k] = d.energy[0], d.energy[1] - m.dof_armature @ d.qvel**2 / 2
         gravity[k] = -m.body_mass @ (d.xipos @ m.opt.gravity)
-    q, dq = states[:n], states[n : 2 * n]
+    moved, twist = (states[: m.nv], states[m.nv : 2 * m.nv], accelerations), np.zeros((3, n, t.size))
+    twist[:, gears] = [x[at[gears] + 1] for x in moved]
+    q, dq, ddq = (x[at] + by for x, by in zip(moved, twist, strict=True))
+    own = engine.library is None and not gears  # springs that are the engine's
     return TrackedPhase(
-        t, q, dq, rows["ddq"], np.full(t.size, phase.payload[0]),
+        t, q, dq, ddq, np.full(t.size, phase.payload[0]), twist=twist,
         tau_motor=rows["tau_motor"], tau_load=rows["tau_load"], tau_spring=rows["tau_spring"],
         kinetic=kinetic, potential=gravity,
-        stored=total - gravity if engine.library is None else _stored(engine, q, dq, float(phase.payload[0])),
+        stored=total - gravity if own else _stored(engine, q, dq, float(phase.payload[0])),
         work_load=_since_start(np.sum(rows["tau_load"] * dq, axis=0), t),
-        dissipated=_since_start(-np.sum(lost * dq, axis=0), t),
+        dissipated=_since_start(-np.sum(lost * (dq - twist[1]), axis=0), t),
         reference=phase,
     )  # fmt: skip
 

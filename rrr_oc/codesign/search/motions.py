@@ -104,7 +104,7 @@ class MotionSearch:
             for vector in sobol_points(size * len(phases), skip + count, self.options.seed)[skip:]:
                 own = zip(phases, np.split(vector, len(phases)), strict=True)
                 guess = Guess(tuple(phase_guess(self.design.task, i, part) for i, part in own), parameters)
-                starts.append(self.solver.solvers[chain][COARSE].transcription.pack(guess))
+                starts.append(self.solver.solvers[chain][COARSE].transcription.pack(self.design.lifted(guess, phases)))
         return starts
 
     def _hopped(self, mesh: int, parameters: np.ndarray, motions: Motions) -> Motions:

@@ -133,7 +133,7 @@ def motion_guess(
     """
     via = np.empty((len(durations), len(design.task.moving), 0)) if via is None else via
     phases = tuple(_phase_guess(design.task, i, T, via[i]) for i, T in enumerate(durations))
-    return Guess(phases, np.asarray(parameters, float))
+    return design.lifted(Guess(phases, np.asarray(parameters, float)))
 
 
 def phase_guess(task: Task, index: int, vector: np.ndarray) -> PhaseGuess:

@@ -1,0 +1,35 @@
+"""Spring between a drive and its link, for co-designs: series elastic actuation."""
+
+from rrr_oc.effects.base import Effect
+from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.robot.parameters import Parameter
+
+
+class SeriesSpring(Effect):
+    """The whole load torque passes through the spring: q_motor − q = compliance · tau_load (Spong 1987).
+
+    It adds no torque to the links. What it changes is how the drive moves: q_motor' = q' + compliance tau_load', and the drive's
+    inertia takes torque by q_motor''. Without compliance the actuator is stiff. There is no damping.
+    """
+
+    name = "series_spring"
+    equation = "q_motor - q = compliance tau_load"
+    plain = "A spring between drive and link of {joints} twists by {compliance} of its load."
+    parameters = (Parameter("compliance", "rad/Nm", 0.001, lower=0.0),)
+    amplitudes = ("compliance",)
+    role = "design"
+    side = "motion"
+    dynamics = "link"
+    design = DesignForm(
+        "SEA",
+        "springs between drives and links",
+        (Quantity("c_s", "compliance_mrad_per_Nm", "rad/Nm", 1e-3, lowest=0.0),),
+    )
+
+    @classmethod
+    def trials(cls, view):
+        """None: what gives in a recorded arm is a gear, `JointElasticity`."""
+        yield from ()
+
+    def gear(self, twist, theta, stiffest):
+        twist.stiffness[0] = stiffest if theta["compliance"] * stiffest < 1 else 1 / theta["compliance"]
