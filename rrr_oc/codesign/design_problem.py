@@ -171,8 +171,10 @@ class CoDesign:
         speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
         peak, limit = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed), task.acceleration.copy()
         peak[list(series.rows)], limit[list(series.rows)] = torque * RATE**2, np.inf  # there the torque's second derivative
+        fastest = np.r_[task.speed, np.full(2 * e, np.inf)]
+        fastest[list(series.rows)] = np.inf
         limited, floor = self._limited
-        bounded, unbounded = len(limited) * len(self.scenarios) + len(self._accelerated), np.full(2 * e, np.inf)
+        bounded = len(limited) * len(self.scenarios) + len(self.limits_of_drives)
         kinds = ("angle", "speed"), ("torque of the spring in series with", "rate of torque of the spring in series with")
         own = tuple(f"{kind} {task.joints[row]}" for kind in kinds[1] for row in series.rows)
         return Phase(
@@ -185,8 +187,8 @@ class CoDesign:
                 else f"acceleration of {j}"
                 for i, j in enumerate(task.joints)
             ),
-            x_lower=np.r_[task.lower, -task.speed, -unbounded],
-            x_upper=np.r_[task.upper, task.speed, unbounded],
+            x_lower=np.r_[task.lower, -fastest],
+            x_upper=np.r_[task.upper, fastest],
             u_lower=-limit,
             u_upper=limit,
             start=start,
@@ -196,7 +198,7 @@ class CoDesign:
             u_scale=peak,
             paths=(
                 *[torque_path(task.joints[i]) for i in limited] * len(self.scenarios),
-                *[acceleration_path(task.joints[i]) for i in self._accelerated],
+                *[name for name, *_ in self.limits_of_drives],
                 *([FLOOR] if floor else []),
             ),
             path_lower=np.r_[-np.ones(bounded), np.full(floor, task.floor)],
@@ -226,9 +228,19 @@ class CoDesign:
         return np.flatnonzero(np.isfinite(self.task.torque)).tolist(), int(np.isfinite(self.task.floor))
 
     @property
-    def _accelerated(self) -> list[int]:
-        """Rows of the moving joints whose limited acceleration is no control."""
-        return [row for row in self.series.rows if np.isfinite(self.task.acceleration[row])]
+    def limits_of_drives(self) -> list[tuple[str, int, int, float]]:
+        """Limits of the drives behind springs: name of the path, row of the joint, derivative of the angle, limit [rad/s, rad/s²].
+
+        Limits of speed and acceleration are the drives', which differ from those of their links there.
+        """
+        task = self.task
+        limits = (("speed", 1, task.speed), ("acceleration", 2, task.acceleration))
+        return [
+            (f"{kind} of the drive of {task.joints[row]}", row, order, float(limit[row]))
+            for kind, order, limit in limits
+            for row in self.series.rows
+            if np.isfinite(limit[row])
+        ]
 
     def _rates(self, index: int) -> ca.Function:
         task, m, series = self.task, len(self.task.moving), self.series
@@ -246,12 +258,11 @@ class CoDesign:
             tau = load(ddq)
             tau[list(series.rows)] = x[2 * m : 2 * m + len(series.rows)]
             torques.append(tau)
-        _, twist_rate, twist_acceleration = series.twist(x, u, p)
-        drives = dq - twist_rate, ddq - twist_acceleration
-        costs = ca.vertcat(*[self.cost_rate(*drives, tau, self.power_width(d)) for tau in torques])
+        drives = [of_links - twist for of_links, twist in zip((q, dq, ddq), series.twist(x, u, p), strict=True)]
+        costs = ca.vertcat(*[self.cost_rate(drives[1], drives[2], tau, self.power_width(d)) for tau in torques])
         limited, floor = self._limited
         path = ca.vertcat(*[tau[i] / task.torque[i] for tau in torques for i in limited])
-        path = ca.vertcat(path, *[ddq[i] / task.acceleration[i] for i in self._accelerated])
+        path = ca.vertcat(path, *[drives[order][i] / limit for _, i, order, limit in self.limits_of_drives])
         if floor:
             path = ca.vertcat(path, self.model.tool_height(self._all_joints(q, task.locked)))
         e, own = len(series.rows), list(series.rows)
@@ -338,11 +349,6 @@ class CoDesign:
     def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "CoDesign":
         """The same problem with springs fixed to hardware, except the names in `keep_free`."""
         return replace(self, springs=tuple(spring.held(hardware, keep_free) for spring in self.springs))
-
-
-def acceleration_path(joint: str) -> str:
-    """Name of the path that a joint's limit of acceleration bounds, where the acceleration is no control."""
-    return f"acceleration of {joint}"
 
 
 def torque_path(joint: str) -> str:

@@ -138,16 +138,12 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
             for name, p in zip(PHASES, motion.by_phase(design.task), strict=True)
             if effect.acts_in in ("", name)
         ]
+        largest = max(float(np.max(np.abs(np.array(tau)))) for tau in torques)
+        if spring.known or effect.moves_link or largest > IDLE * needed:
+            continue
         names = [p.name for p in effect.parameters]
-        absent = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
-        if effect.moves_link:
-            reason = "too stiff to matter" if absent and not spring.known else ""
-        elif spring.known or max(float(np.max(np.abs(np.array(tau)))) for tau in torques) > IDLE * needed:
-            reason = ""
-        else:
-            reason = "too soft to matter" if absent else "never taut"
-        if reason:
-            idle[design.model.label(effect)] = reason
+        soft = all(theta[i] <= IDLE * spring.upper[i] for i in map(names.index, effect.amplitudes))
+        idle[design.model.label(effect)] = "too soft to matter" if soft else "never taut"
     return idle
 
 
@@ -182,7 +178,8 @@ def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.n
 
 def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | None:
     """An optimum as a starting point for a design with more springs, which do nothing there; None where a spring of `inner` is
-    missing in `outer` or mounted in another way."""
+    missing in `outer` or mounted in another way, and where `outer` has more springs between drives and links: these cannot do nothing.
+    """
     left, parameters = list(solution.parameters), []
     own = {}
     for spring in inner.springs:
@@ -196,8 +193,8 @@ def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | No
             middle = zip(effect.parameters, spring.lower, spring.upper, strict=True)
             values = [low if p.name in effect.amplitudes else (low + high) / 2 for p, low, high in middle]
         parameters += values
-    guess = Guess(solution.guess().phases, np.array(parameters))
-    return None if own else guess if inner.series.rows == outer.series.rows else outer.lifted(guess)
+    contained = not own and inner.series.rows == outer.series.rows
+    return Guess(solution.guess().phases, np.array(parameters)) if contained else None
 
 
 def check_simulation(design: CoDesign) -> None:

@@ -9,7 +9,8 @@ class SeriesSpring(Effect):
     """The whole load torque passes through the spring: q_motor − q = compliance · tau_load (Spong 1987).
 
     It adds no torque to the links. What it changes is how the drive moves: q_motor' = q' + compliance tau_load', and the drive's
-    inertia takes torque by q_motor''. Without compliance the actuator is stiff. There is no damping.
+    inertia takes torque by q_motor''. There is no damping. A spring without compliance is none: it would let the torque jump, and the
+    rate of its torque would have no cost.
     """
 
     name = "series_spring"
@@ -23,7 +24,7 @@ class SeriesSpring(Effect):
     design = DesignForm(
         "SEA",
         "springs between drives and links",
-        (Quantity("c_s", "compliance_mrad_per_Nm", "rad/Nm", 1e-3, lowest=0.0),),
+        (Quantity("c_s", "compliance_mrad_per_Nm", "rad/Nm", 1e-3, lowest=0.01),),
     )
 
     @classmethod
