@@ -261,7 +261,7 @@ def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     truth, recordings = read(sealed), load_recordings(folder / "data")
     kinds = [CATALOGUE[e["effect"]] for e in truth["effects"]]
     _, fitter, every, plain = ready(recordings, Priors({kind.name: of_any_size(kind) for kind in kinds}))
-    fitted, entries = fitter.with_signs(fitter.fit(plain, np.zeros(fitter.data.links.shape[1]))), []
+    fitted, entries = fitter.with_signs(fitter.fit(plain, fitter.data.links.none)), []
     for e in truth["effects"]:
         joints = sorted(recordings.joints.index(j) for j in place(e["joint"]))
         ways = [t for t in every if t.effect.name == e["effect"] and sorted(t.effect.joints) == joints]

@@ -28,7 +28,7 @@ def fitted(tmp_path_factory):
     made = [replace(record(plant, f"{i}.csv", rng, 6.0, 0.02), group="ab"[i % 2]) for i in range(4)]
     made = [replace(r, tau=r.tau + [[0.05 * (r.group == "a")], [0.0]] + 0.02 * r.dq * np.abs(r.dq)) for r in made]
     _, fitter, every, plain = ready(as_set(plant, made), Priors())
-    return fitter, fitter.fit(plain, np.zeros(fitter.data.links.shape[1])), every
+    return fitter, fitter.fit(plain, fitter.data.links.none), every
 
 
 def laws(every: tuple[Trial, ...], *kinds: type) -> list[Trial]:

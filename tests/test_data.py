@@ -10,11 +10,14 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 
 from rrr_oc.calibration.samples import STRIDE
-from rrr_oc.diagnosis.data import EVERY, Noise, _bounded, link_errors
+from rrr_oc.diagnosis.data import EVERY, Noise, _bounded
 from rrr_oc.diagnosis.evidence import Joint
 from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR, MEMORY
+from rrr_oc.robot.inertial_parameters import is_possible
+from rrr_oc.robot.link_errors import LinkErrors
 
 FIRST, SECOND = 1.2, -0.5  # of the process y_k = FIRST y_k−1 + SECOND y_k−2 + e_k
+OF_URDF = (MASS_ERROR, *[CENTRE_ERROR] * 3, *[INERTIA_ERROR] * 3)
 INNOVATION = 0.3  # standard deviation of e_k
 
 
@@ -119,20 +122,22 @@ def test_filters_are_stable_of_a_residual_that_grows():
     assert all(np.abs(np.roots([1.0, *-weights])).max(initial=0.0) < 1 for weights in found.filters)
 
 
-def test_errors_of_links_are_those_of_mass_centre_and_inertia():
-    """Slopes of Pinocchio's parameters; inertia about the centre of mass, mass at the same shape."""
+def test_errors_of_links_are_those_of_mass_centre_and_second_moments():
+    """Slopes of Pinocchio's parameters; second moments about the centre of mass, mass at the same shape."""
     small = 1e-6
     pin.seed(4)
     bodies = [pin.Inertia.Random() for _ in range(2)]
-    found = link_errors(np.array([b.toDynamicParameters() for b in bodies]).T)
+    links = LinkErrors(np.array([b.toDynamicParameters() for b in bodies]).T, np.tile(OF_URDF, 2))
+    found = links.at(links.none)[1]
     assert found.shape == (20, 14)
 
-    def slope(body: pin.Inertia, mass: float = 0.0, centre=(0, 0, 0), inertia=(0, 0, 0)) -> np.ndarray:
-        """Of the parameters by shares of mass and diagonal inertia and a shift of the centre [m]."""
+    def slope(body: pin.Inertia, mass: float = 0.0, centre=(0, 0, 0), moments=(0, 0, 0)) -> np.ndarray:
+        """Of the parameters by shares of mass and second moments and a shift of the centre [m]."""
         ends = []
         for s in (small, -small):
-            factor = 1 + s * mass
-            about = factor * (body.inertia + s * np.diag(np.array(inertia) * np.diag(body.inertia)))
+            factor, stretch = 1 + s * mass, np.diag(1 + s / 2 * np.array(moments))
+            spread = factor * stretch @ (np.trace(body.inertia) / 2 * np.eye(3) - body.inertia) @ stretch
+            about = np.trace(spread) * np.eye(3) - spread
             ends.append(pin.Inertia(factor * body.mass, body.lever + s * np.asarray(centre), about).toDynamicParameters())
         return (ends[0] - ends[1]) / 2 / small
 
@@ -141,8 +146,31 @@ def test_errors_of_links_are_those_of_mass_centre_and_inertia():
         expected = [
             slope(body, mass=MASS_ERROR),
             *(slope(body, centre=CENTRE_ERROR * e) for e in np.eye(3)),
-            *(slope(body, inertia=INERTIA_ERROR * e) for e in np.eye(3)),
+            *(slope(body, moments=INERTIA_ERROR * e) for e in np.eye(3)),
         ]
         np.testing.assert_allclose(own, np.array(expected).T, rtol=1e-6, atol=1e-8)  # of differences over 1e-6
         found[10 * i : 10 * i + 10, 7 * i : 7 * i + 7] = 0
     assert not np.any(found)  # no link's error is in another's parameters
+
+
+@pytest.mark.parametrize("identified", [True, False])
+def test_links_are_bodies_whatever_their_errors(identified):
+    """Of a rod, and of a small heavy body far from its joint, whose inertia about its centre is small beside that of a shift."""
+    rod = pin.Inertia(2.0, np.array([0.0, 0.0, 0.4]), np.diag([0.1, 0.1, 1e-5]))
+    small = pin.Inertia(0.49, np.array([0.0, 0.0, -0.1]), 2e-5 * np.eye(3))
+    plain, rng = np.array([b.toDynamicParameters() for b in (rod, small)]).T, np.random.default_rng(2)
+    links = LinkErrors(plain, np.full(20, 0.3) if identified else np.tile(OF_URDF, 2))
+    np.testing.assert_allclose(links.at(links.none)[0], plain, rtol=1e-12, atol=1e-15)
+    for _ in range(100):
+        errors = 4 * rng.standard_normal(len(links.std))
+        bodies, slopes = links.at(errors)
+        assert all(is_possible(body) for body in bodies.T)
+        step = 1e-6 * rng.standard_normal(len(links.std))
+        change = (links.at(errors + step)[0] - links.at(errors - step)[0]).T.ravel()
+        np.testing.assert_allclose(2 * slopes @ step, change, rtol=1e-5, atol=1e-5 * np.abs(change).max())
+
+
+def test_links_without_mass_have_none_whatever_the_errors():
+    bodies, slopes = LinkErrors(np.zeros((10, 1)), np.array(OF_URDF)).at(np.ones(7))
+    assert not np.any(bodies)
+    assert np.all(np.isfinite(slopes))

@@ -515,7 +515,7 @@ def test_friction_of_a_joint_becomes_as_abrupt_as_it_is_all_at_once(planar, begi
     _, fitter, _, model = ready(as_set(plant, uneven), Priors())
     laws = (*model.terms, nominal_term(CoulombAsymmetry((0,))))
     wrong = replace(model, terms=tuple(widened(t, {(0,): begin}) for t in laws))
-    right = fitter.fit(wrong, np.zeros(fitter.data.links.shape[1])).model.terms
+    right = fitter.fit(wrong, fitter.data.links.none).model.terms
     assert [t.width for t in right if t.width is not None] == pytest.approx([plant.width, plant.width], rel=0.02)
     assert right[-1].values == pytest.approx([2.0], rel=0.03)
 
@@ -526,9 +526,11 @@ def test_what_few_recordings_leave_open_of_links_stays_near_what_is_believed(pla
     motions = [multisine(3, np.arange(400) / 100, rng, fastest) for fastest in (0.15, 1.5)]
     recordings = as_set(plant, [record(plant, f"{k}.csv", rng, 4.0, motion=m) for k, m in enumerate(motions)], "identify")
     _, fitter, _, plain = ready(recordings, Priors())
-    none, left = np.zeros(fitter.data.links.shape[1]), []
+    none, left = fitter.data.links.none, []
     for wide in (100.0, 1.0):
-        slow = replace(fitter, data=replace(fitter.data.part([0]), links=wide * fitter.data.links))
+        slow = replace(
+            fitter, data=replace(fitter.data.part([0]), links=replace(fitter.data.links, std=wide * fitter.data.links.std))
+        )
         fitted = slow.fit(plain, none)
         left.append(np.linalg.norm(rows(fitter.data.part([1]).prepared, fitted.model).residual))
     assert left[1] < 0.8 * left[0], left

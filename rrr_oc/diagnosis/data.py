@@ -10,19 +10,12 @@ from scipy.sparse import csr_matrix
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
-from rrr_oc.diagnosis.knobs import (
-    CENTRE_ERROR,
-    CLOCK_ERROR,
-    DISCREPANCY,
-    FRICTION_DISCREPANCY,
-    INERTIA_ERROR,
-    MASS_ERROR,
-    MEMORY,
-)
+from rrr_oc.diagnosis.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY
 from rrr_oc.diagnosis.signatures import SignatureCache, dry_friction
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.recordings.recording import Recording
+from rrr_oc.robot.link_errors import LinkErrors
 
 ROWS_PER_LAG = 30  # rows that each lag needs; with fewer the order is lower
 LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimated
@@ -39,14 +32,14 @@ class Data:
     Attributes:
         prepared: The recordings.
         start: The plain model, calibrated.
-        links: Errors of the links' inertial parameters that one standard deviation of their prior stands for, (10 n, k).
+        links: What is not known of the links' inertial parameters.
         free: Whether these errors are of unknown size, as of a URDF that is not exact; else of size 1.
         whole: All recordings, if these are a part of them.
     """
 
     prepared: tuple[Prepared, ...]
     start: CalibratedModel
-    links: np.ndarray
+    links: LinkErrors
     free: bool
     signatures: SignatureCache
     whole: tuple[Prepared, ...] = ()
@@ -202,32 +195,6 @@ class Data:
             every = np.concatenate([torque * shapes, friction * turned * np.array([*shapes, *slow]), late[:, j], steady])
             result.append(p.passed(every, np.full(len(every), j)).T)
         return result
-
-
-def link_errors(inertial: np.ndarray) -> np.ndarray:
-    """Errors that a URDF's inertial parameters (10, n) may have: mass, centre and inertia of each link, (10 n, 7 n)."""
-    n = inertial.shape[1]
-    result = np.zeros((10 * n, 7 * n))
-    for i in range(n):
-        m, h, body = inertial[0, i], inertial[1:4, i], inertial[4:, i]
-        c = h / max(m, 1e-9)
-        own = np.zeros((10, 7))
-        own[:, 0] = MASS_ERROR * inertial[:, i]
-        for k in range(3):
-            d = np.zeros(3)
-            d[k] = CENTRE_ERROR
-            own[1:4, 1 + k] = m * d
-            own[4:, 1 + k] = m * _packed(2 * (c @ d) * np.eye(3) - np.outer(c, d) - np.outer(d, c))
-        about = body - m * _packed((c @ c) * np.eye(3) - np.outer(c, c))
-        for k, at in enumerate((0, 2, 5)):
-            own[4 + at, 4 + k] = INERTIA_ERROR * max(about[at], 1e-9)
-        result[10 * i : 10 * i + 10, 7 * i : 7 * i + 7] = own
-    return result
-
-
-def _packed(matrix: np.ndarray) -> np.ndarray:
-    """xx, xy, yy, xz, yz, zz."""
-    return matrix[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.friction_width import WIDTHS, widened
+from rrr_oc.calibration.regression import Rows
 from rrr_oc.calibration.term_fit import bounds, with_parameter_values
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.evidence import Posterior, Prior, joined, solve
@@ -124,7 +125,7 @@ class Fitter:
         """All parameters of a model fitted, with sizes that begin with those of `start`, or stay `fixed` there."""
         data = self.data
         found = data.rows(model)
-        columns, residual = self.columns(model, found), found.residual
+        columns, residual = self.columns(model, links, found), found.residual
         best = None
         for _ in range(STEPS):
             post = solve(data, residual, columns, self.prior(model, links), start, fixed)
@@ -151,7 +152,7 @@ class Fitter:
                 break
             if missed > BEND * np.sum((found.residual - after) ** 2):
                 found = data.rows(model)
-                columns = self.columns(model, found)
+                columns = self.columns(model, links, found)
         assert best is not None
         return best
 
@@ -232,16 +233,16 @@ class Fitter:
         every = zip(trial.effect.parameters, self.spans(trial.effect), strict=True)
         return all(span.low <= theta[p.name] <= span.high for p, span in every)
 
-    def columns(self, model: CalibratedModel, found) -> np.ndarray:
+    def columns(self, model: CalibratedModel, links: np.ndarray, found: Rows) -> np.ndarray:
         """Derivatives by the terms' parameters, the links' errors and the logarithms of the widths of dry friction, (n, M, p)."""
         size = len(model.values)
-        links = found.jacobian[:, :, size:] @ self.data.links
+        by_links = found.jacobian[:, :, size:] @ self.data.links.at(links)[1]
         widths = []
         for joints, width in self.widths(model).items():
             there = replace(model, terms=tuple(widened(t, {joints: width * (1 + DIFFERENCE)}) for t in model.terms))
             change = found.residual - self.data.residual(found, there)
             widths.append(change[:, :, None] / DIFFERENCE)
-        return np.concatenate([found.jacobian[:, :, :size], links, *widths], axis=2)
+        return np.concatenate([found.jacobian[:, :, :size], by_links, *widths], axis=2)
 
     def widths(self, model: CalibratedModel) -> dict[tuple[int, ...], float]:
         """Width of the sign of each joint's dry friction [rad/s]."""
@@ -252,9 +253,7 @@ class Fitter:
         size, k = len(model.values), len(links)
         terms = with_parameter_values(model.terms, model.values + step[:size])
         errors = links + step[size : size + k]
-        robot = model.robot
-        inertial = robot.inertial + (self.data.links @ step[size : size + k]).reshape(robot.n, 10).T
-        there = replace(model, terms=terms, robot=replace(robot, inertial=inertial))
+        there = replace(model, terms=terms, robot=replace(model.robot, inertial=self.data.links.at(errors)[0]))
         new = {
             joints: float(np.clip(w * np.exp(s), WIDTHS[0], WIDTHS[-1]))
             for (joints, w), s in zip(self.widths(model).items(), step[size + k :], strict=True)

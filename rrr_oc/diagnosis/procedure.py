@@ -15,10 +15,11 @@ from rrr_oc.calibration.inverse_dynamics import finished, plain_model
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_spikes
 from rrr_oc.calibration.term_fit import bounds
-from rrr_oc.diagnosis.data import Data, link_errors
+from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.findings import Finding, Possible, found
 from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
 from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
+from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
 from rrr_oc.diagnosis.search import Kind, Search, beside, kind
 from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
@@ -26,7 +27,8 @@ from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
 from rrr_oc.effects.priors import Priors
 from rrr_oc.recordings.recording import Recording, RecordingSet
-from rrr_oc.robot.inertial_parameters import from_log_cholesky, prior, to_log_cholesky
+from rrr_oc.robot.inertial_parameters import prior
+from rrr_oc.robot.link_errors import LinkErrors
 
 OFTEN = 0.5  # share of the searches on parts of the recordings that must find an effect
 NORMAL = 1.96  # standard deviations of a 95 % interval
@@ -123,7 +125,7 @@ def diagnose(
     """
     report("calibrating the plain model")
     whole, fitter, every, plain = ready(recordings, priors or Priors())
-    begin = fitter.with_signs(fitter.fit(plain, np.zeros(fitter.data.links.shape[1])))
+    begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
     report("looking for effects")
     search = Search(fitter, every, report)
     at = search.run(begin)
@@ -165,15 +167,9 @@ def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared],
     plain = calibrate.fit(recordings, whole, start).model
     bench = tuple(thinned(without_spikes(whole, plain)))
     unknown = recordings.inertial == "identify"
-    if unknown:
-        guess, n = prior(start.robot), recordings.robot.n
-        links = np.zeros((10 * n, 10 * n))
-        for i in range(n):
-            own = slice(10 * i, 10 * i + 10)
-            links[own, own] = from_log_cholesky()(to_log_cholesky(plain.robot.inertial[:, i]))[1] * guess.std[own]
-    else:
-        links = link_errors(plain.robot.inertial)
-        links = links[:, :0] if priors.exact_inertias else links
+    of_urdf = () if priors.exact_inertias else (MASS_ERROR, *[CENTRE_ERROR] * 3, *[INERTIA_ERROR] * 3)
+    std = prior(start.robot).std if unknown else np.tile(of_urdf, recordings.robot.n)
+    links = LinkErrors(plain.robot.inertial, std)
     data = Data(bench, plain, links, not unknown, SignatureCache())
     seen = view(bench, plain)
     every = tuple(trials(seen, plain.torque))

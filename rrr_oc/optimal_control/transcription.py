@@ -25,6 +25,26 @@ class _Block:
 
 
 @dataclass(frozen=True, eq=False)
+class _Program:
+    """A nonlinear program that is being put together.
+
+    Attributes:
+        value: Variables in their own units.
+        data: The problem's data.
+        lam_g: Multipliers of the rows.
+        rows: Constraints, in the order of `Transcription.row_bounds`.
+        jacobian, hessian: Entries of the derivatives by the scaled variables.
+    """
+
+    value: ca.MX
+    data: ca.MX
+    lam_g: ca.MX
+    rows: list[ca.MX]
+    jacobian: Scatter
+    hessian: Scatter
+
+
+@dataclass(frozen=True, eq=False)
 class Transcription:
     """A problem on a mesh. The scaled variables are w = (p, then for each phase T, nodes, stages, controls).
 
@@ -223,9 +243,9 @@ class Transcription:
         w, d = ca.MX.sym("w", self.size), ca.MX.sym("d", self.problem.data.size)
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.row_bounds[0].size)
         lam_c = lam_g[-self.leveled :] if self.levels else lam_f
-        costs, gradients, rows = [ca.MX(0) for _ in self.problem.groups], [[] for _ in self.problem.groups], []
-        jacobian, hessian = Scatter(), Scatter()
-        value = w * self.scale
+        costs, gradients = [ca.MX(0) for _ in self.problem.groups], [[] for _ in self.problem.groups]
+        program = _Program(w * self.scale, d, lam_g, [], Scatter(), Scatter())
+        value, rows, jacobian, hessian = program.value, program.rows, program.jacobian, program.hessian
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
             interval = self._interval(phase)
             N, nz = len(fractions), block.gather.shape[0]
@@ -248,10 +268,10 @@ class Transcription:
             values = interval.hessian.map(N)(z, h, data, ca.repmat(weight * lam_c[own], 1, N), multipliers)
             both = self.scale[gather[i]] * self.scale[gather[j]]
             hessian.add(np.minimum(gather[i], gather[j]), np.maximum(gather[i], gather[j]), values * ca.DM(both))
-        self._add_design(value, d, lam_g, rows, jacobian, hessian)
-        self._add_links(value, rows, jacobian)
-        self._add_boundaries(value, d, lam_g, rows, jacobian, hessian)
-        cost, gradient = self._objective(w, costs, gradients, rows, jacobian)
+        self._add_design(program)
+        self._add_links(program)
+        self._add_boundaries(program)
+        cost, gradient = self._objective(w, costs, gradients, program)
         total_rows, triu = self.row_bounds[0].size, hessian.matrix(self.size, self.size)
         g, jac = ca.vertcat(*rows), jacobian.matrix(total_rows, self.size)
         return {
@@ -263,59 +283,59 @@ class Transcription:
             ),
         }
 
-    def _objective(self, w, costs, gradients, rows, jacobian) -> tuple[ca.MX, ca.MX]:
+    def _objective(self, w, costs, gradients, program: _Program) -> tuple[ca.MX, ca.MX]:
         """The objective and its gradient; where there are several costs, adds the rows that hold each below its group's level."""
         if not self.levels:
             ((gather, slopes), *others) = gradients[0]
             gradient = sum((sum_into(self.size, *one) for one in others), sum_into(self.size, gather, slopes))
             return costs[0], ca.densify(gradient)
         levels, first = self.size - self.levels + np.array(self.problem.groups), self.row_bounds[0].size - self.leveled
-        rows.append(ca.vertcat(*costs) - w[levels.tolist()])
+        program.rows.append(ca.vertcat(*costs) - w[levels.tolist()])
         for k, entries in enumerate(gradients):
             for gather, slopes in entries:
-                jacobian.add(np.full(gather.size, first + k), gather, slopes)
-        jacobian.add(first + np.arange(levels.size), levels, ca.MX(ca.DM(-np.ones(levels.size))))
+                program.jacobian.add(np.full(gather.size, first + k), gather, slopes)
+        program.jacobian.add(first + np.arange(levels.size), levels, ca.MX(ca.DM(-np.ones(levels.size))))
         own = np.where(np.arange(self.size) >= self.size - self.levels, 1.0, 0.0)
         return ca.sum1(w[-self.levels :]), ca.MX(ca.DM(own))
 
-    def _add_links(self, value, rows, jacobian) -> None:
+    def _add_links(self, program: _Program) -> None:
         """Rows that hold linked states equal, each divided by its scale."""
         before, after = self._linked
         if not before.size:
             return
         at = self.blocks[-1].rows.stop + len(self.problem.designs) + np.arange(before.size)
         unit = self.scale[before]
-        rows.append((value[before.tolist()] - value[after.tolist()]) / ca.DM(unit))
-        jacobian.add(at, before, ca.MX(ca.DM(self.scale[before] / unit)))
-        jacobian.add(at, after, ca.MX(ca.DM(-self.scale[after] / unit)))
+        program.rows.append((program.value[before.tolist()] - program.value[after.tolist()]) / ca.DM(unit))
+        program.jacobian.add(at, before, ca.MX(ca.DM(self.scale[before] / unit)))
+        program.jacobian.add(at, after, ca.MX(ca.DM(-self.scale[after] / unit)))
 
-    def _add_design(self, value, d, lam_g, rows, jacobian, hessian) -> None:
+    def _add_design(self, program: _Program) -> None:
         design = self.problem.design
         if design is None:
             return
         p, data = (ca.SX.sym(name, design.size1_in(i)) for i, name in enumerate("pd"))
         own = ca.Function("design", [p, data], [design(p, data)])
-        self._add_rows(own, np.arange(p.numel()), self.blocks[-1].rows.stop, value, d, lam_g, rows, jacobian, hessian)
+        self._add_rows(program, own, np.arange(p.numel()), self.blocks[-1].rows.stop)
 
-    def _add_boundaries(self, value, d, lam_g, rows, jacobian, hessian) -> None:
+    def _add_boundaries(self, program: _Program) -> None:
         at = self.blocks[-1].rows.stop + len(self.problem.designs) + len(self._linked[0])
         n_p = len(self.problem.parameters)
         for boundary, nodes, names in self._boundaries:
             x, p, data = (ca.SX.sym(name, boundary.size1_in(i)) for i, name in enumerate("xpd"))
             own = ca.Function("boundary", [ca.vertcat(p, x), data], [boundary(x, p, data)])
-            self._add_rows(own, np.r_[:n_p, nodes], at, value, d, lam_g, rows, jacobian, hessian)
+            self._add_rows(program, own, np.r_[:n_p, nodes], at)
             at += len(names)
 
-    def _add_rows(self, function, indices, at, value, d, lam_g, rows, jacobian, hessian) -> None:
-        """Rows from `at` on: a function of the unscaled variables at `indices`, in increasing order, and of the data."""
+    def _add_rows(self, program: _Program, function: ca.Function, indices: np.ndarray, at: int) -> None:
+        """Rows from `at` on: a function of the variables at `indices`, in increasing order, in their own units, and of the data."""
         z, data = (ca.SX.sym(name, function.size1_in(i)) for i, name in enumerate(("z", "data")))
         outputs, lam, scale = function(z, data), ca.SX.sym("lam", function.size1_out(0)), self.scale[indices]
-        where = value[indices.tolist()]
-        rows.append(function(where, d))
+        where, d, own = program.value[indices.tolist()], program.data, program.lam_g[at : at + lam.numel()]
+        program.rows.append(function(where, d))
         first, second = ca.jacobian(outputs, z), ca.triu(ca.hessian(ca.dot(lam, outputs), z)[0])
         slopes = ca.Function("slopes", [z, data], [first.nz[:]])(where, d)
-        curvatures = ca.Function("curvatures", [z, data, lam], [second.nz[:]])(where, d, lam_g[at : at + lam.numel()])
+        curvatures = ca.Function("curvatures", [z, data, lam], [second.nz[:]])(where, d, own)
         i, j = nonzeros_of(first.sparsity())
-        jacobian.add(at + i, indices[j], slopes * ca.DM(scale[j].tolist()))
+        program.jacobian.add(at + i, indices[j], slopes * ca.DM(scale[j].tolist()))
         i, j = nonzeros_of(second.sparsity())
-        hessian.add(indices[i], indices[j], curvatures * ca.DM((scale[i] * scale[j]).tolist()))
+        program.hessian.add(indices[i], indices[j], curvatures * ca.DM((scale[i] * scale[j]).tolist()))

@@ -1,0 +1,84 @@
+"""What is not known of the links' inertial parameters: errors of a URDF, or all of them where a set says "identify".
+
+Whatever the errors, the links are physical bodies if those of the plain model are.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.robot.inertial_parameters import from_log_cholesky, to_log_cholesky
+
+LIGHTEST = 1e-9  # [kg] of a link below which its centre counts as that of none
+OF_URDF = 7  # errors of a link of a URDF: mass, centre, second moments about it
+
+
+@dataclass(frozen=True)
+class LinkErrors:
+    """Errors of the links' inertial parameters, in standard deviations of their prior, (k,), link by link.
+
+    Attributes:
+        plain: Inertial parameters without errors (10, n).
+        std: Standard deviations of the errors (k,): of the logarithm of the mass, of the centre of mass [m] and of the logarithms of
+            the second moments about it, 7 a link; or of log-Cholesky coordinates, 10 a link; or none, of links that are known exactly.
+    """
+
+    plain: np.ndarray
+    std: np.ndarray
+
+    @property
+    def none(self) -> np.ndarray:
+        """No errors (k,)."""
+        return np.zeros(len(self.std))
+
+    def at(self, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The inertial parameters (10, n), and their derivatives by the errors (10 n, k)."""
+        n = self.plain.shape[1]
+        each = len(self.std) // n
+        links, slopes = self.plain.copy(), np.zeros((10 * n, len(self.std)))
+        for i in range(n if each else 0):
+            own = slice(each * i, each * i + each)
+            change = self.std[own] * errors[own]
+            if each == OF_URDF:
+                links[:, i], slope = _erroneous()(self.plain[:, i], change)
+            else:
+                links[:, i], slope = from_log_cholesky()(to_log_cholesky(self.plain[:, i]) + change)
+            slopes[10 * i : 10 * i + 10, own] = slope * self.std[own]
+        return links, slopes
+
+
+@cache
+def _erroneous() -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """(ten parameters of a link, errors (7,)) -> (the ten with the errors, their derivatives by the errors (10, 7))."""
+    body, error = ca.SX.sym("body", 10), ca.SX.sym("error", OF_URDF)
+    mass, centre = body[0], body[1:4] / ca.fmax(body[0], LIGHTEST)
+    about_origin = _matrix(body[4:])
+    about_centre = about_origin - mass * _of_point(centre)
+    moments = ca.trace(about_centre) / 2 * ca.SX.eye(3) - about_centre
+    stretch = ca.diag(ca.exp(error[4:] / 2))
+    moments = ca.exp(error[0]) * stretch @ moments @ stretch
+    mass, centre = mass * ca.exp(error[0]), centre + error[1:4]
+    about_origin = ca.trace(moments) * ca.SX.eye(3) - moments + mass * _of_point(centre)
+    xx, xy, yy, xz, yz, zz = (about_origin[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
+    found = ca.vertcat(mass, mass * centre, xx, xy, yy, xz, yz, zz)
+    function = ca.Function("erroneous", [body, error], [found, ca.densify(ca.jacobian(found, error))])
+
+    def evaluate(parameters: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        value, slopes = function(parameters, errors)
+        return np.array(value).ravel(), np.array(slopes)
+
+    return evaluate
+
+
+def _matrix(packed: ca.SX) -> ca.SX:
+    """The symmetric matrix of xx, xy, yy, xz, yz, zz."""
+    xx, xy, yy, xz, yz, zz = ca.vertsplit(packed)
+    return ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
+
+
+def _of_point(at: ca.SX) -> ca.SX:
+    """Rotational inertia about the origin of a unit mass at a point."""
+    return ca.sumsqr(at) * ca.SX.eye(3) - at @ at.T
