@@ -189,7 +189,7 @@ def test_p_control_lags_by_the_motor_torque_over_its_gain(arm, moved, followed):
     """k_p (q_ref − q) is the whole torque; the motion is slow enough that the lag hardly changes it."""
     squares, time = 0.0, 0.0
     for phase, theta in zip(moved[1].by_phase(arm.design.task), arm.thetas, strict=True):
-        lag = arm.motor_torque(phase, theta)[1:] / K_P
+        lag = arm.motor_torque(phase, np.zeros((3, *phase.q.shape)), theta)[1:] / K_P
         squares, time = squares + np.trapezoid((lag**2).mean(axis=0), phase.t), time + phase.t[-1]
     assert followed["P"].rms_error == pytest.approx(np.sqrt(squares / time), rel=0.1)
     assert followed["P"].end_error > 100 * followed["feed-forward"].end_error

@@ -166,7 +166,7 @@ def _motion_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
     for j, joint in enumerate(task.joints):
         for kind, unit, row, limits in (
             ("range", "rad", j, (task.lower[j], task.upper[j])),
-            ("speed", "rad/s", len(task.moving) + j, (-task.speed[j], task.speed[j])),
+            ("speed", "rad/s", design.series.speed_state(j), (-task.speed[j], task.speed[j])),
         ):
             # a state's variables at all nodes and stages but those that the task fixes
             inner = [np.setdiff1d(np.r_[b.nodes[row], b.stage_x[row].ravel()], fixed) for b in t.blocks]
@@ -184,18 +184,16 @@ def _positive(force: np.ndarray, indices: list[np.ndarray]) -> float:
 
 
 def _path_bounds(design: CoDesign, solution: Solution) -> Iterator[_Bound]:
-    """Limits of torque and of drives, and the floor, rows of the problem: the multipliers of all instants together."""
+    """Torque limits and the floor, rows of the problem: the multipliers of all instants together."""
     task, force = design.task, dict[str, float]()
     for name, rows in solution.transcription.path_rows:
         force[name] = force.get(name, 0.0) + np.abs(solution.lam_g[rows]).sum() * solution.problem.cost_scale
-    limits = {torque_path(joint): (limit, "Nm") for joint, limit in zip(task.joints, task.torque, strict=True)}
-    limits |= {name: (limit, ("rad/s", "rad/s²")[order - 1]) for name, _, order, limit in design.limits_of_drives}
+    limits = {torque_path(joint): limit for joint, limit in zip(task.joints, task.torque, strict=True)}
     for name, total in force.items():
         if name == FLOOR:
             yield "the floor under the tool", task.floor, "m", total
         else:
-            limit, unit = limits[name]
-            yield f"the limit of the {name}", limit, unit, total / limit  # the row is what is limited over its limit ≤ 1
+            yield f"the limit of the {name}", limits[name], "Nm", total / limits[name]  # the row is torque / limit ≤ 1
 
 
 def exact_cost(design: CoDesign, solution: Solution) -> float:

@@ -20,7 +20,6 @@ COSTS = ("load", "motor", "energy")
 FLOOR = "height of the tool"
 # [W/rad] width over which drawn power gives way to returned power, by the springs' width; doubled, solves are easier and further off
 POWER_WIDTH = 10.0
-RATE = 2 * np.pi  # [1/s] at which the torque of springs in series typically changes, for the scale of its derivatives
 NARROW = 1e-3  # [rad] springs' width where none is given, by which that of power follows
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
@@ -163,49 +162,44 @@ class CoDesign:
 
     def _phase(self, index: int) -> Phase:
         task, m, series = self.task, len(self.task.moving), self.series
-        e, torque = len(series.rows), np.sqrt(10 * self._holding_cost() / (4 * m))
-        ends = zip(task.ends(index), task.speeds[:: 1 if index == 0 else -1], strict=True)
+        own, torque = list(series.rows), np.sqrt(10 * self._holding_cost() / (4 * m))
+        e, ends = len(own), zip(task.ends(index), task.speeds[:: 1 if index == 0 else -1], strict=True)
         start, end = (
             np.r_[angles, np.full(m, 0.0 if speed == "rest" else np.nan), [np.nan] * e, np.zeros(e)] for angles, speed in ends
         )
         speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
-        peak, limit = np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed), task.acceleration.copy()
-        peak[list(series.rows)], limit[list(series.rows)] = torque * RATE**2, np.inf  # there the torque's second derivative
-        fastest = np.r_[task.speed, np.full(2 * e, np.inf)]
-        fastest[list(series.rows)] = np.inf
+        of_links, free = task.speed.copy(), np.full(e, np.inf)
+        of_links[own] = np.inf  # where a spring stands between drive and link, the drive's speed is limited
         limited, floor = self._limited
-        bounded = len(limited) * len(self.scenarios) + len(self.limits_of_drives)
-        kinds = ("angle", "speed"), ("torque of the spring in series with", "rate of torque of the spring in series with")
-        own = tuple(f"{kind} {task.joints[row]}" for kind in kinds[1] for row in series.rows)
+        bounded = len(limited) * len(self.scenarios)
+        springs = [f"torque of the spring in series with {task.joints[row]}" for row in own]
         return Phase(
             name=PHASES[index],
             rates=self._rates(index),
-            states=(*(f"{kind} of {j}" for kind in kinds[0] for j in task.joints), *own),
-            controls=tuple(
-                f"second derivative of the torque of the spring in series with {j}"
-                if i in series.rows
-                else f"acceleration of {j}"
-                for i, j in enumerate(task.joints)
+            states=(
+                *(f"{kind} of {j}" for kind in ("angle", "speed") for j in task.joints),
+                *springs,
+                *(f"speed of the drive of {task.joints[row]}" for row in own),
             ),
-            x_lower=np.r_[task.lower, -fastest],
-            x_upper=np.r_[task.upper, fastest],
-            u_lower=-limit,
-            u_upper=limit,
+            controls=tuple(f"acceleration of {'the drive of ' * (i in own)}{j}" for i, j in enumerate(task.joints)),
+            x_lower=np.r_[task.lower, -of_links, -free, -task.speed[own]],
+            x_upper=np.r_[task.upper, of_links, free, task.speed[own]],
+            u_lower=-task.acceleration,
+            u_upper=task.acceleration,
             start=start,
             end=end,
             duration=task.duration,
-            x_scale=np.r_[np.ones(2 * m), np.full(e, torque), np.full(e, torque * RATE)],
-            u_scale=peak,
+            x_scale=np.r_[np.ones(2 * m), np.full(e, torque), np.ones(e)],
+            u_scale=np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed),
             paths=(
                 *[torque_path(task.joints[i]) for i in limited] * len(self.scenarios),
-                *[name for name, *_ in self.limits_of_drives],
                 *([FLOOR] if floor else []),
             ),
             path_lower=np.r_[-np.ones(bounded), np.full(floor, task.floor)],
             path_upper=np.r_[np.ones(bounded), np.full(floor, np.inf)],
             costs=tuple(range(len(self.scenarios))),
             boundary=self._held_by_springs(index, torque) if e else None,
-            boundaries=own[:e],
+            boundaries=tuple(springs),
         )
 
     def _held_by_springs(self, index: int, unit: float) -> ca.Function:
@@ -214,38 +208,23 @@ class CoDesign:
         x, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items() if name != "u")
         still, payload = ca.SX.zeros(m), d[0] if index == 0 else 0.0
         held = self._load_torque(x[:m], still, still, payload, self.engaged(index, p), self.widths(d))[0][rows]
-        return ca.Function("boundary", [x, p, d], [(x[2 * m : 2 * m + len(rows)] - held) / unit])
+        return ca.Function("boundary", [x, p, d], [(self.series.torques(x) - held) / unit])
 
     @property
     def _sizes(self) -> dict[str, int]:
         """Numbers of states, controls, parameters and data."""
         m = len(self.task.moving)
-        return {"x": 2 * m + len(self.series.states), "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
+        return {"x": 2 * m + 2 * len(self.series.rows), "u": m, "p": len(self.model.parameters), "d": len(self.data_names)}
 
     @property
     def _limited(self) -> tuple[list[int], int]:
         """Rows of the moving joints with limits of torque, and whether there is a floor."""
         return np.flatnonzero(np.isfinite(self.task.torque)).tolist(), int(np.isfinite(self.task.floor))
 
-    @property
-    def limits_of_drives(self) -> list[tuple[str, int, int, float]]:
-        """Limits of the drives behind springs: name of the path, row of the joint, derivative of the angle, limit [rad/s, rad/s²].
-
-        Limits of speed and acceleration are the drives', which differ from those of their links there.
-        """
-        task = self.task
-        limits = (("speed", 1, task.speed), ("acceleration", 2, task.acceleration))
-        return [
-            (f"{kind} of the drive of {task.joints[row]}", row, order, float(limit[row]))
-            for kind, order, limit in limits
-            for row in self.series.rows
-            if np.isfinite(limit[row])
-        ]
-
     def _rates(self, index: int) -> ca.Function:
         task, m, series = self.task, len(self.task.moving), self.series
         x, u, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items())
-        q, dq, widths, torques, ddq = x[:m], x[m : 2 * m], self.widths(d), [], u
+        q, dq, widths, torques, ddq, own = x[:m], x[m : 2 * m], self.widths(d), [], u, list(series.rows)
         for scenario in self.scenarios:
             theta, payload = ca.SX(self.engaged(index, p)), d[0] * scenario.payload if index == 0 else 0.0
             for at, value in scenario.theta:
@@ -256,18 +235,16 @@ class CoDesign:
 
             ddq = series.accelerations(load, x, u)
             tau = load(ddq)
-            tau[list(series.rows)] = x[2 * m : 2 * m + len(series.rows)]
+            tau[own] = series.torques(x)
             torques.append(tau)
-        drives = [of_links - twist for of_links, twist in zip((q, dq, ddq), series.twist(x, u, p), strict=True)]
-        costs = ca.vertcat(*[self.cost_rate(drives[1], drives[2], tau, self.power_width(d)) for tau in torques])
+        speeds, accelerations = ca.SX(dq), u
+        speeds[own] = series.speeds(x)
+        costs = ca.vertcat(*[self.cost_rate(speeds, accelerations, tau, self.power_width(d)) for tau in torques])
         limited, floor = self._limited
         path = ca.vertcat(*[tau[i] / task.torque[i] for tau in torques for i in limited])
-        path = ca.vertcat(path, *[drives[order][i] / limit for _, i, order, limit in self.limits_of_drives])
         if floor:
             path = ca.vertcat(path, self.model.tool_height(self._all_joints(q, task.locked)))
-        e, own = len(series.rows), list(series.rows)
-        rate, second = x[2 * m + e :], u[own]
-        return ca.Function("rates", [x, u, p, d], [ca.vertcat(dq, ddq, rate, second), costs, path])
+        return ca.Function("rates", [x, u, p, d], [ca.vertcat(dq, ddq, series.rates(x, u, p)), costs, path])
 
     def _load_torque(self, q, dq, ddq, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
         moving = list(self.task.moving)
@@ -329,8 +306,8 @@ class CoDesign:
             payload, theta = self.task.payloads[phase], self.engaged(phase, guess.parameters)
             return lambda *motion: np.array(self.torques(*motion, payload, theta, self.model.widths)[0])
 
-        parts = zip(phases, guess.phases, strict=True)
-        return replace(guess, phases=tuple(self.series.lifted(part, load(i)) for i, part in parts))
+        parts, compliance = zip(phases, guess.phases, strict=True), guess.parameters[list(self.series.compliances)]
+        return replace(guess, phases=tuple(self.series.lifted(part, load(i), compliance) for i, part in parts))
 
     def hardware(self, parameters: np.ndarray) -> dict[str, float]:
         """The springs of a solution by a designer's names: k_p2, q_eq2, …, k_b, q_0, r_1, r_2, r_3, in SI units and radians."""

@@ -160,7 +160,7 @@ def follow(arm: DrivenArm, motion: SampledMotion, control: Control, known: Drive
     planned = zip(motion.references(task, believed.thetas, forward), arm.thetas, strict=True)
     references = [replace(r, payload=arm.payload * r.payload, theta=theta) for r, theta in planned]
     gains = p_control(arm.design) if control == "P" else controller(arm.design.model)
-    settings = Settings("native", start=start_of(task), armature=arm.armature)
+    settings = Settings("native", start=start_of(arm.design), armature=arm.armature)
     physics = arm.physics
     tracked = track(physics.model, references * CYCLES, physics.theta, gains, settings, physics.widths)
     last, rows = tracked.phases[-len(PHASES) :], list(task.moving)

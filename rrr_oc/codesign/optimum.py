@@ -96,7 +96,7 @@ def _sample(design: CoDesign, solution: Solution, points: int) -> SampledMotion:
         keep = np.r_[np.flatnonzero(np.tile(np.arange(points) < points - 1, t.shape[0])), t.size - 1]
         ddq = solution.rates(i, x, u)[0][m : 2 * m]
         x, u, ddq = (v.reshape(len(v), -1)[:, keep] for v in (x, u, ddq))
-        q, dq, twist = x[:m], x[m : 2 * m], np.array(design.series.twist(x, u, solution.parameters))
+        q, dq, twist = x[:m], x[m : 2 * m], design.series.twist(x, ddq, u, solution.parameters)
         tau, spring = (np.array(v) for v in design.torques(q, dq, ddq, payload, design.engaged(i, solution.parameters), widths))
         n = len(keep)
         parts.append((start + t.ravel()[keep], q, dq, ddq, tau, spring, np.full(n, i), np.full(n, payload), twist))
@@ -215,7 +215,7 @@ def resimulate(design: CoDesign, solution: Solution, motion: SampledMotion, form
 
     thetas = [design.engaged(i, solution.parameters) for i in range(len(PHASES))]
     references = motion.references(design.task, thetas, load)
-    settings = Settings(effects=form, start=start_of(design.task), armature=inertia)
+    settings = Settings(effects=form, start=start_of(design), armature=inertia)
     return track(model, references, solution.parameters, settings=settings, widths=widths)
 
 
@@ -228,9 +228,10 @@ def rotors(design: CoDesign) -> np.ndarray:
     return design.task.full_rates(inertia)
 
 
-def start_of(task: Task) -> StartOfPhase:
-    """How each phase of a task starts in a simulation: where the one before ended, unless the speed may differ."""
-    return "reference" if "free" in task.speeds else "continue"
+def start_of(design: CoDesign) -> StartOfPhase:
+    """How each phase of a task starts in a simulation: where the one before ended, unless the speed or the load of a spring between a
+    drive and its link may differ."""
+    return "reference" if "free" in design.task.speeds or design.series.rows else "continue"
 
 
 def describe(design: CoDesign, metrics: Metrics, rows: tuple[int, ...] | None = None) -> dict[str, Any]:

@@ -1,11 +1,12 @@
 """Series elastic actuation in the co-design problem: the states that springs between drives and links add, and how the drives move.
 
-With the torque τ of the series springs as states, the links of their joints e obey
+With the torque τ of the springs and the speed ω of the drives as states, and the drives' acceleration as control, the links of their
+joints e obey
 
-    M_ee q̈_e = τ − (load torque at q̈_e = 0),    τ̈ = control,
+    M_ee q̈_e = τ − (load torque at q̈_e = 0),    c τ̇ = ω − q̇_e,    ω̇ = control
 
-and the drives are at q_e + c τ with the compliance c, which so stands in the cost alone (Spong 1987; the gyroscopic part of the rotors
-is left out). Other joints keep their accelerations as controls.
+(Spong 1987; the gyroscopic part of the rotors is left out). So limits of speed and acceleration bound a state and a control. Other
+joints keep their accelerations as controls.
 """
 
 from collections.abc import Callable
@@ -24,7 +25,7 @@ POINTS = 65  # at which a guess's load torque is interpolated; doubled, its kink
 class SeriesElastic:
     """The joints with series springs, and where their compliances stand.
 
-    The states are q, dq (m each), then torque and rate of torque of the series springs (e each).
+    The states are q, dq (m each), then torques of the series springs and speeds of their drives (e each).
 
     Attributes:
         count: Number of moving joints m.
@@ -36,10 +37,18 @@ class SeriesElastic:
     rows: tuple[int, ...]
     compliances: tuple[int, ...]
 
-    @property
-    def states(self) -> tuple[int, ...]:
-        """Indices of the series springs' states."""
-        return tuple(range(2 * self.count, 2 * self.count + 2 * len(self.rows)))
+    def torques(self, x):
+        """Torques of the series springs (e, ...) [Nm] among the states."""
+        return x[2 * self.count : 2 * self.count + len(self.rows)]
+
+    def speeds(self, x):
+        """Speeds of their drives (e, ...) [rad/s] among the states."""
+        return x[2 * self.count + len(self.rows) :]
+
+    def speed_state(self, row: int) -> int:
+        """Index of the state that the speed of a moving joint's drive is."""
+        own = row in self.rows
+        return 2 * self.count + len(self.rows) + self.rows.index(row) if own else self.count + row
 
     def accelerations(self, load: Callable[[ca.SX], ca.SX], x: ca.SX, u: ca.SX) -> ca.SX:
         """Accelerations of the links (m,): the controls, and of joints with series springs what their torque causes.
@@ -54,30 +63,49 @@ class SeriesElastic:
         ddq[at] = own
         needed = load(ddq)[at]
         mass, bias = ca.jacobian(needed, own), ca.substitute(needed, own, ca.SX.zeros(len(at)))
-        ddq[at] = ca.solve(mass, x[2 * self.count : 2 * self.count + len(at)] - bias)
+        ddq[at] = ca.solve(mass, self.torques(x) - bias)
         return ddq
 
-    def twist(self, x, u, parameters) -> tuple:
-        """q, dq, ddq of the links less those of their drives, each (m, ...) [rad]; states, controls and parameters are casadi's or
-        numbers, over time as the last axis."""
-        zeros = ca.SX.zeros if isinstance(x, ca.SX) else lambda m: np.zeros((m, *x.shape[1:]))
-        found, e, m = tuple(zeros(self.count) for _ in range(3)), len(self.rows), self.count
-        for i, (row, at) in enumerate(zip(self.rows, self.compliances, strict=True)):
-            for twist, torque in zip(found, (x[2 * m + i], x[2 * m + e + i], u[row]), strict=True):
-                twist[row] = -parameters[at] * torque
+    def rates(self, x: ca.SX, u: ca.SX, parameters: ca.SX) -> ca.SX:
+        """Rates of the torques and of the drives' speeds (2 e,)."""
+        at = list(self.rows)
+        return ca.vertcat((self.speeds(x) - x[self.count : 2 * self.count][at]) / parameters[list(self.compliances)], u[at])
+
+    def twist(self, x: np.ndarray, ddq: np.ndarray, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """q, dq, ddq of the links less those of their drives, (3, m, ...); 0 of joints without series springs.
+
+        Args:
+            x, u: States and controls, over time as the last axis.
+            ddq: Accelerations of the links (m, ...) [rad/s²].
+        """
+        found, at = np.zeros((3, *ddq.shape)), list(self.rows)
+        compliance = parameters[list(self.compliances)].reshape(-1, *[1] * (x.ndim - 1))
+        found[0, at] = -compliance * self.torques(x)
+        found[1, at] = x[self.count : 2 * self.count][at] - self.speeds(x)
+        found[2, at] = (ddq - u)[at]
         return found
 
-    def lifted(self, guess: PhaseGuess, load: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]) -> PhaseGuess:
-        """A guess (q, dq; ddq) of the arm without series springs with their torque: the load torque (m, K) at (q, dq, ddq)."""
+    def lifted(
+        self, guess: PhaseGuess, load: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], compliance: np.ndarray
+    ) -> PhaseGuess:
+        """A guess (q, dq; ddq) of the arm without series springs with those of compliances (e,).
+
+        Args:
+            load: Load torque (m, K) of q, dq, ddq, each (m, K).
+        """
         if not self.rows:
             return guess
-        at, s = list(self.rows), np.linspace(0, 1, POINTS)
-        x, T = guess.states(s), guess.duration
+        at, s, c, T = list(self.rows), np.linspace(0, 1, POINTS), compliance[:, None], guess.duration
+        x = guess.states(s)
         torque = CubicSpline(s, load(x[: self.count], x[self.count :], guess.controls(s))[at], axis=1)
+
+        def states(s: np.ndarray) -> np.ndarray:
+            x = guess.states(s)
+            return np.vstack([x, torque(s), x[self.count :][at] + c * torque(s, 1) / T])
 
         def controls(s: np.ndarray) -> np.ndarray:
             u = guess.controls(s).copy()
-            u[at] = torque(s, 2) / T**2
+            u[at] += c * torque(s, 2) / T**2
             return u
 
-        return PhaseGuess(T, lambda s: np.vstack([guess.states(s), torque(s), torque(s, 1) / T]), controls)
+        return PhaseGuess(T, states, controls)

@@ -22,8 +22,12 @@ from rrr_oc.simulation.tracking import Reference, Tracked, check_gears, track
 
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
     """Raise `UserError` unless every optimum of the design can be simulated with the calibrated model: it has the joints of the
-    task's robot, every term holds for all recordings, and no gear is elastic."""
+    task's robot, every term holds for all recordings, and no gear or spring between drive and link gives."""
     _check_joints(design, calibrated)
+    if design.series.rows:
+        raise UserError(
+            "the design has springs between drives and links; a model of recordings without them says nothing of such drives"
+        )
     some = [term.effect.name for term in calibrated.terms if term.recordings != "all"]
     if some:
         raise UserError(f"the model's {some[0]} holds for single recordings only; a model whose terms hold for all is needed")
@@ -88,7 +92,7 @@ def describe_transfer(
     task, arm = design.task, _calibrated_arm(design, calibrated, theta)
     references = reference_phases(design, motion, theta, calibrated)
     tracked = track(
-        arm.model, references, arm.theta, settings=Settings(effects="native", start=start_of(task)), widths=arm.widths
+        arm.model, references, arm.theta, settings=Settings(effects="native", start=start_of(design)), widths=arm.widths
     )
     return {
         "engine": describe(design, tracked.metrics, task.moving),
