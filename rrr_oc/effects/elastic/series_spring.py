@@ -2,7 +2,10 @@
 
 from rrr_oc.effects.base import Effect
 from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.robot.parameters import Parameter
+
+STIFFEST = 1e-9  # [rad/Nm], least compliance of a spring that twists at all
 
 
 class SeriesSpring(Effect):
@@ -31,6 +34,11 @@ class SeriesSpring(Effect):
     def trials(cls, view):
         """None: what gives in a recorded arm is a gear, `JointElasticity`."""
         yield from ()
+
+    def motion(self, t, load, stiffness, inertia, theta):
+        """Of an undamped gear."""
+        gear = {"stiffness": 1 / max(theta["compliance"], STIFFEST), "damping_time": 0.0}
+        return JointElasticity(self.joints).motion(t, load, stiffness, inertia, gear)
 
     def gear(self, twist, theta, stiffest):
         twist.stiffness[0] = stiffest if theta["compliance"] * stiffest < 1 else 1 / theta["compliance"]
