@@ -12,6 +12,7 @@ from rrr_oc.report.tables import spring_unit
 from rrr_oc.robot.rigid_body import rigid_body
 
 ONE_JOINT = ("k_p", "k_v", "k_t")  # stiffnesses of springs across one joint
+ORDERS = ("q", "dq", "ddq")  # of which drives and links differ where a spring stands between them
 
 
 def draw_all(folder: Path, task: Task) -> list[Path]:
@@ -78,6 +79,9 @@ def draw_trajectory(name: str, m: dict, task: Task) -> Any:
             for i, phase in enumerate(PHASES):
                 k = m["phase"] == i
                 axis.plot(m["t"][k], m[key][j, k] * unit, color=COLOURS[i], lw=1.5, label=phase)
+                if key in ORDERS and np.any(m["twist"][:, j]):
+                    drive = m[key][j, k] - m["twist"][ORDERS.index(key), j, k]
+                    axis.plot(m["t"][k], drive * unit, color="0.2", lw=0.8, label="drive" if i else None)
             top, bottom = axis.get_ylim()[1], axis.get_ylim()[0]
             for limit in (lower[j] * unit, upper[j] * unit):
                 if np.isfinite(limit) and bottom - 0.4 * (top - bottom) <= limit <= top + 0.4 * (top - bottom):
@@ -88,7 +92,8 @@ def draw_trajectory(name: str, m: dict, task: Task) -> Any:
         axes[0, j].set_title(f"{name}: {joint}", fontsize=10)
         axes[-1, j].set_xlabel("time [s]")
     axes[0, 0].legend(fontsize=8)
-    figure.text(0.5, -0.01, "dashed: limits, where they are near", ha="center", **FOOTER)
+    of_drives = "; those of speed and acceleration are the drives'" * bool(np.any(m["twist"]))
+    figure.text(0.5, -0.01, f"dashed: limits, where they are near{of_drives}", ha="center", **FOOTER)
     figure.tight_layout()
     return figure
 

@@ -110,6 +110,6 @@ def spring_unit(spring: str) -> tuple[str, float, str]:
     found = quantities.get(spring) or quantities.get(spring.rstrip("0123456789"))
     if found is None:
         return "", 1.0, "SI"
-    shown = {"_deg": "°", "_mm": "mm"}
+    shown = {"_deg": "°", "_mm": "mm", "_mrad_per_Nm": "mrad/Nm"}
     suffix = next((ending for ending in shown if found.key.endswith(ending)), "")
     return suffix, 1 / found.unit, shown.get(suffix, found.si)

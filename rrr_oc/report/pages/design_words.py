@@ -33,8 +33,8 @@ def kinds_of_springs(names: Iterable[str]) -> list[tuple[str, str]]:
 def verdict(summary: Summary) -> str:
     """Which configuration is best, by how much, and what hardware that is."""
     found, quantity = summary["configurations"], Quantity(*summary["quantity"])
-    best, bought = best_of(found), best_of(found, bought=True)
-    if best is None:
+    best, bought, stiff = best_of(found), best_of(found, bought=True), found.get("SA")
+    if best is None or (stiff is not None and stiff["cost"] < found[best]["cost"]):
         name, c = min(found.items(), key=lambda item: item[1]["cost"])
         some = (
             "no springs help this task"
