@@ -69,6 +69,8 @@ class SeriesElastic:
     def rates(self, x: ca.SX, u: ca.SX, parameters: ca.SX) -> ca.SX:
         """Rates of the torques and of the drives' speeds (2 e,)."""
         at = list(self.rows)
+        if not at:
+            return ca.SX(0, 1)
         return ca.vertcat((self.speeds(x) - x[self.count : 2 * self.count][at]) / parameters[list(self.compliances)], u[at])
 
     def twist(self, x: np.ndarray, ddq: np.ndarray, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
