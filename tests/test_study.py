@@ -25,6 +25,7 @@ from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.report import study_files
+from rrr_oc.report.design_report import layers_table
 from rrr_oc.robot.robot import load_robot
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -153,6 +154,11 @@ def test_report_and_figures_are_there(out, summary):
     assert {f.stem for f in out.glob("*.png")} == figures
     assert all(f.read_bytes().startswith(b"\x89PNG") for f in out.glob("*.png"))
     assert not list(out.glob("*.tmp*"))
+
+
+def test_a_layer_whose_starts_all_failed_is_in_the_report():
+    layer = {"starts": 2, "failed": 2, "best": None, "median": None, "best_proposal": 7.25, "seconds": 1.0}
+    assert layers_table({"layers": {"sobol": layer}})[1] == [["sobol", "2", "2", "7.2", "–", "–"]]
 
 
 @pytest.mark.parametrize("step", ["write_text", "draw_all", "write_design_page"])

@@ -279,8 +279,14 @@ def local_optima_table(c: dict, quantity: Quantity, joints: Sequence[str]) -> Ta
 
 def layers_table(c: dict) -> Table:
     """What each layer of a search contributed."""
+    digits = {"best_proposal": 1, "best": 3, "median": 3}
     rows = [
-        [layer, str(v["starts"]), str(v["failed"]), f"{v['best_proposal']:.1f}", f"{v['best']:.3f}", f"{v['median']:.3f}"]
+        [
+            layer,
+            str(v["starts"]),
+            str(v["failed"]),
+            *(NONE if v[key] is None else f"{v[key]:.{n}f}" for key, n in digits.items()),  # of a layer whose starts all failed
+        ]
         for layer, v in c["layers"].items()
     ]
     return ["layer", "starts", "failed", "best proposal", "best after IPOPT", "median after IPOPT"], rows

@@ -259,13 +259,20 @@ class _Search:
         return ChoicePoint(point.springs, p, packed, found.cost)
 
     def without_one(self, point: ChoicePoint) -> ChoicePoint:
-        """The best of the points with one spring less; those that cost least on the motions at hand are solved."""
+        """The best of the points with one spring less; those that cost least on the motions at hand are solved.
+
+        Where the least needs no more than all springs did, a spring did nothing, and no joint problem is solved.
+        """
         ranked, held = [], self.held(point.parameters, point.motions)
         for i in point.springs:
             left = [j for j in point.springs if j != i]
             total, p = self.fitted(self.cleared(point.parameters, left), held, left)
             ranked.append((total, left, p))
-        found = self.solved_jointly(self._best_started(ranked, point.motions))
+        started = self._best_started(ranked, point.motions)
+        least = min((p for p in started if p is not None), key=lambda p: p.total, default=None)
+        if least is not None and least.total <= point.total * (1 + GAIN / len(self.places)):  # of all removals together, `GAIN`
+            return least
+        found = self.solved_jointly(started)
         if found is not None:
             return found
         total, left, p = min(ranked, key=lambda r: r[0])
