@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import saved_springs, ways_to_mount
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.task_sets import set_study
-from rrr_oc.codesign.task_sets.spring_choice import _Search, chosen, spring_front
+from rrr_oc.codesign.task_sets.spring_choice import GAIN, _Search, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, load_task_set
 from rrr_oc.optimal_control.refinement import Refinement
 
@@ -72,6 +73,19 @@ def test_one_place_has_one_spring_and_springs_left_out_give_no_torque(design, fr
         packed = [one.data() for one in reduced.designs]
         assert len(start.parameters) == 2 * len(point.springs)
         assert len(packed) == len(point.motions)
+
+
+def test_a_spring_that_does_nothing_is_taken_away_without_a_joint_problem(design, front):
+    """Beside one spring that helps; without that one, a joint problem is solved."""
+    search, point = _Search(design, OPTIONS), next(p for p in front[0].points if len(p.springs) == 1)
+    (helps,) = point.springs
+    idle = next(i for i in range(len(design.springs)) if i not in search.place(helps))
+    both = replace(point, springs=tuple(sorted((helps, idle))), parameters=search.cleared(point.parameters, [helps]))
+    left = search.without_one(both)
+    assert (left.springs, search.solved) == ((helps,), 0)
+    assert left.total <= point.total * (1 + GAIN)
+    search.without_one(left)
+    assert search.solved > 0
 
 
 def test_the_objective_on_held_motions_has_its_gradient(design, front):
