@@ -1,6 +1,7 @@
 # pyright: reportAttributeAccessIssue=false
 """Series elastic actuation in co-designs: against Pinocchio, differences, MuJoCo with two coordinates a joint, and its stiff limit."""
 
+import json
 from dataclasses import replace
 from importlib import resources
 
@@ -14,6 +15,7 @@ from rrr_oc.codesign.optimum import embedded, idle_springs, resimulate, rotors, 
 from rrr_oc.codesign.search.proposals import dimensions, proposed_guess
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
+from rrr_oc.codesign.task_sets.task_set import SetDesign, load_task_set
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.refinement import Refinement, refine
@@ -89,6 +91,22 @@ def test_derivatives_of_the_program_against_differences():
         np.testing.assert_allclose(jacobian @ d, rows, rtol=1e-5, atol=1e-6 * np.abs(rows).max())
         one, other = (g + j.T @ multipliers for g, j in map(slopes, (w + step * d, w - step * d)))
         np.testing.assert_allclose(hessian @ d, (one - other) / 2 / step, atol=1e-5 * np.abs(hessian @ d).max())
+
+
+def test_springs_of_a_set_hold_the_payload_of_each_task(tmp_path):
+    """The conditions at the ends of the phases, the last rows, are those of each task alone, on the same motions."""
+    content = {"format": "rrr_oc-tasks/1", "base": "series_springs", "tasks": [{"name": "a"}, {"name": "b", "payload_kg": 2.0}]}
+    (tmp_path / "set.json").write_text(json.dumps(content))
+    tasks = load_task_set(str(tmp_path / "set.json"))
+    of_set = SetDesign(tasks, tuple(design_of("SEA", task) for task in tasks.tasks))
+    guesses = [proposed_guess(one, np.full(dimensions(one, 2), 0.4), 2) for one in of_set.designs]
+    whole = transcribed(of_set, 4)
+    found = np.array(whole.functions["nlp"](whole.pack(of_set.guess(guesses, guesses[0].parameters)), of_set.data())[1]).ravel()
+    expected = []
+    for one, guess in zip(of_set.designs, guesses, strict=True):
+        program = transcribed(one, 4)
+        expected.append(np.array(program.functions["nlp"](program.pack(guess), one.data())[1]).ravel()[-8:])
+    np.testing.assert_allclose(found[-16:], np.concatenate(expected), atol=1e-9)
 
 
 def test_the_engine_agrees_and_motors_do_what_is_planned(optimum):

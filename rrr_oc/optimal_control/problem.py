@@ -25,7 +25,7 @@ class Phase:
         start, end: States at both ends (nx,); NaN leaves a state free there.
         duration: Bounds of the duration [s]; equal bounds fix it.
         x_scale (nx,), u_scale (nu,): Typical magnitudes, by which the solver's variables are scaled.
-        boundary: casadi Function (x, p, d) -> what is 0 at both ends, or None. It takes all of the problem's data.
+        boundary: casadi Function (x, p, d) -> what is 0 at both ends, or None. It takes the data of the phase.
         boundaries: Names of these conditions.
 
     Raises `UserError` for wrong shapes and for bounds that contradict each other.

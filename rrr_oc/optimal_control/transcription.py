@@ -170,10 +170,15 @@ class Transcription:
         return before, after
 
     @property
-    def _boundaries(self) -> list[tuple[ca.Function, np.ndarray, tuple[str, ...]]]:
-        """Boundary conditions at each end of each phase: the function, indices of the states there, and names."""
+    def _boundaries(self) -> list[tuple[ca.Function, np.ndarray | None, np.ndarray, tuple[str, ...]]]:
+        """Boundary conditions at each end of each phase: the function, indices of its data, of the states there, and names."""
         return [
-            (phase.boundary, block.nodes[:, node], tuple(f"{name} at the {end} of {phase.name!r}" for name in phase.boundaries))
+            (
+                phase.boundary,
+                phase.data,
+                block.nodes[:, node],
+                tuple(f"{name} at the {end} of {phase.name!r}" for name in phase.boundaries),
+            )
             for phase, block in zip(self.problem.phases, self.blocks, strict=True)
             for node, end in ((0, "start"), (-1, "end"))
             if phase.boundary is not None
@@ -320,9 +325,11 @@ class Transcription:
     def _add_boundaries(self, program: _Program) -> None:
         at = self.blocks[-1].rows.stop + len(self.problem.designs) + len(self._linked[0])
         n_p = len(self.problem.parameters)
-        for boundary, nodes, names in self._boundaries:
-            x, p, data = (ca.SX.sym(name, boundary.size1_in(i)) for i, name in enumerate("xpd"))
-            own = ca.Function("boundary", [ca.vertcat(p, x), data], [boundary(x, p, data)])
+        for boundary, which, nodes, names in self._boundaries:
+            x, p = (ca.SX.sym(name, boundary.size1_in(i)) for i, name in enumerate("xp"))
+            data = ca.SX.sym("d", self.problem.data.size)
+            of_phase = data if which is None else data[which.tolist()]
+            own = ca.Function("boundary", [ca.vertcat(p, x), data], [boundary(x, p, of_phase)])
             self._add_rows(program, own, np.r_[:n_p, nodes], at)
             at += len(names)
 

@@ -107,6 +107,10 @@ def prepared_set(request: Request, points: int, price: float | None, listener: L
         _check_clutches(tasks, name)
         for springs in _ways(tasks.tasks[0], name, price is not None):
             alone = tuple(replace(like, task=task, springs=springs) for task in tasks.tasks)
+            if price is not None and alone[0].series.rows:
+                raise UserError(
+                    f"--price chooses among springs that can be left out; in {name}, those between drives and links cannot"
+                )
             if model is not None and request.repaired:
                 alone = tuple(repaired(one, model, ("", "")) for one in alone)
             known = model if request.repaired else None
