@@ -138,8 +138,8 @@ def _compared(
 ) -> SetResult:
     """The result of a joint optimum, on refined meshes, beside the tasks alone and the springs of the first."""
     parameters, motions, change = _refined(design, best, options)
-    better = tuple(_better_alone(design, t, alone[t], motions[t], options) for t in range(len(alone)))
-    if better[0] is not alone[0]:
+    better = tuple(ordered(_better_alone, [(*one, options) for one in zip(design.designs, alone, motions, strict=True)]))
+    if better[0].cost < alone[0].cost:
         first = _with_first(design, best, better, options)
     refine = [(one, options, o) for one, o in zip(design.held(better[0].solution.parameters), first, strict=True)]
     return SetResult(design, parameters, motions, better, tuple(ordered(_refined_alone, refine)), starts, change)
@@ -344,11 +344,10 @@ def _on_mesh(design: CoDesign, settings: Options, old: Optimum, start: Guess) ->
     return Optimum(found, [*old.meshes, mesh_row(found) | checked])
 
 
-def _better_alone(design: SetDesign, task: int, alone: Optimum, found: Optimum, options: SearchOptions) -> Optimum:
+def _better_alone(one: CoDesign, alone: Optimum, found: Optimum, options: SearchOptions) -> Optimum:
     """The optimum of a task alone; where the set's motion costs less, the one near that, its springs free."""
     if found.cost >= alone.cost * (1 - CHEAPER):
         return alone
-    one = design.designs[task]
     followed = follow_to_fine_mesh(one, options, found.solution.guess())
     tried = [alone] if followed is None else [alone, _refined_alone(one, options, followed)]
     return min(tried, key=lambda o: o.cost)
