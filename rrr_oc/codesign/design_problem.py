@@ -302,6 +302,9 @@ class CoDesign:
     def lifted(self, guess: Guess, phases: Sequence[int] = range(len(PHASES))) -> Guess:
         """A guess of these phases for the arm without springs in series, with their torque."""
 
+        if not self.series.rows:
+            return guess
+
         def load(phase: int):
             payload, theta = self.task.payloads[phase], self.engaged(phase, guess.parameters)
             return lambda *motion: np.array(self.torques(*motion, payload, theta, self.model.widths)[0])

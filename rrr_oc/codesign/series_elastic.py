@@ -95,8 +95,6 @@ class SeriesElastic:
         Args:
             load: Load torque (m, K) of q, dq, ddq, each (m, K).
         """
-        if not self.rows:
-            return guess
         at, s, c, T = list(self.rows), np.linspace(0, 1, POINTS), compliance[:, None], guess.duration
         x = guess.states(s)
         torque = CubicSpline(s, load(x[: self.count], x[self.count :], guess.controls(s))[at], axis=1)
