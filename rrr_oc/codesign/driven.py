@@ -83,7 +83,7 @@ class DrivenArm:
     @cached_property
     def armature(self) -> np.ndarray:
         """Inertia of the drives at the joints [kg m²], (n,)."""
-        return self.design.task.full_rates(self.drives.inertia / self.drives.c_1)
+        return self.design.task.full_rates(self.drives.reflected_inertia)
 
     @property
     def thetas(self) -> list[np.ndarray]:
@@ -98,10 +98,9 @@ class DrivenArm:
             twist: q, dq, ddq of the links less those of their drives, (3, n, K).
             theta: Of `thetas`.
         """
-        q, dq, ddq = (x - by for x, by in zip((motion.q, motion.dq, motion.ddq), twist, strict=True))
-        physics, drives = self.physics, Motion(motion.t, q, dq, ddq, self.payload * motion.payload)
+        physics, drives = self.physics, replace(motion.of_drives(twist), payload=self.payload * motion.payload)
         known = theta, physics.widths, physics.inertial, twist.reshape(-1, len(motion.t)), np.zeros((0, len(motion.t)))
-        return along(physics.model.recorded_inverse, *physics.inputs(drives), *known)[0] + self.armature[:, None] * ddq
+        return along(physics.model.recorded_inverse, *physics.inputs(drives), *known)[0] + self.armature[:, None] * drives.ddq
 
     def power(self, phase: TrackedPhase) -> np.ndarray:
         """Electrical power of the drives along a simulated motion, what flows back as far as it is kept (m, K) [W]."""

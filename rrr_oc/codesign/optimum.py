@@ -224,7 +224,7 @@ def rotors(design: CoDesign) -> np.ndarray:
     inertia = np.zeros(len(design.task.moving))
     if design.actuators is not None:
         rows = list(design.series.rows)
-        inertia[rows] = (design.actuators.inertia / design.actuators.c_1)[rows]
+        inertia[rows] = design.actuators.reflected_inertia[rows]
     return design.task.full_rates(inertia)
 
 

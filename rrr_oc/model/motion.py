@@ -38,6 +38,11 @@ class Motion:
         """Time since the motion began [s], shape (K,)."""
         return self.t - (self.t[0] if self.start is None else self.start)
 
+    def of_drives(self, twist: np.ndarray) -> "Motion":
+        """The motion of the drives, where this is of the links: q, dq, ddq of the links less those of their drives are twist, (3, n, K)."""
+        q, dq, ddq = (x - by for x, by in zip((self.q, self.dq, self.ddq), twist, strict=True))
+        return Motion(self.t, q, dq, ddq, self.payload, self.segments, self.start)
+
     def smoothing(self, window: float) -> csr_matrix:
         """Savitzky–Golay filter over a window [s], within each segment, as a matrix (K, K); computed once for each window."""
         if window not in self._filters:

@@ -78,6 +78,11 @@ class Actuators:
     regeneration: np.ndarray
     form: str = "dissipative"
 
+    @property
+    def reflected_inertia(self) -> np.ndarray:
+        """Inertia of the drives at the joints [kg m²], (m,): `inertia` is in amperes per acceleration."""
+        return self.inertia / self.c_1
+
     def current(self, dq, ddq, tau_load) -> ca.SX:
         """Currents I (m,) [A] that drive the load torque (Eq. 7 with Eq. 9)."""
         currents = []

@@ -88,6 +88,12 @@ def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
     return np.block([[moments, first[:, None]], [first[None, :], np.array([[mass]])]])
 
 
+def of_pseudo_inertia(p: ca.SX) -> ca.SX:
+    """The ten inertial parameters of a body with a pseudo-inertia (4, 4); the inverse of `pseudo_inertia`."""
+    xx, yy, zz = p[1, 1] + p[2, 2], p[0, 0] + p[2, 2], p[0, 0] + p[1, 1]
+    return ca.vertcat(p[3, 3], p[:3, 3], xx, -p[0, 1], yy, -p[0, 2], -p[1, 2], zz)
+
+
 def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre of mass [m], (3,), and rotational inertia about it [kg m²], (3, 3), of a link's ten numbers (`Robot.inertial`)."""
     mass, centre, (xx, xy, yy, xz, yz, zz) = parameters[0], parameters[1:4] / parameters[0], parameters[4:]
@@ -124,9 +130,7 @@ def from_log_cholesky() -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
         ca.horzcat(0, 0, ca.exp(d[2]), t[2]),
         ca.horzcat(0, 0, 0, 1),
     )
-    p = ca.exp(2 * alpha) * upper @ upper.T
-    xx, yy, zz = p[1, 1] + p[2, 2], p[0, 0] + p[2, 2], p[0, 0] + p[1, 1]
-    parameters = ca.vertcat(p[3, 3], p[:3, 3], xx, -p[0, 1], yy, -p[0, 2], -p[1, 2], zz)
+    parameters = of_pseudo_inertia(ca.exp(2 * alpha) * upper @ upper.T)
     function = ca.Function("from_log_cholesky", [xi], [parameters, ca.densify(ca.jacobian(parameters, xi))])
 
     def evaluate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from rrr_oc.robot.inertial_parameters import from_log_cholesky, to_log_cholesky
+from rrr_oc.robot.inertial_parameters import from_log_cholesky, of_pseudo_inertia, pseudo_inertia, to_log_cholesky
 
 LIGHTEST = 1e-9  # [kg] of a link below which its centre counts as that of none
 OF_URDF = 7  # errors of a link of a URDF: mass, centre, second moments about it
@@ -52,33 +52,24 @@ class LinkErrors:
 
 @cache
 def _erroneous() -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """(ten parameters of a link, errors (7,)) -> (the ten with the errors, their derivatives by the errors (10, 7))."""
-    body, error = ca.SX.sym("body", 10), ca.SX.sym("error", OF_URDF)
-    mass, centre = body[0], body[1:4] / ca.fmax(body[0], LIGHTEST)
-    about_origin = _matrix(body[4:])
-    about_centre = about_origin - mass * _of_point(centre)
-    moments = ca.trace(about_centre) / 2 * ca.SX.eye(3) - about_centre
-    stretch = ca.diag(ca.exp(error[4:] / 2))
-    moments = ca.exp(error[0]) * stretch @ moments @ stretch
-    mass, centre = mass * ca.exp(error[0]), centre + error[1:4]
-    about_origin = ca.trace(moments) * ca.SX.eye(3) - moments + mass * _of_point(centre)
-    xx, xy, yy, xz, yz, zz = (about_origin[i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)))
-    found = ca.vertcat(mass, mass * centre, xx, xy, yy, xz, yz, zz)
-    function = ca.Function("erroneous", [body, error], [found, ca.densify(ca.jacobian(found, error))])
+    """(ten parameters of a link, errors (7,)) -> (the ten with the errors, their derivatives by the errors (10, 7)).
+
+    The pseudo-inertia P becomes exp(error of mass) A P Aᵀ, in which A stretches the link about its centre and shifts it.
+    """
+    plain, error = ca.SX.sym("plain", 4, 4), ca.SX.sym("error", OF_URDF)
+    centre = plain[:3, 3] / ca.fmax(plain[3, 3], LIGHTEST)
+    stretched = ca.diagcat(ca.diag(ca.exp(error[4:] / 2)), 1)
+    change = _shift(centre + error[1:4]) @ stretched @ _shift(-centre)
+    found = of_pseudo_inertia(ca.exp(error[0]) * change @ plain @ change.T)
+    function = ca.Function("erroneous", [plain, error], [found, ca.densify(ca.jacobian(found, error))])
 
     def evaluate(parameters: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        value, slopes = function(parameters, errors)
+        value, slopes = function(pseudo_inertia(parameters), errors)
         return np.array(value).ravel(), np.array(slopes)
 
     return evaluate
 
 
-def _matrix(packed: ca.SX) -> ca.SX:
-    """The symmetric matrix of xx, xy, yy, xz, yz, zz."""
-    xx, xy, yy, xz, yz, zz = ca.vertsplit(packed)
-    return ca.vertcat(ca.horzcat(xx, xy, xz), ca.horzcat(xy, yy, yz), ca.horzcat(xz, yz, zz))
-
-
-def _of_point(at: ca.SX) -> ca.SX:
-    """Rotational inertia about the origin of a unit mass at a point."""
-    return ca.sumsqr(at) * ca.SX.eye(3) - at @ at.T
+def _shift(by: ca.SX) -> ca.SX:
+    """Of homogeneous coordinates, (4, 4)."""
+    return ca.vertcat(ca.horzcat(ca.SX.eye(3), by), ca.SX([[0, 0, 0, 1]]))

@@ -42,9 +42,7 @@ class Reference(Motion):
     @cached_property
     def drives(self) -> Motion:
         """The motion of the drives."""
-        twist = np.zeros((3, *self.q.shape)) if self.twist is None else self.twist
-        q, dq, ddq = (x - by for x, by in zip((self.q, self.dq, self.ddq), twist, strict=True))
-        return Motion(self.t, q, dq, ddq, self.payload)
+        return self if self.twist is None else self.of_drives(self.twist)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -5,21 +5,18 @@ from rrr_oc.effects.design_form import DesignForm, Quantity
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.robot.parameters import Parameter
 
-STIFFEST = 1e-9  # [rad/Nm], least compliance of a spring that twists at all
-
 
 class SeriesSpring(Effect):
     """The whole load torque passes through the spring: q_motor − q = compliance · tau_load (Spong 1987).
 
     It adds no torque to the links. What it changes is how the drive moves: q_motor' = q' + compliance tau_load', and the drive's
-    inertia takes torque by q_motor''. There is no damping. A spring without compliance is none: it would let the torque jump, and the
-    rate of its torque would have no cost.
+    inertia takes torque by q_motor''. There is no damping.
     """
 
     name = "series_spring"
     equation = "q_motor - q = compliance tau_load"
     plain = "A spring between drive and link of {joints} twists by {compliance} of its load."
-    parameters = (Parameter("compliance", "rad/Nm", 0.001, lower=0.0),)
+    parameters = (Parameter("compliance", "rad/Nm", 0.001, lower=1e-9),)
     amplitudes = ("compliance",)
     role = "design"
     side = "motion"
@@ -37,8 +34,8 @@ class SeriesSpring(Effect):
 
     def motion(self, t, load, stiffness, inertia, theta):
         """Of an undamped gear."""
-        gear = {"stiffness": 1 / max(theta["compliance"], STIFFEST), "damping_time": 0.0}
-        return JointElasticity(self.joints).motion(t, load, stiffness, inertia, gear)
+        own = {"stiffness": 1 / theta["compliance"], "damping_time": 0.0}
+        return JointElasticity(self.joints).motion(t, load, stiffness, inertia, own)
 
     def gear(self, twist, theta, stiffest):
-        twist.stiffness[0] = stiffest if theta["compliance"] * stiffest < 1 else 1 / theta["compliance"]
+        twist.stiffness[0] = min(1 / theta["compliance"], stiffest)
