@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
-from functools import cache
 from threading import Thread
 from typing import Any, TypeVar, cast
 
@@ -36,7 +35,7 @@ def workers(jobs: int = -1, where: str = LOCAL) -> Iterator[None]:
     if jobs == 0 or jobs < -1:
         raise UserError(f"--jobs is {jobs}; allowed are 1 or more, and -1 for all cores")
     if where == LOCAL:
-        with joblib.parallel_config(n_jobs=jobs):
+        with joblib.parallel_config("loky", n_jobs=jobs, initializer=_end_with, initargs=(os.getpid(),)):
             yield
         return
     try:
@@ -73,11 +72,11 @@ def _numbered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterato
     """(number, result) of each call as it finishes. Calls that were lost with a worker process are made again."""
     left, deaths = dict(enumerate(arguments)), 0
     if len(left) == 1:
-        yield _call(os.getpid(), 0, function, left[0])
+        yield _call(0, function, left[0])
         return
     while left:
         pool = joblib.Parallel(return_as="generator_unordered", batch_size=cast(Any, 1))
-        calls = [joblib.delayed(_call)(os.getpid(), number, function, a) for number, a in left.items()]
+        calls = [joblib.delayed(_call)(number, function, a) for number, a in left.items()]
         try:
             for number, found in cast(Iterator[Any], pool(calls)):
                 del left[number]
@@ -90,17 +89,14 @@ def _numbered(function: Callable, arguments: Iterable[Sequence[Any]]) -> Iterato
                 raise UserError(f"{reason}; fewer --jobs need less") from None
 
 
-def _call(program: int, number: int, function: Callable, arguments: Sequence[Any]) -> tuple[int, Any]:
-    """One call of the program of a process number, while other processes use the other cores."""
-    if os.getppid() == program:  # else this process is the program, or a worker of a cluster
-        _end_with(program)
+def _call(number: int, function: Callable, arguments: Sequence[Any]) -> tuple[int, Any]:
+    """One call, while other processes use the other cores."""
     with one_thread(), joblib.parallel_config(backend="sequential"):
         return number, function(*arguments)
 
 
-@cache
 def _end_with(program: int) -> None:
-    """Have this worker process end when its program was killed; by itself it would wait for further calls for minutes."""
+    """Have this new worker process end when its program, a process number, was killed; by itself it would wait for calls for minutes."""
 
     def watch() -> None:
         while os.getppid() == program:

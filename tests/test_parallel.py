@@ -68,28 +68,35 @@ def test_a_call_that_kills_every_worker_is_an_error():
         parallel.ordered(killed_always, [(0,), (1,)])
 
 
-def test_workers_end_with_a_program_that_is_killed(tmp_path):
-    program = "\n".join(
-        [
-            "import os, signal, time",
-            "from rrr_oc import parallel",
-            "def own(n):",
-            "    time.sleep(0.2)",
-            "    return os.getpid()",
-            "with parallel.workers(2):",
-            "    print(*set(parallel.ordered(own, [(n,) for n in range(4)])), flush=True)",
-            "    os.kill(os.getpid(), signal.SIGKILL)",
-        ]
+DIES = """
+import os, signal, sys
+from rrr_oc import parallel
+class Dies:
+    def __reduce__(self):
+        os.kill(os.getpid(), signal.SIGKILL)
+        return Dies, ()
+def number(n):
+    return n
+with parallel.workers(2):
+    if sys.argv[1] == "after calls":
+        print(*parallel.ordered(number, [(n,) for n in range(4)]), flush=True)
+    parallel.ordered(number, [(Dies(),), (Dies(),)])
+"""
+
+
+@pytest.mark.parametrize("moment", ["before calls", "after calls"])
+def test_workers_end_with_a_program_that_is_killed(moment, tmp_path):
+    """The program kills itself when it sends a call, at which its workers run; they are in a process group of their own with it."""
+    program = subprocess.Popen(
+        [sys.executable, "-c", DIES, moment], stdout=subprocess.PIPE, text=True, cwd=tmp_path, start_new_session=True
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, cwd=tmp_path)
-    pids = [int(pid) for pid in done.stdout.split()]
-    assert done.returncode == -signal.SIGKILL
-    assert pids
-    for pid in pids:
-        with pytest.raises(ProcessLookupError):  # noqa: PT012
-            for _ in range(100):
-                os.kill(pid, 0)
-                time.sleep(0.2)
+    said, _ = program.communicate(timeout=120)
+    assert program.returncode == -signal.SIGKILL
+    assert said == ("0 1 2 3\n" if moment == "after calls" else "")
+    with pytest.raises(ProcessLookupError):  # noqa: PT012
+        for _ in range(100):
+            os.killpg(program.pid, 0)
+            time.sleep(0.2)
 
 
 @pytest.mark.parametrize("jobs", [0, -2])

@@ -8,12 +8,14 @@ removed). Then every file must be whole and of one run, old or new, as must all 
 temporary may be left, and all numbers must be those, bit for bit, of a run that nobody disturbed.
 
 The other disturbances come at a random change of the folder, too: Ctrl-C, a full disk, a folder that must no longer be written. A
-file that is cut off is one of a finished run. These must end with a sentence, not with a fault of the program. Linux only.
+file that is cut off is one of a finished run. These must end with a sentence, not with a fault of the program; after Ctrl-C, results may be those that the
+run had by then. Linux only.
 """
 
 import csv
 import io
 import json
+import operator
 import os
 import shutil
 import subprocess
@@ -219,8 +221,18 @@ def _results(data: Any) -> Any:
     return [_results(value) for value in data] if isinstance(data, list) else data
 
 
-def ages(found: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) -> dict[str, str]:
-    """Of each file that two runs write differently: whether it is the old one, the new one, or torn."""
+def part(found: Any, whole: Any) -> bool:
+    """Whether plain data are others with some entries left out."""
+    if isinstance(found, dict) and isinstance(whole, dict):
+        return all(key in whole and part(value, whole[key]) for key, value in found.items())
+    return found == whole
+
+
+def ages(found: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes], interrupted: bool = False) -> dict[str, str]:
+    """Of each file that two runs write differently: whether it is the old one, the new one, or torn.
+
+    A run that was `interrupted` may have written the results that it had.
+    """
     result = {}
     for name, data in found.items():
         if data == old.get(name):
@@ -228,7 +240,8 @@ def ages(found: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) 
                 result[name] = "old"
             continue
         try:
-            same = name in new and content(name, data) == content(name, new[name])
+            equal = part if interrupted else operator.eq
+            same = name in new and equal(content(name, data), content(name, new[name]))
         except Exception as error:
             result[name] = f"torn ({error})"
             continue
@@ -291,7 +304,7 @@ def disturbed(on: Bench, fault: str, folder: Path, rng: np.random.Generator) -> 
         if path.is_dir():
             path.chmod(0o755)
     found = files(folder / "out")
-    left = ages(found, on.old, on.new)
+    left = ages(found, on.old, on.new, fault == "Ctrl-C")
     kinds = {age for name, age in left.items() if not name.startswith(KEPT)}
     cut_off = fault == "file cut off"
     again = run(folder, on.subject.new)
