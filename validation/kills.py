@@ -8,8 +8,8 @@ removed). Then every file must be whole and of one run, old or new, as must all 
 temporary may be left, and all numbers must be those, bit for bit, of a run that nobody disturbed.
 
 The other disturbances come at a random change of the folder, too: Ctrl-C, a full disk, a folder that must no longer be written. A
-file that is cut off is one of a finished run. These must end with a sentence, not with a fault of the program; after Ctrl-C, results may be those that the
-run had by then. Linux only.
+file that is cut off is one of a finished run. These must end with a sentence, not with a fault of the program; after Ctrl-C, results
+may be those that the run had by then. Linux only.
 """
 
 import csv
