@@ -268,9 +268,15 @@ def test_an_effect_of_one_recording_only_is_judged_by_the_others_searches():
 
 @pytest.mark.parametrize(
     ("after", "confirmed"),
-    [((0.2, 0.2, 0.2), True), ((0.2, 0.2, 0.9), True), ((0.4, 0.4, 0.2), False), ((0.3, 0.3, 0.3), False)],
+    [
+        ((0.2, 0.2, 0.2), True),
+        ((0.2, 0.2, 0.4), True),
+        ((0.2, 0.2, 0.9), False),  # the mean is worse
+        ((0.4, 0.4, 0.0), False),  # most are worse
+        ((0.3, 0.3, 0.3), False),
+    ],
 )
-def test_an_effect_is_claimed_that_predicts_more_recordings_better_than_worse(after, confirmed):
+def test_an_effect_is_claimed_that_predicts_most_recordings_and_their_mean_better(after, confirmed):
     spring = ParallelSpring((0,))
     folds = [searched(k, [spring], after=a) for k, a in enumerate(after)]
     assert (worse([finding(spring)], parts(*"abc"), folds) == []) == confirmed
