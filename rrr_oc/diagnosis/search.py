@@ -133,13 +133,14 @@ class Search:
         table = signatures(self.fitter.data, at.fitted.model, sought)
         hopeful: list[tuple[Screen, Candidate]] = []
         every_score: list[tuple[float, Candidate]] = []
-        seen: set = set()
         exact = None if under or black_box else self.fitter.exact(start)
         for post, count in ((under or start, EXACT), (exact, EXACT // 2)):
             if post is None:
                 continue
-            post = self.fitter.freed(at.fitted, post)
-            screen = Screen.of(self.fitter, at.fitted, table, post)
+            # linear where these sizes put the links: errors of many times their size make others of a prediction far from linear
+            there = at.fitted if post is start else self.fitter.fit(at.fitted.model, at.fitted.links, post, fixed=True)
+            post = self.fitter.freed(there, post)
+            screen = Screen.of(self.fitter, there, table, post)
             candidates = [c for c in screen.candidates() if self._open(c, kept) and not _same(c, out)]
             # of the structure without the candidate, under the sizes of the screen
             base = level + post.log_evidence
@@ -149,34 +150,33 @@ class Search:
                     self.foreseen[key] = max(base + c.gain, self.foreseen.get(key, -np.inf))
             every_score += [(base + c.gain, c) for c in candidates]
             least = [goal - base - max(NEAR if _bent(c) else NEAR / 3, SLACK * (goal - base)) for c in candidates]
-            own = [
-                (screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low and (c.key, c.scope) not in seen
-            ]
-            hopeful += own[:count]
-            seen |= {(c.key, c.scope) for _, c in own[:count]}
+            hopeful += [(screen, c) for c, low in zip(candidates, least, strict=True) if c.gain > low][:count]
         self.nearest = max((score for score, _ in every_score), default=-np.inf)
         best = self._best(at, hopeful, level, goal)
         if best is not None:
-            own = best.fitted.extra[-1]
-            others = [score for score, c in every_score if c.key != (own.effect.name, own.effect.joints)]
-            self.settled[frozenset([name_of(own)])] = best.score - max(others, default=-np.inf)
+            added, foreseen = best.fitted.extra[-1], {True: -np.inf, False: -np.inf}
+            for score, c in every_score:  # of it and of others, both as they are foreseen: a fit finds more than that
+                own = c.key == (added.effect.name, added.effect.joints)
+                foreseen[own] = max(foreseen[own], score)
+            self.settled[frozenset([name_of(added)])] = foreseen[True] - foreseen[False]
         return best
 
     def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], level: float, goal: float) -> State | None:
         """The best of some candidates beyond `goal`, fitted exactly; `level` is what turns a freed evidence into a score."""
-        judged: list[tuple[float, Candidate, Posterior]] = []
+        judged: dict[tuple, tuple[float, Screen, Candidate, Posterior]] = {}
         for screen, c in hopeful:
             post = screen.evaluated(c)
-            believed = c.log_prior + float(np.log(EXCESS[c.excess]))
-            judged.append((level + post.log_evidence + believed, c, post))
-        judged.sort(key=lambda x: -x[0])
+            score = level + post.log_evidence + c.log_prior + float(np.log(EXCESS[c.excess]))
+            if (c.key, c.scope) not in judged or score > judged[c.key, c.scope][0]:
+                judged[c.key, c.scope] = score, screen, c, post
+        order = sorted(judged.values(), key=lambda x: -x[0])
         found: list[State] = []
-        for k, (score, c, post) in enumerate(judged[:FITTED]):
+        for k, (score, screen, c, post) in enumerate(order[:FITTED]):
             best = max((s.score for s in found), default=goal)
             if score < best - (NEAR if _bent(c) else 1.0) and not (k == 0 and _bent(c)):
                 continue
-            model = replace(at.fitted.model, terms=self._extended(at.fitted, c))
-            found.append(self.scored(self.fitter.with_signs(self.fitter.drawn(model, at.fitted.links, post, _bent(c)))))
+            model = replace(screen.fitted.model, terms=self._extended(screen.fitted, c))
+            found.append(self.scored(self.fitter.with_signs(self.fitter.drawn(model, screen.fitted.links, post, _bent(c)))))
         result = max(found, key=lambda s: s.score, default=None)
         if result is None or result.score <= goal:
             return None
