@@ -137,7 +137,7 @@ class Search:
         for post, count in ((under or start, EXACT), (exact, EXACT // 2)):
             if post is None:
                 continue
-            # linear where these sizes put the links: errors of many times their size make others of a prediction far from linear
+            # linearised at the fit under these sizes, since predictions are far from linear in large errors of the links
             there = at.fitted if post is start else self.fitter.fit(at.fitted.model, at.fitted.links, post, fixed=True)
             post = self.fitter.freed(there, post)
             screen = Screen.of(self.fitter, there, table, post)
@@ -154,11 +154,11 @@ class Search:
         self.nearest = max((score for score, _ in every_score), default=-np.inf)
         best = self._best(at, hopeful, level, goal)
         if best is not None:
-            added, foreseen = best.fitted.extra[-1], {True: -np.inf, False: -np.inf}
-            for score, c in every_score:  # of it and of others, both as they are foreseen: a fit finds more than that
-                own = c.key == (added.effect.name, added.effect.joints)
-                foreseen[own] = max(foreseen[own], score)
-            self.settled[frozenset([name_of(added)])] = foreseen[True] - foreseen[False]
+            added, foreseen = best.fitted.extra[-1], {}
+            for score, c in every_score:
+                foreseen[c.key] = max(score, foreseen.get(c.key, -np.inf))
+            own = foreseen.pop((added.effect.name, added.effect.joints))  # not its fitted score: a fit finds more than is foreseen
+            self.settled[frozenset([name_of(added)])] = own - max(foreseen.values(), default=-np.inf)
         return best
 
     def _best(self, at: State, hopeful: Sequence[tuple[Screen, Candidate]], level: float, goal: float) -> State | None:
