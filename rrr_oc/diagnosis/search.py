@@ -157,7 +157,9 @@ class Search:
             added, foreseen = best.fitted.extra[-1], {}
             for score, c in every_score:
                 foreseen[c.key] = max(score, foreseen.get(c.key, -np.inf))
-            own = foreseen.pop((added.effect.name, added.effect.joints))  # not its fitted score: a fit finds more than is foreseen
+            own = foreseen.pop(
+                (added.effect.name, added.effect.joints)
+            )  # not its fitted score: a fit finds more than is foreseen
             self.settled[frozenset([name_of(added)])] = own - max(foreseen.values(), default=-np.inf)
         return best
 
