@@ -7,9 +7,9 @@ ARGS ?=
 COVERAGE ?= --cov=rrr_oc --cov-report=term
 BUILT_FROM = pyproject.toml setup.py rrr_oc/robot/_rigid_body.cpp rrr_oc/numerics/_along.cpp rrr_oc/numerics/_stepping.cpp
 # A short part of the tests that touches every dependency.
-SHORT = tests/test_akima.py tests/test_robot.py tests/test_rigid_body.py tests/test_task.py tests/test_effects.py \
-  tests/test_recordings.py tests/test_importers.py tests/test_cli.py tests/test_metrics.py tests/test_solver.py \
-  tests/test_rollout.py tests/test_evolution.py
+SHORT = $(addprefix tests/,numerics/test_akima.py robot/test_robot.py robot/test_rigid_body.py codesign/test_task.py \
+  effects/test_effects.py recordings/test_recordings.py recordings/test_importers.py commands/test_cli.py model/test_metrics.py \
+  optimal_control/test_solver.py simulation/test_rollout.py paper/test_evolution.py)
 
 .PHONY: study test test-lowest docs lint wheel
 study: $(VENV)/installed

@@ -13,31 +13,14 @@ from urllib.parse import unquote
 
 import pytest
 import typer
+from doc_pages import CURRENT, PAGES, ROOT, blocks, code
 
 from rrr_oc.commands import COMMANDS, app, load
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import STATUSES
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGES = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "validation/concealed/README.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
-]
-CURRENT = [page for page in PAGES if page.name != "CHANGELOG.md"]  # a changelog also names what is gone
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 each_current_page = pytest.mark.parametrize("page", CURRENT, ids=lambda p: str(p.relative_to(ROOT)))
-
-
-def blocks(text: str) -> list[tuple[str, str]]:
-    """Language and content of every fenced block."""
-    return re.findall(r"^```(\w*)\n(.*?)^```$", text, re.M | re.S)
-
-
-def code(text: str) -> list[str]:
-    """Everything set as code: spans in backticks, and lines of blocks without a language or of a shell."""
-    lines = [line for language, content in blocks(text) if language in ("", "sh", "bash") for line in content.splitlines()]
-    without = re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S)
-    return lines + [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", without)]
 
 
 def missing_names(text: str) -> list[str]:

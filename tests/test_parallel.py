@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_evolution import LABELS, SMALL, numbers
-from test_multistart import OPTIONS, PEA
+from small_searches import LABELS, OPTIONS, PEA, SMALL, numbers
 
 from rrr_oc import parallel
 from rrr_oc.codesign.search.multistart import solve_multistart

@@ -24,7 +24,7 @@ from rrr_oc.simulation import generated_c as native
 from rrr_oc.simulation.engine_model import Controller, Settings, controller, twin
 from rrr_oc.simulation.tracking import Reference, track
 
-ROOT = Path(__file__).parent
+ROOT = Path(__file__).resolve().parents[1]
 URDFS = {
     "rrr": ROOT.parent / "models/urdf/rrr.urdf",
     "rrr_prototype": ROOT.parent / "models/urdf/rrr_prototype.urdf",

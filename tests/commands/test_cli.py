@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 import pytest
 from commands import heeds_ctrl_c
+from prototype import write_prototype
 from recorded import Plant, as_set, real, record
-from test_importers import write_prototype
 from threadpoolctl import threadpool_info
 
 from rrr_oc import __version__, cli

@@ -27,7 +27,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.robot import load_robot
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "priors.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "priors.md"
 MISSING = [name for name, kind in CATALOGUE.items() if kind.role in SOUGHT]
 each_effect = pytest.mark.parametrize("name", MISSING)
 

@@ -21,7 +21,7 @@ from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.importers.prototype import import_prototype
 from rrr_oc.robot.robot import Robot, load_robot, urdf_text
 
-RAW = Path(__file__).resolve().parents[2] / "shared/recordings/rrr_prototype"
+RAW = Path(__file__).resolve().parents[3] / "shared/recordings/rrr_prototype"
 FRICTION = ("viscous_friction", "dry_friction")
 QUICK = Search(harmonics=5, starts=2, draws=8, iterations=60)
 

@@ -21,7 +21,7 @@ from rrr_oc.numerics.savitzky_golay import differentiate, split
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import Robot, load_robot
 
-URDF = Path(__file__).resolve().parents[1] / "rrr_oc" / "urdf"
+URDF = Path(__file__).resolve().parents[2] / "rrr_oc" / "urdf"
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def behind_gear(plant: Plant, recorded: Recording, motion: tuple[np.ndarray, ...
 
 def real(name: str) -> Path:
     """The folder of a set of real recordings; skips where it is not at hand."""
-    folder = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).parents[2] / "shared")) / "recordings" / name
+    folder = Path(os.environ.get("RRR_OC_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "recordings" / name
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there; set RRR_OC_SHARED")
     return folder

@@ -1,7 +1,6 @@
 """The main study as its users run it: what it leaves in its folder, and what it says to those who ask wrongly."""
 
 import copy
-import importlib.resources
 import json
 import shutil
 import subprocess
@@ -14,21 +13,19 @@ import pea_bpea as study
 import pytest
 from chains import arm, joint, link, robot
 from commands import rrr_oc, run
+from own_arm import OWN, PAPER, own_model, own_task, with_robot
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign import study as steps
 from rrr_oc.codesign.springs import arrangements, saved_springs, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands import design as design_command
-from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.report import study_files
 from rrr_oc.report.design_report import layers_table
-from rrr_oc.robot.robot import load_robot
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 STUDY = ROOT / "studies" / "pea_bpea.py"
 TINY = [
     "--configurations",
@@ -44,7 +41,6 @@ TINY = [
     "--jobs",
     "1",
 ]
-PAPER = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
 CONTRACT = {"E1", "E1_joint", "rms", "peak", "springs", "durations", "certificate", "mujoco", "published_springs_E1", "wall_s"}
 
 
@@ -228,23 +224,6 @@ def task_file(folder: Path, name: str = "task.json", **changes) -> str:
     return str(folder / name)
 
 
-def with_robot(folder: Path, urdf: str) -> str:
-    """A task of the arm in `urdf`, whose joints are j1, j2, …"""
-    (folder / "arm.urdf").write_text(urdf)
-    limits = {"j2": {"speed_deg_per_s": 90, "acceleration_deg_per_s2": 180}}
-    angles = {"start": {"angles_deg": [10]}, "release": {"angles_deg": [50]}}
-    content = {
-        **PAPER,
-        **angles,
-        "robot": "arm.urdf",
-        "moving": ["j2"],
-        "limits": limits,
-        "tool": {"link": "l2", "position_m": [0, 0, 0]},
-    }
-    (folder / "task.json").write_text(json.dumps(content))
-    return str(folder / "task.json")
-
-
 PRISMATIC, FLOATING = arm(3, {2: "prismatic"}), arm(3, {1: "floating"})
 MASSLESS = robot(link("base", 0), link("l1"), link("l2", 0), joint("j1", "base", "l1"), joint("j2", "l1", "l2"))
 TORQUE = {"torque_Nm": 5.0, **PAPER["limits"]["joint2"]}
@@ -291,31 +270,6 @@ def test_an_output_path_that_is_a_file_is_told_before_hours_of_solving(monkeypat
     assert run(study, monkeypatch, *TINY, "--out", str(tmp_path / "results")) == 2
     assert "results" in capsys.readouterr().err
     assert (tmp_path / "results").read_text() == "mine"
-
-
-def own_task(folder: Path, **changes) -> str:
-    """A task of an arm of its own whose joints are j1 to j3 and which has one spring."""
-    spring = {"effect": "parallel_spring", "joint": "j2", "active": "below"}
-    spring |= {"stiffness_Nm_per_rad": [0, 20], "equilibrium_deg": [-10, 140]}
-    content = json.loads(Path(with_robot(folder, arm(3))).read_text()) | {"name": "own", "springs": [spring]}
-    content |= {"tool": {"link": "l3", "position_m": [0.2, 0, 0]}, "payload_kg": 1.0, "duration_s": [0.8, 3.0]} | changes
-    (folder / "task.json").write_text(json.dumps(content))
-    return str(folder / "task.json")
-
-
-def own_model(folder: Path) -> str:
-    """A calibrated model of that arm, with viscous friction in every joint."""
-    robot = load_robot(folder / "arm.urdf")
-    terms = tuple(Term(CATALOGUE["viscous_friction"]((j,)), (Estimate(1.0),)) for j in range(robot.n))
-    zero, urdf = np.zeros(robot.n), (folder / "arm.urdf").read_text()
-    constants = (None,) * robot.n
-    tool = robot.point("l3", (0.2, 0.0, 0.0))
-    model = CalibratedModel(robot, "arm.urdf", urdf, tool, "motor", constants, "nominal", terms, zero, zero)
-    save_model(model, folder / "model.json")
-    return str(folder / "model.json")
-
-
-OWN = ["--configurations", "SA,PEA", "--starts", "1", "--motions", "0", "--tolerance", "1e-2", "--jobs", "1"]
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """Files made up from the structures that describe them, and files that are nearly right: a sentence, or a result that physics allows.
 
-A short run is part of the tests. The long one: python -m pytest tests/test_fuzz.py --hypothesis-profile=long, with 20 000 inputs to
+A short run is part of the tests. The long one: python -m pytest tests/whole/test_fuzz.py --hypothesis-profile=long, with 20 000 inputs to
 each test, or as many as the environment variable RRR_OC_EXAMPLES says.
 """
 

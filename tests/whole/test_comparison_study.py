@@ -13,7 +13,7 @@ from rrr_oc.paper.run_store import Run, all_runs
 from rrr_oc.report.comparison_report import tables
 from rrr_oc.simulation.tracking import Reference
 
-STUDY = Path(__file__).resolve().parents[1] / "studies" / "gradient_vs_evolution.py"
+STUDY = Path(__file__).resolve().parents[2] / "studies" / "gradient_vs_evolution.py"
 
 
 def test_a_small_study_leaves_tables_and_figures_and_is_not_run_twice(monkeypatch, tmp_path):

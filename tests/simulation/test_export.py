@@ -188,7 +188,7 @@ def test_effects_of_the_arm_that_a_repaired_design_was_made_for_are_named(monkey
     assert "payload_com[joint3]: the design was made for an arm that has it; give its model.json" in left_out
 
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "export.md").read_text()
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "export.md").read_text()
 TOLD_IN = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.*?) \|", PAGE.split("## What is in")[1], re.M))))
 
 

@@ -14,7 +14,7 @@ from chains import random_chain
 from rrr_oc.robot.rigid_body import rigid_body, with_payload
 from rrr_oc.robot.robot import Robot, load_robot
 
-URDFS = Path(__file__).parent.parent / "rrr_oc" / "urdf"
+URDFS = Path(__file__).resolve().parents[2] / "rrr_oc" / "urdf"
 TILTED = np.array([3.0, -4.0, -8.0])
 ROUNDING = 1e-9  # of numbers up to some hundred, over some hundred operations
 

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "conventions.md").read_text()
 ROWS = re.findall(r"^\| x = ([\d.]+) m, z = ([\d.]+) m .*? \| (.*?) \| (.*?) \| (.*?), (.*?) \| (.*?), (.*?) \|$", TEXT, re.M)
 

@@ -11,18 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_searches import LABELS, SMALL, TASK, numbers
 
-from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
 from rrr_oc.paper.encoding import Analytic, Encoding
-from rrr_oc.paper.evolution import Protocol, evolve
+from rrr_oc.paper.evolution import evolve
 from rrr_oc.paper.experiments import experiment, run_evolution
 from rrr_oc.paper.run_store import Run
 
-TASK = load_task("paper")
-SMALL = Protocol("analytic", generations=150, population=12, every=3)
-TIMES = ("core_s", "wall_s")
-LABELS = {"preset": "paper", "experiment": "BPEA", "ends": "rest", "way": "evolution", "model": "analytic"}
 TRIAL = """
 import sys
 from pathlib import Path
@@ -31,11 +27,6 @@ from rrr_oc.paper.experiments import run_evolution
 labels = {labels!r}
 run_evolution(Path(sys.argv[1]), labels, {protocol!r}, 3)
 """
-
-
-def numbers(found: dict) -> dict:
-    """Everything but times, which differ from run to run."""
-    return {k: v for k, v in found.items() if k not in TIMES}
 
 
 def folder(store: Path, model: str = "analytic") -> Path:

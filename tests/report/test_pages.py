@@ -12,17 +12,17 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import pea_bpea as study
 import pytest
 from chains import arm
 from commands import rrr_oc, run
+from own_arm import OWN, own_model, own_task
 from plotly.offline import get_plotlyjs
 from recorded import Plant, as_set, record
-from test_held_out import fold
-from test_study import OWN, own_model, own_task, study
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
-from rrr_oc.diagnosis.held_out import blocks_of
+from rrr_oc.diagnosis.held_out import Fold, blocks_of
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.report.diagnosis_report import write_diagnosis
@@ -51,7 +51,7 @@ def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
     plain = replace(start, terms=terms, noise=np.ones(3))
     spring = Term(ParallelSpring((1,)), (Estimate(15.0), Estimate(1.5)), 0.003)
     model, errors = replace(plain, terms=(*plain.terms, spring)), (np.array([[0.1, 0.4, 0.1]]), np.array([[0.1, 0.1, 0.1]]))
-    folds, none = tuple(fold(k, (plain, model), [(1 + k) * e for e in errors]) for k in range(2)), np.full(3, 0.1)
+    folds, none = tuple(Fold((k,), plain, model, *((1 + k) * e for e in errors)) for k in range(2)), np.full(3, 0.1)
     held = (none, none), (none, none)
     return Diagnosis(recordings, plain, model, (), (), (), Shares(), *held, "recordings", (), (), folds, (0.0,) * 3)
 

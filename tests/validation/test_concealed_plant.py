@@ -36,7 +36,7 @@ from validation.concealed.trajectories import reference
 from validation.concealed.work import WORK
 from validation.concealed.write import write_case
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 CONTRACT = {
     "coulomb_asymmetry": {"asymmetry"},

@@ -17,9 +17,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from doc_pages import CURRENT, ROOT, blocks, code
+from prototype import JOINTS, write_prototype
 from recorded import URDF, Plant, as_set, record
-from test_docs import CURRENT, ROOT, blocks, code
-from test_importers import JOINTS, write_prototype
 
 from rrr_oc import cli
 from rrr_oc.commands import COMMANDS
@@ -60,36 +60,36 @@ NOT_RUN = {
     "python -m http.server": ("it serves until it is stopped", "tests/test_docs.py"),
     "python -m mujoco.viewer": (
         "it opens a window; the model that it shows is loaded here",
-        "tests/test_documented_commands.py",
+        "tests/whole/test_documented_commands.py",
     ),
-    "rrr-oc view": ("it serves until it is stopped", "tests/test_viewer.py"),
-    "rrr-oc import lerobot": ("needs a data set of LeRobot", "tests/test_import_lerobot.py"),
+    "rrr-oc view": ("it serves until it is stopped", "tests/report/test_viewer.py"),
+    "rrr-oc import lerobot": ("needs a data set of LeRobot", "tests/recordings/test_import_lerobot.py"),
     "python -m pytest tests/benchmarks": ("benchmarks, for idle machines", "tests/benchmarks"),
-    "validation/search_seeds.py": ("an hour", "tests/test_multistart.py"),
-    "studies/pea_bpea.py": ("minutes", "tests/test_study.py"),
-    "studies/natural_dynamics.py": ("an hour", "tests/test_natural_dynamics_study.py"),
-    "studies/calibration.py": ("needs the authors' recordings", "tests/test_calibration_study.py"),
-    "studies/concealed_physics.py": ("hours", "tests/test_concealed_study.py"),
+    "validation/search_seeds.py": ("an hour", "tests/codesign/test_multistart.py"),
+    "studies/pea_bpea.py": ("minutes", "tests/whole/test_study.py"),
+    "studies/natural_dynamics.py": ("an hour", "tests/whole/test_natural_dynamics_study.py"),
+    "studies/calibration.py": ("needs the authors' recordings", "tests/whole/test_calibration_study.py"),
+    "studies/concealed_physics.py": ("hours", "tests/whole/test_concealed_study.py"),
     "studies/prototype_recordings.py": (
         "needs the authors' recordings; the same as a part of real_arms",
         "studies/real_arms.py",
     ),
-    "studies/real_arms.py": ("needs recordings of real arms", "tests/test_real_arms_study.py"),
-    "studies/gradient_vs_evolution.py": ("minutes to hours", "tests/test_comparison_study.py"),
-    "studies/transfer.py": ("an hour", "tests/test_transfer_study.py"),
-    "validation/concealed/make_cases.py": ("minutes to hours", "tests/test_concealed_study.py"),
-    "validation/optimal_control.py": ("minutes", "tests/test_transcription.py"),
-    "rrr-oc design studies/panda": ("minutes, and the URDF is on the network", "tests/test_spring_choice.py"),
-    "rrr-oc design twelve_tasks": ("minutes", "tests/test_task_sets.py"),
-    "validation/task_sets.py": ("minutes", "tests/test_task_sets.py"),
+    "studies/real_arms.py": ("needs recordings of real arms", "tests/whole/test_real_arms_study.py"),
+    "studies/gradient_vs_evolution.py": ("minutes to hours", "tests/whole/test_comparison_study.py"),
+    "studies/transfer.py": ("an hour", "tests/whole/test_transfer_study.py"),
+    "validation/concealed/make_cases.py": ("minutes to hours", "tests/whole/test_concealed_study.py"),
+    "validation/optimal_control.py": ("minutes", "tests/optimal_control/test_transcription.py"),
+    "rrr-oc design studies/panda": ("minutes, and the URDF is on the network", "tests/codesign/test_spring_choice.py"),
+    "rrr-oc design twelve_tasks": ("minutes", "tests/codesign/test_task_sets.py"),
+    "validation/task_sets.py": ("minutes", "tests/codesign/test_task_sets.py"),
     "validation/scaling.py": ("minutes", "tests/benchmarks/bench_codesign.py"),
-    "validation/analytic_vs_mujoco.py": ("minutes", "tests/test_tracking.py"),
-    "validation/calibration_coverage.py": ("hours", "tests/test_calibration.py"),
-    "validation/calibration_ways.py": ("minutes", "tests/test_calibration.py"),
-    "validation/kills.py": ("minutes", "tests/test_study.py"),
+    "validation/analytic_vs_mujoco.py": ("minutes", "tests/simulation/test_tracking.py"),
+    "validation/calibration_coverage.py": ("hours", "tests/calibration/test_calibration.py"),
+    "validation/calibration_ways.py": ("minutes", "tests/calibration/test_calibration.py"),
+    "validation/kills.py": ("minutes", "tests/whole/test_study.py"),
     "python docs/dependencies.py": ("it writes a page; a test compares that page", "tests/test_packaging.py"),
-    "validation/peers/": ("hours, and needs other tools", "tests/test_peers.py"),
-    "validation/engine_plants.py": ("minutes to hours", "tests/test_diagnosis.py"),
+    "validation/peers/": ("hours, and needs other tools", "tests/validation/test_peers.py"),
+    "validation/engine_plants.py": ("minutes to hours", "tests/diagnosis/test_diagnosis.py"),
 }
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from small_searches import OPTIONS, PEA, TASK, design_of
 
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
@@ -14,26 +15,12 @@ from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.search.local_optima import same_optimum
 from rrr_oc.codesign.search.motions import MotionSearch
 from rrr_oc.codesign.search.multistart import SearchResult, Springs, Start, solve_multistart
-from rrr_oc.codesign.search.proposals import SearchOptions, decode, dimensions, motion_guess
-from rrr_oc.codesign.springs import spring_bounds
-from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.codesign.search.proposals import decode, dimensions, motion_guess
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import once_per_process, workers
-
-TASK = load_task("paper")
-OPTIONS = SearchOptions(
-    starts=6, coarse=8, fine=12, widths=(0.01,), refinement=Refinement(1e-3, rounds=2), within=0.02, motions=0
-)
-
-
-def design_of(configuration: str, task: Task = TASK) -> CoDesign:
-    return CoDesign(task, spring_bounds(task, configuration))
-
-
-PEA = design_of("PEA")
 
 
 @pytest.fixture(scope="module")

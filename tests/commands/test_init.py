@@ -18,7 +18,7 @@ from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.schema import parsed
 from rrr_oc.storage import write_csv
 
-CHAIN7 = Path(__file__).parent / "data" / "chain7.urdf"
+CHAIN7 = Path(__file__).resolve().parents[1] / "data" / "chain7.urdf"
 LIMIT = '<limit lower="{0}" upper="{1}" velocity="{2}" effort="50"/>'
 
 

@@ -14,7 +14,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import BUNDLED, load_robot
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from rrr_oc.robot.drives import load_actuators
 from rrr_oc.schema import parsed, without_comments
 from rrr_oc.storage import write_csv
 
-FOLDER = Path(__file__).resolve().parents[1] / "docs" / "reference"
+FOLDER = Path(__file__).resolve().parents[2] / "docs" / "reference"
 EXAMPLES = Path(str(files("rrr_oc.data"))) / "examples"
 PAGES = pages()
 
