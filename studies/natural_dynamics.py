@@ -33,11 +33,11 @@ from rrr_oc.codesign.optimum import SAVED, SampledMotion, embedded, restart_arra
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import offered, spring_bounds
-from rrr_oc.codesign.study import kept_motion, once
 from rrr_oc.codesign.task import PHASES, Task, load_task
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import Jobs, Workers, named
 from rrr_oc.errors import entry_point
+from rrr_oc.kept import kept_motion, once
 from rrr_oc.model.metrics import decrease
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.report.console import wide_console

@@ -5,15 +5,12 @@ catalogue (the starred designs); published springs are given the best motion on 
 MuJoCo and, where a calibrated model is given, tracked in that. What can be checked is checked before the first solve.
 """
 
-import hashlib
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -44,25 +41,14 @@ from rrr_oc.codesign.springs import allowed_configurations, arrangements, offere
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
 from rrr_oc.errors import UserError
+from rrr_oc.kept import Listener, kept_motion, once, save
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import SolverFailure
 from rrr_oc.robot.drives import Actuators, load_actuators
-from rrr_oc.storage import check_folder, code, plain, read_npz, read_utf8, write_json, write_npz
+from rrr_oc.storage import check_folder, code, plain, read_npz, read_utf8, write_npz
 
 CHEAPER = 1e-4  # [1] share by which a design with idle springs must be cheaper for the stiff arm to be solved from its motion
 Published = Callable[[str], Mapping[str, float]]  # hardware that was published for a configuration, empty where none was
-
-
-class Listener(Protocol):
-    """Who is told how a study goes on."""
-
-    def show(self, shown: str, /) -> None:
-        """A sentence."""
-        ...
-
-    def count(self, name: str, total: int | None = None) -> AbstractContextManager[Callable[[int, str], None]]:
-        """A function that takes how many of a total are done, and a remark."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -257,87 +243,6 @@ def _compared(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
         hardware = study.published(name)
         published = once(study, f"{name} published springs", lambda: _published(study, name, design, hardware), files=())
     return published | {"calibrated": None if study.twin is None else _transferred(study, name, design, study.twin)}
-
-
-class Kept(Protocol):
-    """What is known of a run whose results are kept, so that the same command goes on where it was."""
-
-    @property
-    def out(self) -> Path:
-        """Folder of the results."""
-        ...
-
-    @property
-    def asked(self) -> dict[str, Any]:
-        """The settings on which a result depends."""
-        ...
-
-    @property
-    def listener(self) -> Listener:
-        """Who is told how it goes on."""
-        ...
-
-
-def kept_motion(study: Kept, name: str) -> Path:
-    """Where a run keeps a motion until its results are written as a whole, and for a run that goes on: beside an earlier run's results,
-    of which it is no part."""
-    return study.out / f".{name}.npz"
-
-
-def once(study: Kept, name: str, solve: Callable[[], dict[str, Any]], files: Sequence[str] | None = None) -> dict[str, Any]:
-    """A result by name: the one in the folder if a run with the same settings wrote it, else that of `solve`, which is saved at once
-    unless it was interrupted. `files` are the motions that belong to it, by default that of its name."""
-    files = [name] if files is None else files
-    found = taken(study, name, files)
-    if found is not None:
-        study.listener.show(f"{name}: taken from the interrupted or repeated run in {study.out}")
-        return found
-    found = solve()
-    if not found.get("interrupted"):
-        save(study, name, found, files)
-    return found
-
-
-def taken(study: Kept, name: str, files: Sequence[str]) -> dict[str, Any] | None:
-    """The result in the folder if a run with the same settings wrote it, with its motions; else it is removed."""
-    saved = study.out / f".{name}.json"
-    if saved.exists():
-        content = _read(saved)
-        same = content is not None and content["asked"] == _key(study)
-        if content is None or (same and content["hash"] != _hash(study, content["found"], files)):
-            study.listener.show(f"{name}: what is saved in {study.out} is damaged; it is solved again")
-        elif same:
-            return content["found"]
-    saved.unlink(missing_ok=True)  # the motion beside it is about to change
-    return None
-
-
-def save(study: Kept, name: str, found: dict[str, Any], files: Sequence[str]) -> None:
-    """Keep a result in the folder, with the settings under which it was made, and a hash of it and of its motions."""
-    content = {"asked": _key(study), "hash": _hash(study, found, files), "found": found}
-    write_json(study.out / f".{name}.json", content)
-
-
-def _read(saved: Path) -> dict[str, Any] | None:
-    """A saved result with its settings and hash; None where it is damaged."""
-    try:
-        content = json.loads(read_utf8(saved))
-        return {key: content[key] for key in ("asked", "hash", "found")}
-    except (UserError, ValueError, KeyError, TypeError, RecursionError):
-        return None
-
-
-def _hash(study: Kept, found: dict[str, Any], files: Sequence[str]) -> str:
-    """Of a result and of its motions, so that neither is taken for another's."""
-    result = hashlib.sha256(json.dumps(found, sort_keys=True).encode())
-    for path in (kept_motion(study, file) for file in files):
-        result.update(path.read_bytes() if path.is_file() else b"missing")
-    return result.hexdigest()
-
-
-def _key(study: Kept) -> dict[str, Any]:
-    """The settings as they are read back from JSON."""
-    return json.loads(json.dumps(plain(study.asked)))
 
 
 def _solve(study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,9 +16,10 @@ from rrr_oc import __version__
 from rrr_oc.codesign.design_problem import COST_UNITS, CoDesign
 from rrr_oc.codesign.optimum import profiles
 from rrr_oc.codesign.springs import configurations, saved_springs
-from rrr_oc.codesign.study import Study, kept_motion
+from rrr_oc.codesign.study import Study
 from rrr_oc.codesign.task import Task
 from rrr_oc.codesign.task_sets.set_study import SetStudy, file_of
+from rrr_oc.kept import kept_motion
 from rrr_oc.report import set_report
 from rrr_oc.report.design_figures import draw_all
 from rrr_oc.report.design_report import report

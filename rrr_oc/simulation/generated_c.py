@@ -5,8 +5,8 @@ itself, in a custom numeric field whose name is the library's marker, and the pa
 models with different values run side by side, in any number of threads. A model without the marker is not changed.
 
 The callback runs at every evaluation of the dynamics, so at every stage of RK4, before the engine knows accelerations. Effects
-that depend on the load torque need them: the code solves the equations of motion for them, with the actuators' torque and the
-friction and armature of the joints in the engine; behind an elastic gear it uses the accelerations of one step before.
+that depend on them or on the load torque need them: the code solves the equations of motion for them, with the actuators' torque
+and the friction and armature of the joints in the engine; behind an elastic gear it uses the accelerations of one step before.
 Internal states are activations of actuators without force; the callback sets their controls, which are the states' rates.
 """
 
@@ -52,7 +52,7 @@ static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
   const mjtNum *widths = values + {n_theta}, *extra = widths + {n_widths}, *inertial = extra + 1;
   int body = find(m, m->name_bodyadr, (int)m->nbody, "{payload}");
   mjtNum payload = body < 0 ? 0 : m->body_mass[body] - *extra, motor[{n}], link[{n}], drive[{n}], rate[{n_states} + 1], w[{sz_w}];
-  mjtNum q[{n}], dq[{n}], twist[2 * {n}], before[{n}], damping[{n}], armature[{n}], dry[{n}];
+  mjtNum q[{n}], dq[{n}], twist[2 * {n}], before[2 * {n}], damping[{n}], armature[{n}], dry[{n}];
   long long iw[{sz_iw}];
   int at[{n}], gear[{n}];
   for (int i = 0; i < {n}; i++) {{  /* actuators of engine_model.py: activation, position and speed feedback, limits */
@@ -60,7 +60,7 @@ static void add_effects(const mjModel* m, mjData* d, const mjtNum* values) {{
     gear[i] = joint + 1 < m->njnt && m->jnt_bodyid[joint + 1] == m->jnt_bodyid[joint];  /* the joint's twist comes next */
     q[i] = d->qpos[k], dq[i] = d->qvel[k], before[i] = d->qacc_warmstart[k];
     twist[i] = gear[i] ? d->qpos[k + 1] : 0, twist[{n} + i] = gear[i] ? d->qvel[k + 1] : 0;
-    if (gear[i]) before[i] += d->qacc_warmstart[k + 1];
+    before[{n} + i] = gear[i] ? d->qacc_warmstart[k + 1] : 0;
     damping[i] = m->dof_damping[k], armature[i] = m->dof_armature[k], dry[i] = m->dof_frictionloss[k];
     const mjtNum *bias = m->actuator_biasprm + i * mjNBIAS, *range = m->actuator_forcerange + 2 * i;
     motor[i] = d->act[i] + bias[1] * q[i] + bias[2] * dq[i];
@@ -186,9 +186,9 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     (q, dq, time, step, payload, motor, states, damping, armature, frictionloss, twist, before, theta, widths, inertial) -> (link, drive,
     rates): torque of the chosen effects on the links (n,) and in the drives (n,) [Nm], and rates of all internal states. `motor` is
     the actuators' torque [Nm], `damping`, `armature` and `frictionloss` the joints' own in the engine, each (n,), `twist` (2 n,)
-    positions and speeds of links less those of their drives, `before` (n,) the links' accelerations one step before: behind an
-    elastic gear the present ones are not the drive's. A state that decays at a rate s of its own does so as exp(−s step) over
-    the engine's `step` [s] where that is fast: its explicit step would diverge.
+    positions and speeds of links less those of their drives, `before` (2 n,) accelerations one step before, of the drives and of the
+    links less those: behind an elastic gear the equations of motion of the links do not give the drives'. A state that decays at a rate
+    s of its own does so as exp(−s step) over the engine's `step` [s] where that is fast: its explicit step would diverge.
     """
     n = model.robot.n
     q, dq, motor, damping, armature, dry = (
@@ -198,7 +198,7 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     states = ca.SX.sym("states", len(model.states))
     theta, widths = ca.SX.sym("theta", len(model.parameters)), ca.SX.sym("widths", len(model.widths))
     inertial, ddq, load = ca.SX.sym("inertial", 10, n), ca.SX.sym("ddq", n), ca.SX.sym("load", n)
-    twist, before = ca.SX.sym("twist", 2 * n), ca.SX.sym("before", n)
+    twist, before = ca.SX.sym("twist", 2 * n), ca.SX.sym("before", 2 * n)
     signals = Signals(q, dq, ddq, load=load, time=time, payload=payload, states=states)
     links = replace(signals, q=q + shift(model, theta) + twist[:n], dq=dq + twist[n:])
 
@@ -213,17 +213,20 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
     if model.states:
         fading = ca.fmax(-step * ca.diag(ca.jacobian(rates, states)), 1e-9)
         rates = ca.if_else(fading > STIFF, rates * (1 - ca.exp(-fading)) / fading, rates)
-    if any(chosen and "load" in e.inputs for e, chosen in zip(model.effects, inside, strict=True)):
+    if any(ca.depends_on(x, y) for x in (link, drive, rates) for y in (load, ddq)):
         carried, gravity = model.rigid(inertial, payload, theta, widths)
         bias = model.body.inverse_dynamics(links.q, links.dq, ca.SX.zeros(n), carried, gravity)
         own = -damping * dq - dry * ca.sign(dq) - armature * ddq
         mass = model.body.mass_matrix(links.q, carried)
-        extra = bias - total("link", links, [True] * len(inside))  # the engine's own springs too
-        needed = mass @ ddq + extra
-        residual = needed - motor - ca.substitute(drive + own, load, needed)
-        gives = any(e.moves_link for e in model.effects)
-        found = mass @ (before if gives else _root(residual, ddq)) + extra
-        drive, rates = (ca.substitute(x, load, found) for x in (drive, rates))
+        # the engine's own springs too
+        needed = mass @ ddq + bias - total("link", links, [True] * len(inside))
+        if any(e.moves_link for e in model.effects):
+            of_drives, of_links = before[:n], before[:n] + before[n:]
+        else:
+            of_drives = of_links = _root(needed - motor - ca.substitute(drive + own, load, needed), ddq)
+        carrying = ca.substitute(needed, ddq, of_links)
+        link = ca.substitute(link, ddq, of_links)
+        drive, rates = (ca.substitute(x, ca.vertcat(load, ddq), ca.vertcat(carrying, of_drives)) for x in (drive, rates))
     arguments = [q, dq, time, step, payload, motor, states, damping, armature, dry, twist, before, theta, widths, inertial]
     return ca.Function("effects", arguments, [ca.densify(link), ca.densify(drive), ca.densify(rates)])
 

@@ -33,12 +33,16 @@ FOUND = {
     "torque_gain": ((2,), (0.1,)),
     "echo": ((1,), (6.0, 0.2, -0.15, 0.1)),
     "friction_change": ((1,), (0.6, -0.4)),
+    "empirical": ((1,), (0.8, -0.5, 0.3)),
+}
+OPTIONS = {  # over the accelerations of another joint, and while its own moves upwards
+    "empirical": {"variables": (("ddq", 2),), "low": (-8.0,), "high": (8.0,), "orders": (2,), "direction": "upwards"},
 }
 
 
 def found(name: str) -> Term:
     joints, values = FOUND[name]
-    effect = CATALOGUE[name](joints)
+    effect = CATALOGUE[name](joints, **OPTIONS.get(name, {}))
     width = None if effect.width is None else effect.width.nominal
     return Term(effect, tuple(Estimate(v) for v in values), width)
 
@@ -121,6 +125,16 @@ def test_the_twin_has_gears_that_give(name, friction, tmp_path, monkeypatch):
     assert off[0][0] < 0.5 * off[1][0], off
     assert off[0][1] < 0.5 * off[1][1], off
     assert off[0][2] < 2e-3
+
+
+def test_behind_a_gear_that_gives_a_torque_follows_the_drives_accelerations(plain):
+    """A gear at the joint whose acceleration counts, stiff enough to change little of the prediction."""
+    model, recording = plain
+    gear = Term(CATALOGUE["joint_elasticity"]((2,)), (Estimate(2e4), Estimate(0.01)))
+    repaired = replace(model, terms=(*model.terms, found("empirical"), gear))
+    motor = repaired.physics(recording).torques(recording)[0]
+    simulated = followed(repaired, recording)
+    assert error(recording.t, motor, simulated.tau_motor, recording.segments)["nrmse"][1] < 0.03
 
 
 def test_a_gear_that_twists_and_has_play_is_turned_away(plain):

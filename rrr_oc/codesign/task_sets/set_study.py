@@ -34,13 +34,14 @@ from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SearchResult, arranged_costs, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds, arrangements, offered, ways_to_mount
-from rrr_oc.codesign.study import Listener, Request, Twin, kept_motion, once, save, taken
+from rrr_oc.codesign.study import Request, Twin
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.codesign.task_sets.set_search import SetResult, SetStart, front, solve_chosen, solve_set
 from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_task_set, with_uncertainty
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
 from rrr_oc.errors import UserError
+from rrr_oc.kept import Listener, kept_motion, once, save, taken
 from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.solver import Solution, SolverFailure
 from rrr_oc.parallel import ordered, unordered
