@@ -57,6 +57,24 @@ def entry_point(command: Callable[[], Any]) -> Callable[[], None]:
     return run
 
 
+def reason(error: Exception) -> str:
+    """Why something failed, in a line; of a fault of this program with the name of the exception."""
+    said = str(error) if isinstance(error, UserError) else f"{type(error).__name__}{f': {error}' * bool(str(error))}"
+    return " ".join(said.split())[:300]
+
+
+@contextmanager
+def noted(failed: dict[str, str], step: str) -> Iterator[None]:
+    """Do a step without which all else stands: where it fails, of whatever cause, that is noted under its name, and no exception goes on.
+
+    For the last steps of long computations alone, whose results a fault in a figure must not cost.
+    """
+    try:
+        yield
+    except Exception as error:
+        failed[step] = reason(error)
+
+
 def _logged(error: Exception) -> str:
     """A sentence on a fault of this program, with the name of a new log file for a report."""
     import platform  # these take a moment, in which Ctrl-C would be a traceback

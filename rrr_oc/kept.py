@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from rrr_oc.errors import UserError
+from rrr_oc.progress import Step
 from rrr_oc.storage import plain, read_utf8, write_json
 
 VERSION = ("version", "code")  # settings that say which program made a result
@@ -27,6 +28,10 @@ class Listener(Protocol):
 
     def count(self, name: str, total: int | None = None) -> AbstractContextManager[Callable[[int, str], None]]:
         """A function that takes how many of a total are done, and a remark."""
+        ...
+
+    def stages(self, name: str = "") -> AbstractContextManager[Callable[[Step], None]]:
+        """A function that takes how far a computation is, of this name where there are several."""
         ...
 
 

@@ -164,14 +164,9 @@ def _solved(run: Run, before: Mapping[str, Any], ends: str, cost: str, name: str
         if own_cost == cost and (own_ends == ends or own == name):
             inner = run.design(own_ends, cost, own)
             known.append(embedded(restored(inner, run.options, read_npz(kept_motion(run, other))), inner, design))
-    with run.listener.count(_label(ends, cost, name), run.options.starts) as count:
-        polished: list[float] = []
-
-        def show(start) -> None:
-            polished.append(start.polished)
-            count(len(polished), f"starts, best so far {min(polished):.3f}")
-
-        result = solve_multistart(design, run.options, show, [guess for guess in known if guess is not None]).whole()
+    with run.listener.stages(_label(ends, cost, name)) as report:
+        guesses = [guess for guess in known if guess is not None]
+        result = solve_multistart(design, run.options, known=guesses, report=report).whole()
     solution, motion = result.best.solution, sample_motion(design, result.best.solution)
     write_npz(kept_motion(run, _label(ends, cost, name)), motion.arrays | restart_arrays(solution))
     m = len(design.task.moving)

@@ -65,7 +65,7 @@ def diagnosed(recordings: RecordingSet, name: str, out: Path) -> dict[str, Any]:
     def make() -> None:
         console.rule(name)
         with one_thread():
-            found = diagnose(variant(recordings, name), lambda line: console.print(line, highlight=False))
+            found = diagnose(variant(recordings, name), lambda step: console.print(step.said, highlight=False))
         write_json(boxes, black_boxes(found))
         write_diagnosis(found, folder)
 

@@ -190,7 +190,7 @@ def examine(one: RealSet, out: Path, report: Callable[[str], None]) -> dict[str,
     began = time.perf_counter()
     recordings = loaded(one, out)
     with one_thread():
-        diagnosis = diagnose(recordings, report)
+        diagnosis = diagnose(recordings, lambda step: report(step.said or step.stage))
     content = write_diagnosis(diagnosis, out / "diagnoses" / one.name)
     wall, memory = time.perf_counter() - began, peak_memory()
     test = None if one.test is None else load_recordings(one.test)

@@ -289,7 +289,7 @@ def diagnosed(folder: Path, recordings: RecordingSet) -> tuple[CalibratedModel, 
     done = folder / "diagnosis.json"
     if not done.exists():
         with parallel.one_thread():
-            found = diagnose(recordings, lambda line: console.print(f"  {line}", highlight=False))
+            found = diagnose(recordings, lambda step: console.print(f"  {step.said}", highlight=False))
         save_model(found.plain, folder / "plain.json")
         write_diagnosis(found, folder)
     return load_model(folder / "plain.json"), load_model(folder / "model.json"), json.loads(done.read_text(encoding="utf-8"))

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "rrr_oc"
 MAP = ROOT / "docs" / "architecture.md"
 START = {"cli": {"commands"}, "__main__": {"cli"}}  # where the command line begins, and what it hands over to
-ROOT_MODULES = ("errors", "storage", "schema", "kept", "parallel", "compiler")  # which every folder may import
+ROOT_MODULES = ("errors", "storage", "schema", "kept", "progress", "parallel", "compiler")  # which every folder may import
 VISIBLE = ("commands", "report")  # the only places that plot or print
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

@@ -7,9 +7,10 @@ at a random moment, half just before a random one of the changes that it makes t
 removed). Then every file must be whole and of one run, old or new, as must all of them together. The command is given again: nothing
 temporary may be left, and all numbers must be those, bit for bit, of a run that nobody disturbed.
 
-The other disturbances come at a random change of the folder, too: Ctrl-C, a full disk, a folder that must no longer be written. A
-file that is cut off is one of a finished run. These must end with a sentence, not with a fault of the program; after Ctrl-C, results
-may be those that the run had by then. Linux only.
+The other disturbances come at a random change of the folder, too: Ctrl-C (which comes at random moments as well), a full disk, a
+folder that must no longer be written. A file that is cut off is one of a finished run. These must end with a sentence, not with a fault
+of the program; after Ctrl-C, results may be those that the run had by then. The last column says how much of the time that a
+disturbed run had taken the next one did not need again (median). Linux only.
 """
 
 import csv
@@ -18,6 +19,7 @@ import json
 import operator
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -41,7 +43,9 @@ from validation.concealed.cases import Case, Concealed
 from validation.concealed.write import write_case
 
 ROOT = Path(__file__).resolve().parents[1]
-KILLS, OTHERS = ("killed at a moment", "killed at a change"), ("Ctrl-C", "disk full", "folder read-only", "file cut off")
+KILLS = "killed at a moment", "killed at a change"
+OTHERS = "Ctrl-C", "Ctrl-C at a moment", "disk full", "folder read-only", "file cut off"
+AT_A_MOMENT = {KILLS[0]: signal.SIGKILL, OTHERS[1]: signal.SIGINT}
 SENTENCE = {2, 130}  # exit statuses of a run that says why it ended
 NO_RESULTS = ("wall_s", "seconds", "peak_MB")  # keys of JSON files
 LONGEST = 600.0  # [s] of a run
@@ -119,7 +123,7 @@ SUBJECTS = (
     Subject(
         "rrr-oc diagnose",
         ["-m", "rrr_oc", "diagnose", "old/clean/data", *DIAGNOSE],
-        ["-m", "rrr_oc", "diagnose", "new/clean/data", *DIAGNOSE],
+        ["-m", "rrr_oc", "diagnose", "new/short/data", *DIAGNOSE],
         0.24,
     ),
     Subject("concealed_physics.py", [*STUDY, "old"], [*STUDY, "new"], 0.2),
@@ -140,7 +144,7 @@ class Ended:
 
 
 def run(folder: Path, what: Sequence[str], fault: str = "", at: int = 0, moment: float = LONGEST) -> Ended:
-    """Python on `what` in a folder, disturbed at a change or killed at a moment [s]; what it has begun must end with it."""
+    """Python on `what` in a folder, disturbed at a change, or given a signal at a moment [s]; what it has begun must end with it."""
     counted = folder.with_suffix(".changes")
     counted.unlink(missing_ok=True)
     command = [sys.executable, "-c", CHILD, str(at), fault, str(counted), *what]
@@ -155,8 +159,8 @@ def run(folder: Path, what: Sequence[str], fault: str = "", at: int = 0, moment:
         except subprocess.TimeoutExpired:
             if moment == LONGEST:
                 raise
-            process.kill()
-            process.wait()
+            process.send_signal(AT_A_MOMENT[fault])
+            process.wait(LONGEST)
         wall = time.perf_counter() - began
         _wait_for_children(process.pid)
         log.seek(0)
@@ -294,7 +298,7 @@ def disturbed(on: Bench, fault: str, folder: Path, rng: np.random.Generator) -> 
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(on.folder, folder)
     at = int(rng.integers(1, on.ended.changes + 1))
-    moment = float(rng.uniform(0, 1.02 * on.ended.wall_s)) if fault == KILLS[0] else LONGEST
+    moment = float(rng.uniform(0, 1.02 * on.ended.wall_s)) if fault in AT_A_MOMENT else LONGEST
     if fault == "file cut off":
         cut = _cut_off(on, folder, rng)
         ended = Ended(2, cut, 0.0, 0)
@@ -304,7 +308,7 @@ def disturbed(on: Bench, fault: str, folder: Path, rng: np.random.Generator) -> 
         if path.is_dir():
             path.chmod(0o755)
     found = files(folder / "out")
-    left = ages(found, on.old, on.new, fault == "Ctrl-C")
+    left = ages(found, on.old, on.new, fault.startswith("Ctrl-C"))
     kinds = {age for name, age in left.items() if not name.startswith(KEPT)}
     cut_off = fault == "file cut off"
     again = run(folder, on.subject.new)
@@ -312,7 +316,8 @@ def disturbed(on: Bench, fault: str, folder: Path, rng: np.random.Generator) -> 
     return {
         "command": on.subject.name,
         "fault": fault,
-        "at": moment if fault == KILLS[0] else at,
+        "at": moment if fault in AT_A_MOMENT else at,
+        "seconds": [on.ended.wall_s, ended.wall_s, again.wall_s],
         "status": ended.status,
         "said": ended.said[-400:],
         "torn": [] if cut_off else [f"{name}: {age}" for name, age in left.items() if age not in ("old", "new")],
@@ -342,21 +347,24 @@ def _cut_off(on: Bench, folder: Path, rng: np.random.Generator) -> str:
 def table(results: Sequence[dict[str, Any]]) -> str:
     """Counts by command and disturbance, in Markdown."""
     header = ["command", "disturbed", "times", "torn files", "old beside new", "files missing until it is given again"]
-    header += ["no sentence", "temporary files left", "went on", "same numbers"]
+    header += ["no sentence", "temporary files left", "went on", "same numbers", "time of a run that it saved"]
     rows = []
     for name in dict.fromkeys(r["command"] for r in results):
         for fault in (*KILLS, *OTHERS):
             some = [r for r in results if (r["command"], r["fault"]) == (name, fault)]
             bad = [sum(bool(r[key]) for r in some) for key in ("torn", "mixed", "missing", "without_a_sentence", "temporary")]
             good = [sum(not r[key] for r in some) for key in ("again", "differs")]
-            rows += [[name, fault, *map(str, (len(some), *bad, *good))]] * bool(some)
+            # of what the run had done, and would have done again from the start
+            spared = [(whole - again) / max(min(first, whole), 1e-9) for whole, first, again in (r["seconds"] for r in some)]
+            share = f"{100 * max(float(np.median(spared)), 0.0):.0f} %" if some and fault in AT_A_MOMENT else "–"
+            rows += [[name, fault, *map(str, (len(some), *bad, *good)), share]] * bool(some)
     return markdown(header, rows)
 
 
 def main(
     out: Annotated[Path, typer.Option(help="folder of the results; new or empty")],
     kills: Annotated[int, typer.Option(min=1, help="number of kills in all")] = 50,
-    others: Annotated[int, typer.Option(min=0, help="number of other disturbances in all")] = 16,
+    others: Annotated[int, typer.Option(min=0, help="number of other disturbances in all")] = 20,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     only: Annotated[str, typer.Option(help="part of a command's name")] = "",
 ) -> None:

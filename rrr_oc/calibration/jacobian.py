@@ -24,6 +24,7 @@ from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.rigid_body import with_payload
 
+UNIT_BODY = np.array([1.0, 0, 0, 0, 1, 0, 1, 0, 0, 1])  # inertial parameters of 1 kg in the origin with 1 kg m² about each axis
 LOAD_STEP = 1e-6  # [Nm], for derivatives of friction by the load torque; doubled, no change
 
 
@@ -113,9 +114,11 @@ class Prediction:
         n, parts = self.model.robot.n, [Columns.none(len(r.t))]
         size = sum(sizes) + (10 * n if inertial else 0)
         if not all(inexact):
-            parts.append(self._sensitivity("theta").placed(np.repeat(holds, sizes), ~np.repeat(inexact, sizes)))
+            parts.append(
+                self._sensitivity("theta", self.physics.inertial).placed(np.repeat(holds, sizes), ~np.repeat(inexact, sizes))
+            )
         if inertial:
-            parts.append(self._sensitivity("inertial").moved(sum(sizes)))
+            parts.append(self._sensitivity("inertial", self.physics.inertial).moved(sum(sizes)))
         if any(t.effect.side == "sensor" for t in self.model.terms):
             dense = Columns.joined(parts, size).dense(n)
             for k in np.flatnonzero(np.any(dense, axis=(0, 1))):
@@ -134,12 +137,20 @@ class Prediction:
         named = self.physics.named()
         if any(effect.side == "sensor" or ("load" in effect.inputs and self.model.torque != "load") for effect, *_ in named):
             return None
-        robot, bodies = self.model.robot, [(e, tuple(theta.values())) for e, theta, _ in named if e.side == "body"]
-        return (*bodies, *(x.tobytes() for x in (robot.placements, robot.axes, robot.gravity)))
+        robot, arm = self.model.robot, [(e, tuple(theta.values())) for e, theta, _ in named if e.side in ("body", "motion")]
+        moved = self._at_work["load"] if self._link_moves else ()
+        return (*arm, *moved, *(x.tobytes() for x in (robot.placements, robot.axes, robot.gravity)))
+
+    @property
+    def _link_moves(self) -> bool:
+        return any(effect.moves_link for effect, *_ in self.physics.named())
 
     def by_inertial(self) -> Columns:
         """d `CalibratedModel.output_torque` / d inertial parameters (10, n), link by link, without the model's sensors."""
-        return self._sensitivity("inertial")
+        if self.regressor_depends_on is None or self._link_moves:
+            return self._sensitivity("inertial", self.physics.inertial)
+        # They do not depend on the inertial parameters: those of unit bodies give the same bits, whichever model asked first
+        return self._sensitivity("inertial", np.tile(UNIT_BODY, (self.model.robot.n, 1)).T)
 
     def by_trial(self, trial: Trial) -> np.ndarray:
         """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm]."""
@@ -255,16 +266,16 @@ class Prediction:
         load = of("link", "body", "motion")
         return {
             "load": load,
-            "body": load if any(effect.moves_link for effect, *_ in named) else of("body", "motion"),
+            "body": load if self._link_moves else of("body", "motion"),
             "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
         }
 
-    def _sensitivity(self, by: Literal["theta", "inertial"]) -> Columns:
+    def _sensitivity(self, by: Literal["theta", "inertial"], inertial: np.ndarray) -> Columns:
         physics, r = self.physics, self.recording
         function, joints, numbers = _nonzero(physics.model.sensitivity("load" if self.model.torque == "load" else "motor", by))
         values = np.zeros((0, len(r.t)))
         if len(joints):
-            (values,) = along(function, *physics.inputs(r), physics.theta, physics.widths, physics.inertial)
+            (values,) = along(function, *physics.inputs(r), physics.theta, physics.widths, inertial)
         return Columns(joints, numbers, values.T, physics.theta.size if by == "theta" else physics.inertial.size)
 
     def _of_series(self, trial: Trial) -> np.ndarray | None:

@@ -159,7 +159,7 @@ def save_model(model: CalibratedModel, path: str | Path) -> None:
         torque=model.torque,
         torque_constant=dict(zip(robot.joints, model.torque_constant, strict=True)),
         inertial=model.inertial,
-        effects=[_entry(term, robot) for term in model.terms],
+        effects=[term_entry(term, robot) for term in model.terms],
         noise={joint: number(v) for joint, v in zip(robot.joints, model.noise, strict=True)},
         nrmse={joint: number(v) for joint, v in zip(robot.joints, model.nrmse, strict=True)},
         report=dict(model.report),
@@ -167,7 +167,8 @@ def save_model(model: CalibratedModel, path: str | Path) -> None:
     write_json(path, msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item()))  # of numpy
 
 
-def _entry(term: Term, robot: Robot) -> TermEntry:
+def term_entry(term: Term, robot: Robot) -> TermEntry:
+    """A term as in the file."""
     effect = term.effect
     return TermEntry(
         effect=effect.name,
@@ -220,7 +221,7 @@ def _model(data: ModelFile) -> CalibratedModel:
         torque=data.torque,
         torque_constant=constants,
         inertial=data.inertial,
-        terms=_terms(data.effects, robot),
+        terms=terms_of(data.effects, robot),
         noise=np.array(_by_name("noise", data.noise, joints), float),
         nrmse=np.array(_by_name("nrmse", data.nrmse, joints), float),
         report=data.report,
@@ -236,11 +237,11 @@ def _by_name(where: str, found: Mapping[str, T], names: Iterable[str]) -> list[T
     return [found[name] for name in names]
 
 
-def _terms(entries: list[TermEntry], robot: Robot) -> tuple[Term, ...]:
+def terms_of(entries: list[TermEntry], robot: Robot) -> tuple[Term, ...]:
     """The terms of a model; raises `UserError` for one that stands twice, which would count twice."""
     terms: list[Term] = []
     for i, entry in enumerate(entries):
-        term = _term(f"effects[{i}]", entry, robot)
+        term = term_of(entry, robot, f"effects[{i}]")
         same = [
             k for k, t in enumerate(terms) if (t.effect, t.recordings, t.groups) == (term.effect, term.recordings, term.groups)
         ]
@@ -250,7 +251,8 @@ def _terms(entries: list[TermEntry], robot: Robot) -> tuple[Term, ...]:
     return tuple(terms)
 
 
-def _term(where: str, entry: TermEntry, robot: Robot) -> Term:
+def term_of(entry: TermEntry, robot: Robot, where: str = "effect") -> Term:
+    """The term of an entry; raises `UserError`, which says `where`, for one that no effect of the catalogue has."""
     if entry.effect not in CATALOGUE:
         raise UserError(f"{where}: unknown effect {entry.effect!r}; this version knows {', '.join(sorted(CATALOGUE))}")
     effect = _effect(where, CATALOGUE[entry.effect], entry, robot)
@@ -272,9 +274,8 @@ def _effect(where: str, kind: type[Effect], entry: TermEntry, robot: Robot) -> E
             "no joint is" if count == (0,) else f"{' or '.join(map(str, count))} different joint{'s' * (count != (1,))} are"
         )
         raise UserError(f"{where}.joints: found {entry.joints}; {wanted} required by {entry.effect}")
-    hints = get_type_hints(kind)
     check_names(entry.options, [f.name for f in fields(kind) if f.name != "joints"], f"{where}.options", "option")
-    options = {key: validated(f"{where}.options.{key}", value, hints[key]) for key, value in entry.options.items()}
+    options = _options(f"{where}.options", kind, entry.options)
     for key, value in options.items():
         allowed = kind.options.get(key)
         if allowed is not None and not set(value if isinstance(value, tuple) else [value]) <= set(allowed):
@@ -288,6 +289,17 @@ def _effect(where: str, kind: type[Effect], entry: TermEntry, robot: Robot) -> E
     if beyond:
         raise UserError(f"{where}.options: found joint {beyond[0]}; 0 to {robot.n - 1} are allowed")
     return effect
+
+
+def _options(where: str, kind: type[Effect], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of an effect in their own types, as JSON lacks tuples."""
+    hints = get_type_hints(kind)
+    return {key: validated(f"{where}.{key}", value, hints[key]) for key, value in options.items()}
+
+
+def effect_of(name: str, joints: tuple[int, ...], options: Mapping[str, Any]) -> Effect:
+    """An effect of the catalogue with options as in the file, which may have no range yet."""
+    return CATALOGUE[name](joints, **_options("options", CATALOGUE[name], options))
 
 
 def _quantity(where: str, parameter: Parameter, given: ParameterEntry | WidthEntry) -> float:

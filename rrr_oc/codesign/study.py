@@ -35,7 +35,7 @@ from rrr_oc.codesign.optimum import (
     sample_motion,
 )
 from rrr_oc.codesign.purchasable import search_catalogue
-from rrr_oc.codesign.search.multistart import SearchResult, Start, best_arranged, continue_from, solve_multistart
+from rrr_oc.codesign.search.multistart import SHARES, SearchResult, best_arranged, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import allowed_configurations, arrangements, offered
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
@@ -44,6 +44,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.kept import Listener, kept_motion, once, save
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.progress import Progress, Step
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.storage import check_folder, code, plain, read_npz, read_utf8, write_npz
 
@@ -257,7 +258,10 @@ def _solve(study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[st
             inner = _chosen(study.designs[other], result)
             file = read_npz(kept_motion(study, other))
             known.append(embedded(restored(inner, study.options, file), inner, design))
-    return _describe(study, name, _search(study, name, design, [guess for guess in known if guess is not None]), began)
+    with study.listener.stages(name) as report:
+        result = _search(study, design, [guess for guess in known if guess is not None], report)
+        Progress(SHARES, report).tell("certificate", 0.0, f"best {result.best.cost:.6g}")
+        return _describe(study, name, result, began)
 
 
 def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
@@ -273,32 +277,17 @@ def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
     return left | {"catalogue": plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})}
 
 
-def _search(study: Study, name: str, design: CoDesign, known: Sequence[Guess]) -> SearchResult:
-    polished: list[float] = []
-    with study.listener.count(name, study.options.starts) as count:
-
-        def show(start: Start) -> None:
-            polished.append(start.polished)
-            best = min(polished)
-            count(
-                len(polished),
-                f"starts, best so far {best:.3f}" if np.isfinite(best) else "starts, none within the limits so far",
-            )
-
-        try:
-            return solve_multistart(design, study.options, show, known)
-        except SolverFailure as failure:
-            task = design.task
-            rows = zip(
-                task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True
-            )
-            limits = "; ".join(
-                f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows
-            )
-            raise UserError(
-                f"no motion of task {task.name!r} was found within its limits ({limits}; "
-                f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
-            ) from None
+def _search(study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None]) -> SearchResult:
+    try:
+        return solve_multistart(design, study.options, known=known, report=report)
+    except SolverFailure as failure:
+        task = design.task
+        rows = zip(task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True)
+        limits = "; ".join(f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows)
+        raise UserError(
+            f"no motion of task {task.name!r} was found within its limits ({limits}; "
+            f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
+        ) from None
 
 
 def _describe(study: Study, name: str, result: SearchResult, began: float, offered: CoDesign | None = None) -> dict[str, Any]:

@@ -1,21 +1,27 @@
 """`rrr-oc diagnose`: which physics a calibrated model lacks."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from rrr_oc import parallel
+from rrr_oc import __version__, parallel
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, command_line, loaded, shown
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
+from rrr_oc.diagnosis.stages import SHARES
 from rrr_oc.effects.priors import load_priors
-from rrr_oc.effects.words import joint_words, words
+from rrr_oc.effects.words import joint_words
+from rrr_oc.errors import noted
+from rrr_oc.kept import Keeping, once
+from rrr_oc.progress import Progress
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
-from rrr_oc.report.diagnosis_words import not_claimed, on_prior, plain, rows, unexplained, verdict
-from rrr_oc.storage import check_folder
+from rrr_oc.report.diagnosis_words import not_claimed, not_made, on_prior, plain, rows, unexplained, verdict
+from rrr_oc.storage import check_folder, code, hash_of
+from rrr_oc.storage import plain as plain_data
 
 app = typer.Typer(add_completion=False)
 
@@ -44,13 +50,18 @@ def diagnose(
     believed = None if priors is None else load_priors(priors)
     recordings = loaded(dataset, output)
     check_apart([*recordings.files, *([] if priors is None else [priors])], [out / name for name in FILES])
-    with parallel.workers(jobs, workers), output.steps("reading") as step, parallel.one_thread():
-        found = diagnose_recordings(recordings, lambda line: step(words(line)), believed)
+    asked = {"recordings": hash_of(recordings.files), "priors": None if priors is None else hash_of([priors])}
+    kept = Keeping(out, asked | {"version": __version__, "code": code()}, output)
+    with parallel.workers(jobs, workers), output.stages() as tell, parallel.one_thread():
+        found = diagnose_recordings(recordings, tell, believed, kept)
+        progress, failed = Progress(SHARES, tell), dict(found.failed)
+        simulated = None
         if simulate:
-            step("tracking the recordings in closed loop")
-        simulated = in_closed_loop(found) if simulate else None
-        step("writing the report")
-        content = write_diagnosis(found, out, simulated, command_line(context))
+            progress.tell("tracking")
+            with noted(failed, "tracking"):
+                simulated = once(kept, "tracking", lambda: plain_data(in_closed_loop(found)), ())
+        progress.tell("report")
+        content = write_diagnosis(replace(found, failed=failed), out, simulated, command_line(context))
     output.result(content)
     _show_diagnosis(content, output)
     output.show(f"{out} holds diagnosis.json, model.json and report.html.")
@@ -66,7 +77,7 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         table.add_row(*row)
     if body:
         output.show(table)
-    for line in [*on_prior(found), *not_claimed(found)]:
+    for line in [*on_prior(found), *not_claimed(found), *not_made(found)]:
         output.show(line)
     errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
     for joint, b in found["bootstrap"].items():

@@ -10,15 +10,38 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from rrr_oc.errors import printable
+from rrr_oc.progress import Step
 from rrr_oc.report.console import wide_console
 
 LINE_EVERY = 10.0  # [s] between two lines of a count where there is no terminal
+LEAST_DONE = 0.05  # share of a computation from which the time that is left is told; twice as much: told later, and better
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no tables, notes and progress, only errors")]
 Json = Annotated[bool, typer.Option("--json", help="the result as JSON on stdout in place of tables")]
+
+
+class TimeLeft:
+    """The time that a computation has taken and may still take, from the share of it that was done since its first step."""
+
+    def __init__(self) -> None:
+        self._began, self._first = time.monotonic(), None
+
+    def of(self, step: Step) -> tuple[float, float | None]:
+        """Seconds spent, and seconds left if that can be told."""
+        spent = time.monotonic() - self._began
+        self._first = step.done if self._first is None else self._first
+        done = step.done - self._first
+        return spent, spent / done * (1 - step.done) if done >= LEAST_DONE else None
+
+
+def _remarks(step: Step, left: float | None) -> list[str]:
+    """What is known of a step beside its stage."""
+    count = f"{step.tried}{f' of {step.total}' * bool(step.total)} {step.kind}"
+    tried = count if step.tried or step.total else ""
+    return [remark for remark in (tried, "" if left is None else f"about {left:.0f} s left") if remark]
 
 
 @dataclass(frozen=True)
@@ -72,6 +95,38 @@ class Output:
 
             line(first)
             yield line
+
+    @contextmanager
+    def stages(self, name: str = "") -> Iterator[Callable[[Step], None]]:
+        """A function that says how far a computation is, of this name where there are several: a bar on a terminal, else a line each, of
+        JSON where the result is."""
+        time_left = TimeLeft()
+        if self.quiet:
+            yield lambda step: None
+        elif self._beside.is_terminal and not self.as_json:
+            columns = BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("{task.fields[remark]}", markup=False)
+            with Progress(TextColumn("{task.description:20}", markup=False), *columns, console=self._beside) as progress:
+                row = progress.add_task(printable(name), total=1.0, remark="")
+
+                def show(step: Step) -> None:
+                    remark = printable(", ".join([*_remarks(step, time_left.of(step)[1]), *([step.said] if step.said else [])]))
+                    progress.update(
+                        row, completed=step.done, description=printable(f"{name} {step.stage}".strip()), remark=remark
+                    )
+
+                yield show
+        else:
+            yield lambda step: self._line(name, step, *time_left.of(step))
+
+    def _line(self, name: str, step: Step, spent: float, left: float | None) -> None:
+        if self.as_json:
+            line = {"of": name, "stage": step.stage, "share_done": round(step.done, 3), "tried": step.tried}
+            line |= {"total": step.total or None, "kind": step.kind, "said": step.said}
+            line |= {"seconds": round(spent, 1), "seconds_left": None if left is None else round(left, 1)}
+            typer.echo(printable(json.dumps(line, ensure_ascii=False)), err=True)
+            return
+        known = ", ".join([f"{step.done:.0%} done", *_remarks(step, left)])
+        self.note(f"{spent:7.1f} s  {name}{': ' * bool(name)}{step.stage} ({known})  {step.said}".rstrip())
 
     @contextmanager
     def count(self, name: str, total: int | None = None) -> Iterator[Callable[[int, str], None]]:

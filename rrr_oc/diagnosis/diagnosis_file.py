@@ -323,6 +323,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         bootstrap: Held-out errors with intervals, by joint.
         alone: Held-out recordings whose set-up no other recording has.
         simulated: Errors in closed loop.
+        failed: Optional steps that failed, and why; all else stands.
     """
 
     format: Literal["rrr_oc-diagnosis/1"]
@@ -342,6 +343,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     bootstrap: dict[str, Bootstrap]
     alone: tuple[str, ...]
     simulated: Simulated | None = None
+    failed: dict[str, str] = {}
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -374,6 +376,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "nrmse": {"calibration": by_joint(diagnosis.calibration), "held_out": by_joint(diagnosis.held_out)},
         "versions": dict(model.versions),
+        "failed": dict(diagnosis.failed),
     }
 
 

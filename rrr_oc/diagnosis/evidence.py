@@ -197,19 +197,37 @@ class Posterior:
         return float(off @ (self.prior.precision * off))
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where the estimates of a fit's noise and sizes begin if there is no posterior of a similar problem."""
+
+    sizes: Sizes
+    joints: tuple[Joint, ...]
+
+    @classmethod
+    def of(cls, data: Data, sizes: Sizes) -> "Start":
+        """With these sizes."""
+        return cls(sizes, tuple(Joint.of(data, j, noise) for j, noise in enumerate(sizes.noise)))
+
+
 def solve(
-    data: Data, residual: np.ndarray, columns: np.ndarray, prior: Prior, start: Posterior | None = None, fixed: bool = False
+    data: Data,
+    residual: np.ndarray,
+    columns: np.ndarray,
+    prior: Prior,
+    start: Posterior | Start | None = None,
+    fixed: bool = False,
 ) -> Posterior:
     """The posterior of a linear problem.
 
     Args:
         residual: (n, M).
         columns: Derivatives of the prediction, (n, M, p).
-        start: Posterior of a similar problem, whose sizes are the first ones.
+        start: Whose sizes are the first ones: the posterior of a similar problem, as a rule.
         fixed: Whether these stay as they are.
     """
-    sizes = start.sizes if start else _first(data, residual)
-    joints = start.joints if start else tuple(Joint.of(data, j, noise) for j, noise in enumerate(sizes.noise))
+    start = start or Start.of(data, _first(data, residual))
+    sizes, joints = start.sizes, start.joints
     grams = [_gram(one, residual[j], columns[j]) for j, one in enumerate(joints)]
     best = None
     for _ in range(ROUNDS):

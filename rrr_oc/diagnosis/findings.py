@@ -102,7 +102,7 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     claimed = [f for f, size in zip(findings, sizes, strict=True) if f.probability >= CLAIM and size >= NEGLIGIBLE]
     rest = [Possible(f.key, f.term.groups, f.probability) for f in findings if f not in claimed]
     rest += [Possible(key[:2], (), p) for key, p in share.items() if p > 1 - CLAIM and key not in named]
-    return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: -p.probability)
+    return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: (-p.probability, p.key))
 
 
 def _before(search: Search, effect: Effect) -> Prior:
@@ -126,7 +126,7 @@ def _rivals(own: Identity, every: Sequence[tuple[frozenset, float]], present: se
         else:
             for other in keys - present:
                 odds[other] = odds.get(other, 0.0) + p
-    return [other for other, p in sorted(odds.items(), key=lambda o: -o[1]) if p > (1 - CLAIM) * with_it]
+    return [other for other, p in sorted(odds.items(), key=lambda o: (-o[1], repr(o[0]))) if p > (1 - CLAIM) * with_it]
 
 
 def contribution(data: Data, fitted: Fitted, i: int) -> float:

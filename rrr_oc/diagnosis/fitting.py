@@ -12,7 +12,7 @@ from rrr_oc.calibration.friction_width import WIDTHS, widened
 from rrr_oc.calibration.regression import Rows
 from rrr_oc.calibration.term_fit import bounds, with_parameter_values
 from rrr_oc.diagnosis.data import Data
-from rrr_oc.diagnosis.evidence import Posterior, Prior, joined, solve
+from rrr_oc.diagnosis.evidence import Posterior, Prior, Start, joined, solve
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.effects import Effect, Trial, View
 from rrr_oc.effects.priors import Priors
@@ -121,7 +121,9 @@ class Fitter:
         """Without what is computed again where it is needed: numbers of objects are others in another process."""
         return {**self.__dict__, "_spans": {}, "_scales": {}}
 
-    def fit(self, model: CalibratedModel, links: np.ndarray, start: Posterior | None = None, fixed: bool = False) -> Fitted:
+    def fit(
+        self, model: CalibratedModel, links: np.ndarray, start: Posterior | Start | None = None, fixed: bool = False
+    ) -> Fitted:
         """All parameters of a model fitted, with sizes that begin with those of `start`, or stay `fixed` there."""
         data = self.data
         found = data.rows(model)

@@ -19,7 +19,8 @@ from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.knobs import ABSORBED
 from rrr_oc.diagnosis.search import Search
-from rrr_oc.errors import UserError
+from rrr_oc.diagnosis.stages import Fold, FoldData, Stages
+from rrr_oc.errors import reason
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.storage import number
 
@@ -33,28 +34,6 @@ SHORT = 10  # samples; shorter segments are left out of the blocks
 LEVEL = 0.95  # confidence level of the intervals
 RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the ends of an interval by about 1 %
 LEAST_RECORDINGS = 3  # for a bootstrap interval
-
-
-@dataclass(frozen=True)
-class Fold:
-    """What was found without some of the recordings, and the errors on them.
-
-    Attributes:
-        held: Indices of the held-out recordings (of the blocks of a single recording).
-        plain, model: Without and with the effects that a search on the rest finds, fitted to the rest.
-        before, after: Their NRMSE on the held-out recordings, each (number held out, n).
-    """
-
-    held: tuple[int, ...]
-    plain: CalibratedModel
-    model: CalibratedModel
-    before: np.ndarray
-    after: np.ndarray
-
-    @property
-    def extra(self) -> tuple[Term, ...]:
-        """The effects that were found."""
-        return self.model.terms[len(self.plain.terms) :]
 
 
 @dataclass(frozen=True)
@@ -114,12 +93,18 @@ def blocks_of(r: Recording) -> list[np.ndarray]:
     return np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS)
 
 
-def repeated(search: Search, begin: Fitted, found: bool) -> tuple[str, list[Recording], list[Fold]]:
+def repeated(search: Search, begin: Fitted, found: bool, stages: Stages) -> tuple[str, list[Recording], list[Fold]]:
     """The way of holding out, what is held out by number, and the folds, in which the search is repeated if it found anything."""
     way, data, held = folds_of(search.fitter.data)
     whole = replace(search.fitter, data=data)
-    arguments = [(Search(whole, search.trials), begin, found, one) for one in held]
-    return way, [p.recording for p in data.prepared], _each(_fold, arguments, found)
+    names = [f"search without part {k} of {len(held)}" for k in range(1, len(held) + 1)]
+    folds = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
+    missing = [(k, Search(whole, search.trials), begin, found, one) for k, one in enumerate(held) if k not in folds]
+    stages.progress.count("search without parts", len(folds), len(held), kind="parts")
+    for k, fold in parallel.unordered(_fold, missing) if found else (_fold(*one) for one in missing):
+        folds[k] = stages.keep(names[k], FoldData.of(fold))
+        stages.progress.count("search without parts", len(folds), len(held), kind="parts")
+    return way, [p.recording for p in data.prepared], [folds[k].fold(stages.start) for k in range(len(held))]
 
 
 def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, Data, Fitted]:
@@ -133,10 +118,11 @@ def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) ->
     return parallel.ordered(function, arguments) if long else [function(*a) for a in arguments]
 
 
-def _fold(search: Search, begin: Fitted, found: bool, held: list[int]) -> Fold:
+def _fold(number: int, search: Search, begin: Fitted, found: bool, held: list[int]) -> tuple[int, Fold]:
+    """A fold and its number."""
     train, test, plain = _parts(search.fitter, begin, held)
     model = (replace(search, fitter=train).run(plain).fitted if found else plain).model
-    return Fold(tuple(held), plain.model, model, nrmse(test, plain.model), nrmse(test, model))
+    return number, Fold(tuple(held), plain.model, model, nrmse(test, plain.model), nrmse(test, model))
 
 
 def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding]) -> list[Fold]:
@@ -305,11 +291,11 @@ def in_closed_loop(diagnosis: "Diagnosis") -> dict[str, Any]:
 
 
 def _tracked(model: CalibratedModel, recordings: RecordingSet) -> Errors | str:
-    """Errors of the simulated signals, or the reason why there are none."""
+    """Errors of the simulated signals, or the reason why there are none: whatever fails here costs nothing of the diagnosis."""
     try:
         return evaluate_simulated(model, recordings)
-    except UserError as error:
-        return str(error)
+    except Exception as error:
+        return reason(error)
 
 
 def _means(parts: Sequence[Errors | str], joints: Sequence[str]) -> dict[str, Any]:

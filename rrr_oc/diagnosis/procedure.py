@@ -1,8 +1,9 @@
 """Diagnosis of a recording set: the plain model, the most probable structure, and one check of the whole on held-out recordings."""
 
+import itertools
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from time import perf_counter
 from typing import Any
 
@@ -21,16 +22,31 @@ from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
 from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
 from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
-from rrr_oc.diagnosis.search import Kind, Search, beside, kind
+from rrr_oc.diagnosis.search import Kind, Search, State, beside, kind
 from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
+from rrr_oc.diagnosis.stages import (
+    SHARES,
+    FindingData,
+    FoldData,
+    ModelData,
+    ResultData,
+    SearchData,
+    Stages,
+    SuggestionData,
+    numbers,
+)
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
 from rrr_oc.effects.priors import Priors
+from rrr_oc.errors import noted
+from rrr_oc.kept import Kept
+from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.inertial_parameters import prior
 from rrr_oc.robot.link_errors import LinkErrors
 
 OFTEN = 0.5  # share of the searches on parts of the recordings that must find an effect
+CHECK = "held-out check"  # the last stage of the procedure
 NORMAL = 1.96  # standard deviations of a 95 % interval
 
 
@@ -53,6 +69,7 @@ class Diagnosis:
         folds: The held-out fits behind `held_out`.
         above_noise: Residual of the final model over noise, (n,).
         priors: File from which priors were read; None for what the effects declare.
+        failed: Optional steps that failed, and why.
     """
 
     recordings: RecordingSet
@@ -70,6 +87,7 @@ class Diagnosis:
     folds: tuple[Fold, ...] = ()
     above_noise: tuple[float, ...] = ()
     priors: str | None = None
+    failed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -112,27 +130,32 @@ class Shares:
 
 
 def diagnose(
-    recordings: RecordingSet, report: Callable[[str], None] = lambda _: None, priors: Priors | None = None
+    recordings: RecordingSet,
+    report: Callable[[Step], None] = lambda _: None,
+    priors: Priors | None = None,
+    kept: Kept | None = None,
 ) -> Diagnosis:
     """Diagnose a recording set.
 
     Args:
-        report: Receives one line of progress at a time.
+        report: Is told how far the diagnosis is.
         priors: What is believed of effects; what they declare by default.
+        kept: Where its stages are kept, so that it goes on after an interruption; nowhere by default.
 
     Raises:
         UserError: The recordings are too short for the filter.
     """
-    report("calibrating the plain model")
-    whole, fitter, every, plain = ready(recordings, priors or Priors())
+    stages = Stages(plain_model(recordings), kept, Progress(SHARES, report))
+    return _restored(stages.once(CHECK, ResultData, lambda: _made(recordings, priors or Priors(), stages)), recordings, stages)
+
+
+def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultData:
+    """The result of all stages up to the check on held-out recordings."""
+    whole, fitter, every, plain = ready(recordings, priors, stages)
     begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
-    report("looking for effects")
-    search = Search(fitter, every, report)
-    at = search.run(begin)
+    search, at = _searched(fitter, every, begin, stages)
     findings, possible = found(search, at)
-    if findings:
-        report("repeating the search without the recordings that are held out")
-    way, parts, searched = repeated(search, begin, bool(findings))
+    way, parts, searched = repeated(search, begin, bool(findings), stages)
     most, out = stable(findings, parts, searched)
     refuted: list[Finding] = []
     while True:
@@ -143,7 +166,7 @@ def diagnose(
             search = search.within(most, gone)
             at = search.run(at.fitted)
             findings, possible = found(search, at)
-        report("predicting held-out recordings")
+        stages.progress.tell("held-out check", 0.2 + 0.5 * bool(refuted), f"effects checked: {len(findings)}")
         checks = checked(fitter, begin, findings)
         folds = with_claims(fitter, begin, searched, findings)
         predicted = [f for k, f in enumerate(findings) if any(np.isfinite(c.gains[k]) for c in checks)]
@@ -160,15 +183,37 @@ def diagnose(
     return _assembled(recordings, whole, fitter, (begin, final), (findings, possible, tuple(refuted)), (way, checks, folds))
 
 
-def ready(recordings: RecordingSet, priors: Priors) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...], CalibratedModel]:
+def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: Stages) -> tuple[Search, State]:
+    """A search on all recordings, and its best structure."""
+    stages.progress.tell("search")
+    moves = itertools.count(1)
+
+    def report(said: str, structures: int) -> None:
+        number = next(moves)
+        # how many moves there will be is not known before
+        stages.progress.tell("search", number / (number + 3), said, structures, "structures")
+
+    search = Search(fitter, every, report)
+    data = stages.once("search", SearchData, lambda: SearchData.of(search, search.run(begin)))
+    return data.search(replace(search, report=lambda *_: None), stages.start)
+
+
+def ready(
+    recordings: RecordingSet, priors: Priors, stages: Stages | None = None
+) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...], CalibratedModel]:
     """All samples, what fits models to the recordings, the trials of the catalogue, and the calibrated plain model."""
+    stages = stages or Stages(plain_model(recordings))
     whole = prepare(recordings)
-    start = with_widths(whole, plain_model(recordings))
-    plain = calibrate.fit(recordings, whole, start).model
+    stages.progress.tell("plain model")
+
+    def calibrated() -> ModelData:
+        return ModelData.of(calibrate.fit(recordings, whole, with_widths(whole, stages.start)).model)
+
+    plain = stages.once("plain model", ModelData, calibrated).model(stages.start)
     bench = tuple(thinned(without_spikes(whole, plain)))
     unknown = recordings.inertial == "identify"
     of_urdf = () if priors.exact_inertias else (MASS_ERROR, *[CENTRE_ERROR] * 3, *[INERTIA_ERROR] * 3)
-    std = prior(start.robot).std if unknown else np.tile(of_urdf, recordings.robot.n)
+    std = prior(stages.start.robot).std if unknown else np.tile(of_urdf, recordings.robot.n)
     links = LinkErrors(plain.robot.inertial, std)
     data = Data(bench, plain, links, not unknown, SignatureCache())
     seen = view(bench, plain)
@@ -206,7 +251,7 @@ def stable(
     kept = Counter(kind(f.term.effect) for f in findings if f not in out)
     counts = [Counter(kind(t.effect) for t in fold.extra) for fold in folds]
     often = (int(np.ceil(OFTEN * len(folds))) or 1) - 1
-    kinds = set().union(kept, *counts)
+    kinds = sorted(set().union(kept, *counts))
     return {one: max(kept[one], sorted((c[one] for c in counts), reverse=True)[often]) for one in kinds}, out
 
 
@@ -255,7 +300,7 @@ def worse(findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequen
     return out
 
 
-def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosis:
+def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
     (begin, final), (findings, possible, refuted), (way, checks, folds) = fits, told, check
     plain = finished(recordings, whole, described(begin), {"way": "posterior"}, perf_counter())
     model = finished(recordings, whole, described(final), {"way": "posterior"}, perf_counter()) if findings else plain
@@ -266,22 +311,50 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> Diagnosi
         folds = [replace(f, model=f.plain, after=f.before) for f in folds]
     left = above_noise(fitter.data, final)
     calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
+    shares, failed = Shares.of(checks, findings, fitter.data.n) if findings else Shares(), dict[str, str]()
+    with noted(failed, "suggested recordings"):
+        suggestions = suggest(recordings, plain, findings, bool(np.any(left > FAR)), fitter.view)
+    return ResultData(
+        ModelData.of(plain),
+        ModelData.of(model),
+        [FindingData.of(f, model.robot) for f in findings],
+        possible,
+        [FindingData.of(f, model.robot) for f in refuted],
+        numbers(getattr(shares, f.name) for f in fields(Shares)),
+        numbers(calibration),
+        numbers((before, after)),
+        way,
+        list(mismatch(fitter.data, begin, final, findings, left, (calibration[0], before))),
+        [] if failed else [SuggestionData.of(s) for s in suggestions],
+        [FoldData.of(f) for f in folds],
+        left.tolist(),
+        fitter.priors.file,
+        failed,
+    )
+
+
+def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Diagnosis:
+    """A result with its recordings."""
+    plain, model = data.plain.model(stages.start), data.model.model(stages.start)
+    findings, refuted = (tuple(f.finding(model.robot) for f in some) for some in (data.findings, data.refuted))
+    calibration, held_out = ((np.array(x[0], float), np.array(x[1], float)) for x in (data.calibration, data.held_out))
     return Diagnosis(
         recordings,
         plain,
         model,
-        tuple(findings),
-        tuple(possible),
+        findings,
+        tuple(data.possible),
         refuted,
-        Shares.of(checks, findings, fitter.data.n) if findings else Shares(),
+        Shares(*(tuple(np.array(x, float).tolist()) for x in data.shares)),
         calibration,
-        (before, after),
-        way,
-        mismatch(fitter.data, begin, final, findings, left, (calibration[0], before)),
-        tuple(suggest(recordings, plain, findings, bool(np.any(left > FAR)), fitter.view)),
-        tuple(folds),
-        tuple(left.tolist()),
-        fitter.priors.file,
+        held_out,
+        data.way,
+        tuple(data.mismatch),
+        tuple(s.suggestion() for s in data.suggestions),
+        tuple(f.fold(stages.start) for f in data.folds),
+        tuple(data.above_noise),
+        data.priors,
+        data.failed,
     )
 
 

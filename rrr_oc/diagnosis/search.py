@@ -60,14 +60,14 @@ class Search:
     Attributes:
         fitter: Fits models.
         trials: All trials of the catalogue.
-        report: Receives one line of progress at a time.
+        report: Receives what has just happened and the number of structures that were fitted.
         most: Kinds of effects that are sought, and how many of each; all if None.
         visited: Log posterior of each structure that was scored, by its effects.
     """
 
     fitter: Fitter
     trials: tuple[Trial, ...]
-    report: Callable[[str], None] = lambda _: None
+    report: Callable[[str, int], None] = lambda *_: None
     most: Mapping[Kind, int] | None = None
     visited: dict[frozenset, float] = field(default_factory=dict)
     foreseen: dict[frozenset, float] = field(default_factory=dict)
@@ -182,7 +182,7 @@ class Search:
         result = max(found, key=lambda s: s.score, default=None)
         if result is None or result.score <= goal:
             return None
-        self.report(f"{described(result.fitted.extra[-1], result.fitted)}: {result.score - goal:+.1f}")
+        self.report(f"{described(result.fitted.extra[-1], result.fitted)}: {result.score - goal:+.1f}", len(self.visited))
         return result
 
     def _overlapping(self, c: Candidate, extra: Sequence[Term]) -> list[Term]:
@@ -228,7 +228,7 @@ class Search:
             best = max(options, key=lambda s: s.score, default=None)
             if best is None or best.score <= at.score:
                 return at
-            self.report("an effect is superfluous")
+            self.report("an effect is superfluous", len(self.visited))
             at = best
 
     def worths(self, at: State) -> list[float]:

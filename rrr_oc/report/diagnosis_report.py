@@ -10,6 +10,7 @@ from rrr_oc.calibration.model_file import save_model
 from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.held_out import intervals
 from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.errors import noted
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.diagnosis_figures import draw_errors, draw_prediction
 from rrr_oc.report.figures import save_figure
@@ -25,6 +26,8 @@ def write_diagnosis(
     diagnosis: Diagnosis, folder: Path, simulated: Mapping[str, Any] | None = None, command: str = ""
 ) -> dict[str, Any]:
     """Write model.json, the figures, report.html and diagnosis.json, all in one step, in place of those of an earlier diagnosis.
+
+    A figure or page that cannot be made is left out; diagnosis.json says why.
 
     Args:
         simulated: What `in_closed_loop` returns; None leaves that part out.
@@ -43,16 +46,19 @@ def write_diagnosis(
 
 def _write(diagnosis: Diagnosis, folder: Path, found: dict[str, Any], command: str) -> None:
     save_model(diagnosis.model, folder / "model.json")
-    shown = curves(diagnosis) | {"subject": np.array(about(diagnosis.recordings)), "command": np.array(command)}
-    write_npz(folder / FIGURES, shown)
-    save_figure(draw_errors(found), folder / "before_after.png")
-    save_figure(draw_prediction(shown), folder / "prediction.png")
+    failed = found["failed"]
     for suggestion, entry in zip(diagnosis.suggestions, found["suggested_recordings"], strict=True):
         header = ",".join(["t", *(f"q_{joint}" for joint in diagnosis.model.joints)])
         table = np.vstack([suggestion.motion.t, suggestion.motion.q]).T
         lines = [",".join(f"{value:.6f}" for value in row) for row in table]
         write_text(folder / entry["trajectory"], "\n".join([header, *lines]) + "\n")
-    write_diagnosis_page(folder, found)
+    with noted(failed, "before_after.png"):
+        save_figure(draw_errors(found), folder / "before_after.png")
+    with noted(failed, "report.html and prediction.png"):
+        shown = curves(diagnosis) | {"subject": np.array(about(diagnosis.recordings)), "command": np.array(command)}
+        write_npz(folder / FIGURES, shown)
+        save_figure(draw_prediction(shown), folder / "prediction.png")
+        write_diagnosis_page(folder, found)
     write_json(folder / "diagnosis.json", found)
 
 

@@ -188,6 +188,11 @@ def not_claimed(found: Mapping[str, Any]) -> list[str]:
     return result
 
 
+def not_made(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on each optional step that failed."""
+    return [f"Not made: {step}, since it failed ({why}); all else stands." for step, why in found.get("failed", {}).items()]
+
+
 def _listed(entries: Sequence[Mapping[str, Any]]) -> str:
     some = [
         f" in {', '.join(files)}" * bool(files)

@@ -769,7 +769,7 @@ def test_friction_that_grows_with_load_goes_before_friction_over_position(planar
         law = 0.25 * np.abs(plant.load(*motion)) + 0.03 * np.cos(2 * motion[0] + 3)
         made.append(replace(r, tau=r.tau + turn * law))
     said: list[str] = []
-    found = [f.term for f in diagnose(as_set(plant, made), said.append).findings]
+    found = [f.term for f in diagnose(as_set(plant, made), lambda step: said.append(step.said)).findings]
     assert next(line for line in said if "friction" in line).startswith("load_dependent_friction")
     assert {t.effect.name for t in found} == {"load_dependent_friction", "position_dependent_friction"}
     assert found[0].values[0] == pytest.approx(0.25, rel=0.15)

@@ -29,6 +29,7 @@ from rrr_oc.codesign.search.proposals import (
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.parallel import once_per_process, ordered, unordered
+from rrr_oc.progress import Progress, Step
 
 SPRINGS = 3  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
 APART = 0.03  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
@@ -43,6 +44,15 @@ FEW = 1  # meshes to which all optima close to the best are refined; more tell t
 # large one leads every start to the middle of all bounds first, and from there to one good optimum or few; more of them, and the
 # optima that are not on that way are missed.
 BARRIERS = (1.0, None, None, None)
+# Share of the time of a search that each of its stages takes, by experience
+SHARES = {
+    "starts": 0.05,
+    "other springs": 0.2,
+    "fine mesh": 0.1,
+    "best motions": 0.45,
+    "refined meshes": 0.1,
+    "certificate": 0.1,
+}
 TRIED = 4  # starts for each way to mount the springs; doubled, choosing among them takes twice as long and errs less often
 
 
@@ -146,8 +156,9 @@ class Polisher:
 def solve_multistart(
     design: CoDesign,
     options: SearchOptions | None = None,
-    progress: Callable[[Start], None] | None = None,
+    polished: Callable[[Start], None] = lambda _: None,
     known: Sequence[Guess] = (),
+    report: Callable[[Step], None] = lambda _: None,
 ) -> SearchResult:
     """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
     fine one, the best motions for their springs are looked for phase by phase, and the best optima are refined. Ctrl-C ends the
@@ -155,25 +166,26 @@ def solve_multistart(
 
     Args:
         known: Further starting points, such as optima of designs with fewer springs; they are solved on the fine mesh.
-        progress: Called with every start that has been polished.
+        polished: Called with every start that has been polished.
+        report: Is told how far the search is.
 
     Raises:
         SolverFailure: No start led to an optimum.
     """
-    options = options or SearchOptions()
+    options, progress = options or SearchOptions(), Progress(SHARES, report)
     polisher = Polisher(design, options)  # compiles the functions before the processes need them
     starts: list[Start] = []
     interrupted = False
     try:
         for start in _polished(design, options):
             starts.append(start)
-            if progress:
-                progress(start)
+            polished(start)
+            progress.count("starts", len(starts), options.starts, _coarse_cost(starts), "starts")
     except KeyboardInterrupt:
         interrupted = True
     if not any(s.w.size for s in starts):
         _raise_failure(design, options, starts)
-    optima = _best_optima(polisher, starts, known, interrupted)
+    optima = _best_optima(polisher, starts, known, interrupted, progress)
     return SearchResult(design, optima, tuple(starts), interrupted)
 
 
@@ -263,20 +275,30 @@ def _raise_failure(design: CoDesign, options: SearchOptions, starts: list[Start]
     Solver(transcribed(design, options, options.coarse)).solve(middle, design.data(options.width))
 
 
-def _best_optima(polisher: Polisher, starts: list[Start], known: Sequence[Guess], interrupted: bool) -> tuple[Optimum, ...]:
+def _coarse_cost(starts: Sequence[Start]) -> str:
+    """The least cost so far, which a coarse mesh misjudges."""
+    best = min(s.polished for s in starts)
+    return f"about {best:.4g} on the coarse mesh" if np.isfinite(best) else "none within the limits so far"
+
+
+def _best_optima(
+    polisher: Polisher, starts: list[Start], known: Sequence[Guess], interrupted: bool, progress: Progress
+) -> tuple[Optimum, ...]:
     """The distinct optima on a fine mesh, the best of them refined; cheapest first."""
     design, options = polisher.design, polisher.options
     found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
     coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in found)[: 1 if interrupted else None]
     search = None if interrupted or not options.motions else MotionSearch(design, options)
     if search is not None:
-        coarse = _with_better_springs(polisher, search, coarse)
+        coarse = _with_better_springs(polisher, search, coarse, progress)
+    progress.tell("fine mesh")
     guesses = [(o.solution.guess(), o.reached) for o in _promising(coarse)[: options.kept]] + [(guess, 0) for guess in known]
     optima = _followed(design, options, guesses)
     if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
     if search is not None:
-        optima = _with_best_motions(search, optima)
+        optima = _with_best_motions(search, optima, progress)
+    progress.tell("refined meshes", 0.0, f"best so far {optima[0].cost:.6g}")
     for rounds, within in ((FEW, options.within), (options.refinement.rounds, options.within / 5)):
         some = replace(options, refinement=replace(options.refinement, rounds=min(rounds, options.refinement.rounds)))
         close = sum(o.cost <= optima[0].cost * (1 + within) for o in optima)
@@ -296,7 +318,7 @@ def _followed(design: CoDesign, options: SearchOptions, guesses: list[tuple[Gues
     return distinct(replace(attached(design, options, o), reached=reached) for o, reached in pairs)
 
 
-def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[Optimum]) -> list[Optimum]:
+def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[Optimum], progress: Progress) -> list[Optimum]:
     """Optima on the coarse mesh, and those to which good motions for their springs lead; cheapest first.
 
     Most starts end with the same few springs, although other springs, with other motions, may be better. So the cheapest optimum
@@ -308,6 +330,9 @@ def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[
         new = next(iter(springs.others(optima, tried)), None)
         if new is None:
             break
+        progress.count(
+            "other springs", len(tried), options.springs, f"about {optima[0].cost:.4g} on the coarse mesh", "springs"
+        )
         tried.append(new)
         best = optima[0].cost
         parameters, known = new.solution.parameters, [o.solution for o in optima[:SHARED]]
@@ -318,7 +343,7 @@ def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[
     return optima
 
 
-def _with_best_motions(search: MotionSearch, optima: list[Optimum]) -> list[Optimum]:
+def _with_best_motions(search: MotionSearch, optima: list[Optimum], progress: Progress) -> list[Optimum]:
     """Optima, and those to which the best motions for their springs lead; cheapest first.
 
     Springs and motions are improved in turn: the springs of the best optima get the best motion of each phase, and from these all is
@@ -328,6 +353,7 @@ def _with_best_motions(search: MotionSearch, optima: list[Optimum]) -> list[Opti
     final, springs = replace(options, widths=options.widths[-1:]), Springs(design)
     for number in range(options.rounds):
         best = optima[0].cost
+        progress.count("best motions", number, options.rounds, f"best so far {best:.5g}", "rounds")
         for o in optima[:1] if number else springs.others(_promising(optima))[:SPRINGS]:
             parameters = o.solution.parameters
             motions = search.best(parameters, number * options.motions, motions)

@@ -24,7 +24,16 @@ from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.refinement import mesh_row
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.parallel import once_per_process, ordered, unordered
+from rrr_oc.progress import Progress, Step
 
+# Share of the time of a search that each of its stages takes, by experience
+SHARES = {
+    "starts": 0.3,
+    "fine mesh": 0.1,
+    "motions and springs in turn": 0.3,
+    "springs of the first task": 0.15,
+    "refined meshes": 0.15,
+}
 LAYERS = ("alone", "sobol")  # sources of starting springs: tasks alone, and the whole of their bounds
 # Initial barrier parameters of a start: from the middle of all bounds, and nearer to the tasks' own motions.
 BARRIERS = (0.1, 1e-2)
@@ -103,7 +112,7 @@ def solve_set(
     design: SetDesign,
     alone: Sequence[Optimum],
     options: SearchOptions,
-    progress: Callable[[SetStart], None] = lambda _: None,
+    report: Callable[[Step], None] = lambda _: None,
 ) -> SetResult:
     """The best springs for a set of tasks.
 
@@ -112,19 +121,24 @@ def solve_set(
 
     Args:
         alone: The optimum of each task with springs of its own (T), on its design of `design.designs`.
-        progress: Called with every start that has been solved.
+        report: Is told how far the search is.
 
     Raises:
         SolverFailure: No start led to an optimum.
     """
-    alone = tuple(alone)
+    alone, progress = tuple(alone), Progress(SHARES, report)
     if not design.sprung:
         return SetResult(design, alone[0].solution.parameters, alone, alone, alone, (), 0.0)
     starts = _polished(design, alone, options, progress)
-    best = _improved(design, _fine(design, starts, options), alone, options)
+    progress.tell("fine mesh")
+    fine = _fine(design, starts, options)
+    progress.tell("motions and springs in turn", 0.0, f"best so far {fine.cost:.5g}")
+    best = _improved(design, fine, alone, options)
+    progress.tell("springs of the first task", 0.0, f"best so far {best.cost:.6g}")
     first = _with_first(design, best, alone, options)
     if design.total([o.cost for o in first]) < best.cost * (1 - CHEAPER):
         best = _improved(design, _rejoined(design, first, first[0].solution.parameters, options) or best, alone, options)
+    progress.tell("refined meshes", 0.0, f"best so far {best.cost:.6g}")
     return _compared(design, best, alone, first, options, tuple(starts))
 
 
@@ -216,7 +230,7 @@ def _springs(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions
     return [("alone", alone[t].solution.parameters) for t in picked] + drawn
 
 
-def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions, progress) -> list[SetStart]:
+def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions, progress: Progress) -> list[SetStart]:
     """All starts on the coarse mesh, with the motions of the tasks alone, cheapest first."""
     transcription, key = transcribed(design, options, options.coarse), uuid.uuid4().hex
     springs = _springs(design, alone, options)
@@ -229,7 +243,9 @@ def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOption
     starts = []
     for start in unordered(_polish, calls):
         starts.append(start)
-        progress(start)
+        best = min(s.polished for s in starts)
+        said = f"about {best:.4g} on the coarse mesh" if np.isfinite(best) else ""
+        progress.count("starts", len(starts), len(calls), said, "starts")
     return sorted(starts, key=lambda s: (s.polished, s.layer))
 
 

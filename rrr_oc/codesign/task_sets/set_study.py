@@ -36,7 +36,7 @@ from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds, arrangements, offered, ways_to_mount
 from rrr_oc.codesign.study import Request, Twin
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.codesign.task_sets.set_search import SetResult, SetStart, front, solve_chosen, solve_set
+from rrr_oc.codesign.task_sets.set_search import SetResult, front, solve_chosen, solve_set
 from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_task_set, with_uncertainty
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
@@ -175,15 +175,8 @@ def _solve(study: SetStudy, name: str, ways: Sequence[SetDesign]) -> dict[str, A
         return _solve_priced(study, name, ways[0], began)
     design = ways[0] if len(ways) == 1 else _best_arranged(study, name, ways)
     alone = _alone(study, name, design)
-    starts = 0
-    with study.listener.count(name, study.options.starts if design.sprung else None) as count:
-
-        def show(start: SetStart) -> None:
-            nonlocal starts
-            starts += 1
-            count(starts, "starts of the set")
-
-        result = solve_set(design, alone, study.options, show)
+    with study.listener.stages(name) as report:
+        result = solve_set(design, alone, study.options, report)
     return _described(study, name, result, None, began)
 
 

@@ -1,0 +1,287 @@
+"""The stages of a diagnosis: how far it is, and what each has found as plain data, from which an interrupted diagnosis goes on.
+
+The data are in the terms of model.json: effects on joints, values, intervals, recordings. A diagnosis that nobody interrupts goes on
+with what it reads back, too (`rrr_oc.kept`), so that both end in the same numbers.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.model_file import TermEntry, effect_of, term_entry, term_of, terms_of
+from rrr_oc.diagnosis.data import Noise
+from rrr_oc.diagnosis.evidence import Sizes, Start
+from rrr_oc.diagnosis.findings import Finding, Possible
+from rrr_oc.diagnosis.search import Search, State
+from rrr_oc.diagnosis.suggestion import Suggestion
+from rrr_oc.effects import Effect
+from rrr_oc.effects.base import Prior
+from rrr_oc.kept import Kept, save, taken
+from rrr_oc.model.motion import Motion
+from rrr_oc.progress import Progress
+from rrr_oc.recordings.recording import Recording
+from rrr_oc.robot.robot import Robot
+from rrr_oc.storage import plain
+
+# Share of the time of a diagnosis that each stage takes, by experience
+SHARES = {
+    "plain model": 0.06,
+    "search": 0.3,
+    "search without parts": 0.45,
+    "held-out check": 0.1,
+    "tracking": 0.08,
+    "report": 0.01,
+}
+MOST = 1e300  # of a score; JSON has no infinity
+Numbers = list[float | None]  # None where a number is not known
+Scores = list[tuple[list[int], float]]  # effects of a structure, by their numbers, and its score [nats]
+S = TypeVar("S", bound=Struct)
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Stages:
+    """What a diagnosis has done so far.
+
+    Attributes:
+        start: The model that calibration starts from.
+        kept: Where it is kept; None where it is not.
+        progress: Is told how far it is.
+    """
+
+    start: CalibratedModel
+    kept: Kept | None = None
+    progress: Progress = field(default_factory=lambda: Progress(SHARES))
+
+    def saved(self, name: str, schema: type[S]) -> S | None:
+        """A stage that is there already."""
+        found = None if self.kept is None else taken(self.kept, name)
+        return None if found is None else msgspec.convert(found, schema)
+
+    def keep(self, name: str, content: S) -> S:
+        """Save a stage; as it is read back."""
+        data = plain(msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item()))  # of numpy
+        if self.kept is not None:
+            save(self.kept, name, data)
+        return msgspec.convert(data, type(content))
+
+    def once(self, name: str, schema: type[S], make: Callable[[], S]) -> S:
+        """A stage that is there already, or is made and saved."""
+        found = self.saved(name, schema)
+        if found is None:
+            return self.keep(name, make())
+        if self.kept is not None:
+            self.kept.listener.show(f"{name}: taken from the interrupted or repeated run in {self.kept.out}")
+        return found
+
+
+class ModelData(Struct):
+    """What a diagnosis changes of a model: its effects, its links (10, n), noise and errors."""
+
+    effects: list[TermEntry]
+    inertial: list[list[float]]
+    noise: Numbers
+    nrmse: Numbers
+    report: dict[str, Any]
+
+    @classmethod
+    def of(cls, model: CalibratedModel) -> "ModelData":
+        robot = model.robot
+        links, errors = robot.inertial.tolist(), (model.noise.tolist(), model.nrmse.tolist())
+        return cls([term_entry(t, robot) for t in model.terms], links, *errors, dict(model.report))
+
+    def model(self, start: CalibratedModel) -> CalibratedModel:
+        """The model with what it has in common with others from `start`."""
+        robot = replace(start.robot, inertial=np.array(self.inertial))
+        errors = {"noise": np.array(self.noise, float), "nrmse": np.array(self.nrmse, float)}
+        return replace(start, robot=robot, terms=terms_of(self.effects, robot), report=self.report, **errors)
+
+
+class NoiseData(Struct):
+    """See `data.Noise`."""
+
+    filters: list[list[float]]
+    spreads: list[float]
+    turning: float
+
+    def noise(self) -> Noise:
+        return Noise(tuple(np.array(f) for f in self.filters), np.array(self.spreads), self.turning)
+
+
+class Sought(Struct):
+    """An effect in some set-ups (none: in all), as structures are compared by it."""
+
+    effect: str
+    joints: tuple[int, ...]
+    options: dict[str, Any]
+    groups: tuple[str, ...]
+
+
+class SearchData(Struct):
+    """The best structure of a search, fitted, and the scores of all others.
+
+    Attributes:
+        model, links: The model, and the errors of its links in standard deviations of their prior.
+        noise, sigma, discrepancy, size_of_links: What is estimated beside the parameters, see `evidence.Sizes`.
+        sought: All effects that were tried.
+        fitted, predicted: Logarithm of the posterior probability of structures that were fitted, and of further ones as predicted.
+        exchanged: By how much what was tried in the place of effects falls short.
+    """
+
+    model: ModelData
+    links: list[float]
+    noise: list[NoiseData]
+    sigma: list[float]
+    discrepancy: list[float]
+    size_of_links: float
+    sought: list[Sought]
+    fitted: Scores
+    predicted: Scores
+    exchanged: Scores
+
+    @classmethod
+    def of(cls, search: Search, at: State) -> "SearchData":
+        sizes, number = at.fitted.posterior.sizes, dict[tuple[Effect, tuple[str, ...]], int]()
+        noise = [NoiseData([f.tolist() for f in one.filters], one.spreads.tolist(), one.turning) for one in sizes.noise]
+        every = [_scores(known, number) for known in (search.visited, search.foreseen, search.settled)]
+        sought = [Sought(e.name, e.joints, _options(e), groups) for e, groups in number]
+        model = ModelData.of(at.fitted.model)
+        measured = sizes.sigma.tolist(), sizes.discrepancy.tolist(), sizes.links
+        return cls(model, at.fitted.links.tolist(), noise, *measured, sought, *every)
+
+    def search(self, search: Search, start: CalibratedModel) -> tuple[Search, State]:
+        """The search with what it remembers, and its best structure, fitted again from where it was."""
+        own = [(effect_of(s.effect, s.joints, s.options), s.groups) for s in self.sought]
+        known = [{frozenset(own[k] for k in some): score for some, score in of} for of in self._scores]
+        search = replace(search, visited=known[0], foreseen=known[1], settled=known[2])
+        noise = tuple(one.noise() for one in self.noise)
+        sizes = Sizes(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links)
+        begin = Start.of(search.fitter.data, sizes)
+        return search, search.scored(search.fitter.fit(self.model.model(start), np.array(self.links), begin))
+
+    @property
+    def _scores(self) -> tuple[Scores, Scores, Scores]:
+        return self.fitted, self.predicted, self.exchanged
+
+
+def _options(effect: Effect) -> dict[str, Any]:
+    return {f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joints"}
+
+
+def _scores(known: Mapping[frozenset, float], number: dict[tuple[Effect, tuple[str, ...]], int]) -> Scores:
+    """Scores of structures in their order; effects that have no number get one."""
+    result = []
+    for structure, score in known.items():
+        some = [number.setdefault(one, len(number)) for one in sorted(structure, key=repr)]
+        result.append((some, float(np.clip(score, -MOST, MOST))))
+    return result
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What was found without some of the recordings, and the errors on them.
+
+    Attributes:
+        held: Indices of the held-out recordings (of the blocks of a single recording).
+        plain, model: Without and with the effects that a search on the rest finds, fitted to the rest.
+        before, after: Their NRMSE on the held-out recordings, each (number held out, n).
+    """
+
+    held: tuple[int, ...]
+    plain: CalibratedModel
+    model: CalibratedModel
+    before: np.ndarray
+    after: np.ndarray
+
+    @property
+    def extra(self) -> tuple[Term, ...]:
+        """The effects that were found."""
+        return self.model.terms[len(self.plain.terms) :]
+
+
+class FoldData(Struct):
+    """See `Fold`."""
+
+    held: tuple[int, ...]
+    plain: ModelData
+    model: ModelData
+    before: list[Numbers]
+    after: list[Numbers]
+
+    @classmethod
+    def of(cls, fold: Fold) -> "FoldData":
+        models = ModelData.of(fold.plain), ModelData.of(fold.model)
+        return cls(fold.held, *models, fold.before.tolist(), fold.after.tolist())
+
+    def fold(self, start: CalibratedModel) -> Fold:
+        models = self.plain.model(start), self.model.model(start)
+        return Fold(self.held, *models, np.array(self.before, float), np.array(self.after, float))
+
+
+class FindingData(Struct):
+    """See `findings.Finding`."""
+
+    term: TermEntry
+    probability: float
+    alone: float
+    worth: float
+    p_value: float
+    rivals: tuple[tuple[str, tuple[int, ...]], ...]
+    prior: Prior | None
+
+    @classmethod
+    def of(cls, f: Finding, robot: Robot) -> "FindingData":
+        return cls(term_entry(f.term, robot), f.probability, f.alone, f.worth, f.p_value, f.rivals, f.prior)
+
+    def finding(self, robot: Robot) -> Finding:
+        numbers = self.probability, self.alone, self.worth, self.p_value
+        return Finding(term_of(self.term, robot), *numbers, self.rivals, self.prior)
+
+
+class SuggestionData(Struct):
+    """See `suggestion.Suggestion`; motions of (n, K)."""
+
+    why: str
+    separates: tuple[str, ...]
+    t: list[float]
+    motion: list[list[list[float]]]
+    payload: list[float]
+
+    @classmethod
+    def of(cls, s: Suggestion) -> "SuggestionData":
+        m = s.motion
+        return cls(s.why, s.separates, m.t.tolist(), np.array([m.q, m.dq, m.ddq]).tolist(), m.payload.tolist())
+
+    def suggestion(self) -> Suggestion:
+        motion = Motion(np.array(self.t), *np.array(self.motion), payload=np.array(self.payload))
+        return Suggestion(self.why, self.separates, Recording.planned("suggested", motion))
+
+
+class ResultData(Struct):
+    """See `procedure.Diagnosis`."""
+
+    plain: ModelData
+    model: ModelData
+    findings: list[FindingData]
+    possible: list[Possible]
+    refuted: list[FindingData]
+    shares: list[Numbers]
+    calibration: list[Numbers]
+    held_out: list[Numbers]
+    way: str
+    mismatch: list[dict[str, Any]]
+    suggestions: list[SuggestionData]
+    folds: list[FoldData]
+    above_noise: list[float]
+    priors: str | None
+    failed: dict[str, str]
+
+
+def numbers(arrays: Iterable[Any]) -> list[Numbers]:
+    """Rows of numbers, NaN as None."""
+    return [plain(np.asarray(a, float)) for a in arrays]

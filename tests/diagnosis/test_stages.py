@@ -1,0 +1,142 @@
+"""The stages of a diagnosis: one that goes on from any of them ends in the same numbers, and what fails at the end costs nothing else."""
+
+import json
+import shutil
+from types import SimpleNamespace
+
+import chains
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+from typer.testing import CliRunner
+
+from rrr_oc.commands import app
+from rrr_oc.commands import diagnose as command
+from rrr_oc.diagnosis import procedure
+from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.held_out import intervals
+from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
+from rrr_oc.diagnosis.search import Search
+from rrr_oc.diagnosis.stages import SHARES, SearchData, Stages
+from rrr_oc.kept import Keeping
+from rrr_oc.progress import Step
+from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.recordings.writer import save_recordings
+from rrr_oc.report import diagnosis_report
+
+ORDER = ["plain model", "search", *(f"search without part {k} of 3" for k in (1, 2, 3)), "held-out check"]
+
+
+class Run:
+    """A diagnosis whose stages are kept in a folder, and what was said of it."""
+
+    def __init__(self, recordings: RecordingSet, folder, asked: str = "these") -> None:
+        self.said: list[str] = []
+        self.steps: list[Step] = []
+        kept = Keeping(folder, {"recordings": asked, "code": "1"}, SimpleNamespace(show=self.said.append))
+        self.found = diagnose(recordings, self.steps.append, None, kept)
+
+
+def numbers(found: Diagnosis) -> str:
+    """All that a diagnosis says, but the seconds that it took."""
+    models = [(m.terms, m.robot.inertial.tolist(), m.noise.tolist()) for m in (found.plain, found.model)]
+    return json.dumps(to_json(found) | {"bootstrap": intervals(found)}) + repr(models)
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory) -> RecordingSet:
+    """Of one joint with quadratic drag."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(chains.arm(1))
+    plant, rng = Plant(folder / "arm.urdf", np.ones(1), np.ones(1), 0.1 * np.ones(1)), np.random.default_rng(1)
+    made = [record(plant, f"{i}.csv", rng, 5.0, 0.01) for i in range(3)]
+    drag = [0.4 * r.dq * np.abs(r.dq) for r in made]
+    return as_set(plant, [r.__class__(**(r.__dict__ | {"tau": r.tau + d})) for r, d in zip(made, drag, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def whole(recordings, tmp_path_factory):
+    """A diagnosis that nobody interrupted, and its folder."""
+    folder = tmp_path_factory.mktemp("whole")
+    return Run(recordings, folder), folder
+
+
+def test_without_a_folder_the_numbers_are_the_same(recordings, whole):
+    assert numbers(diagnose(recordings)) == numbers(whole[0].found)
+    assert [f.term.effect.name for f in whole[0].found.findings] == ["quadratic_drag"]
+    assert whole[0].said == []
+
+
+@pytest.mark.parametrize("stages", range(len(ORDER) + 1))
+def test_a_diagnosis_goes_on_from_any_stage_to_the_same_numbers(recordings, whole, tmp_path, stages, monkeypatch):
+    _, folder = whole
+    for name in ORDER[:stages]:
+        shutil.copy(folder / f".{name}.json", tmp_path)
+    if stages > 1:  # then nothing is searched again on all recordings
+        monkeypatch.setattr(SearchData, "of", lambda *_: pytest.fail("it searched again"))
+    again = Run(recordings, tmp_path)
+    assert numbers(again.found) == numbers(whole[0].found)
+    taken = [line for line in again.said if "taken from" in line]
+    assert len(taken) == (stages if stages < len(ORDER) else 1)  # the last stage has all that the others have
+
+
+def test_other_recordings_are_begun_anew(recordings, whole, tmp_path):
+    shutil.copytree(whole[1], tmp_path, dirs_exist_ok=True)
+    again = Run(recordings, tmp_path, "others")
+    assert numbers(again.found) == numbers(whole[0].found)
+    assert {line.split(": ")[1] for line in again.said} == {f"begun anew, since from the run that {tmp_path} is of differ"}
+    assert all(line.endswith(": recordings") for line in again.said)
+
+
+def test_what_a_search_remembers_is_read_back(recordings):
+    stages = Stages(procedure.plain_model(recordings))
+    _, fitter, every, plain = procedure.ready(recordings, procedure.Priors(), stages)
+    search = Search(fitter, every)
+    at = search.run(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
+    again, there = stages.keep("search", SearchData.of(search, at)).search(Search(fitter, every), stages.start)
+    assert {k: v for k, v in again.visited.items() if k in search.visited} | search.visited == again.visited
+    assert (again.foreseen, again.settled) == (search.foreseen, search.settled)
+    assert there.score == pytest.approx(at.score, abs=0.5)  # [nats]: estimates of the sizes end at a tolerance
+    assert [t.effect for t in there.fitted.model.terms] == [t.effect for t in at.fitted.model.terms]
+
+
+def test_steps_go_forward_through_all_stages(whole):
+    done = [step.done for step in whole[0].steps]
+    assert done == sorted(done)
+    assert 0 <= done[0] <= done[-1] <= 1
+    stages = list(dict.fromkeys(step.stage for step in whole[0].steps))
+    assert stages == [name for name in SHARES if name in stages] == list(SHARES)[:4]
+    assert max(step.tried for step in whole[0].steps if step.stage == "search") > 1
+
+
+def failing(*_):
+    raise RuntimeError("variables [ddq_1] are free")
+
+
+@pytest.mark.parametrize(
+    ("module", "function", "step"),
+    [
+        (command, "in_closed_loop", "tracking"),
+        (procedure, "suggest", "suggested recordings"),
+        (diagnosis_report, "draw_errors", "before_after.png"),
+        (diagnosis_report, "curves", "report.html and prediction.png"),
+    ],
+)
+def test_an_optional_step_that_fails_is_named_and_costs_nothing_else(recordings, tmp_path, monkeypatch, module, function, step):
+    clean = recordings.__class__(**(recordings.__dict__ | {"path": tmp_path / "set"}))
+    save_recordings(clean, tmp_path / "set")
+    monkeypatch.setattr(module, function, failing)
+    ended = CliRunner().invoke(
+        app, ["diagnose", str(tmp_path / "set"), "--out", str(tmp_path / "out"), "--jobs", "1", "--json"]
+    )
+    assert ended.exit_code == 0, ended.output
+    content = json.loads(ended.stdout)  # one document
+    assert content == json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert content["failed"] == {step: "RuntimeError: variables [ddq_1] are free"}
+    assert [e["effect"] for e in content["effects"]] == ["quadratic_drag"]
+    assert (tmp_path / "out" / "model.json").is_file()
+    if step != "report.html and prediction.png":
+        assert ("Not made: " + step in (tmp_path / "out" / "report.html").read_text()) == (step != "before_after.png")
+    steps = [json.loads(line) for line in ended.stderr.splitlines() if line.startswith("{")]
+    assert [s["stage"] for s in steps][-1] == "report"
+    assert all({"stage", "share_done", "tried", "seconds", "seconds_left"} <= s.keys() for s in steps)
