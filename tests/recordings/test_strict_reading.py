@@ -151,6 +151,35 @@ def test_what_only_python_takes_for_a_number_is_none(tmp_path, cell):
         read_table(tmp_path / "a.csv").columns(["t", "q"])
 
 
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_decimals_are_read_exactly(tmp_path, delimiter, end):
+    """Each cell is the number that Python's `float` makes of it, to the last bit; comments, blank lines and words harm nothing."""
+    rng = np.random.default_rng(0)
+    numbers = rng.normal(size=(400, 3)) * 10.0 ** rng.integers(-300, 300, (400, 3))
+    spelled = (repr, "{:.25e}".format, "{:.30f}".format, "{:+.7G}".format, " {:.17g} ".format, "{:.0f}".format)
+    cells = [[spelled[rng.integers(len(spelled))](float(x)) for x in row] for row in numbers]
+    cells[7][1], cells[8][2], cells[9][0], cells[10][2] = "nan", "NaN", "-0.0", "4.9e-324"
+    lines = [delimiter.join(row) for row in cells]
+    lines[3:3] = ["", " # a, b; c", lines.pop(3) + "# 1,2;3"]
+    (tmp_path / "a.csv").write_bytes(end.join([delimiter.join("abc"), *lines]).encode())
+    found = read_table(tmp_path / "a.csv").columns("ca")
+    expected = np.array([[float(row[i]) for row in cells] for i in (2, 0)])
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(np.signbit(found), np.signbit(expected))
+
+
+def test_a_long_row_does_not_make_up_for_a_short_one(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b,c\n1,2,3\n1,2,3,4\n1,2\n")
+    with pytest.raises(UserError, match=r"a\.csv, line 3: 4 cells, but the header names 3 columns"):
+        read_table(tmp_path / "a.csv").columns("ab")
+
+
+def test_an_empty_cell_is_nan(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n0.1,\n,2e-5\n")
+    np.testing.assert_array_equal(read_table(tmp_path / "a.csv").columns("ab"), [[0.1, np.nan], [np.nan, 2e-5]])
+
+
 def test_a_recording_too_short_for_the_filters_does_not_drop_out(recordings, tmp_path):
     save_recordings(recordings, tmp_path / "set")
     lines = (tmp_path / "set" / "0.csv").read_text().splitlines()
