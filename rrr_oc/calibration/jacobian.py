@@ -96,18 +96,17 @@ class Prediction:
         """What is at work in the recording: the springs that it lists, then the model's terms that hold for it."""
         return self.model.physics(self.recording)
 
-    def by_parameters(self, inertial: bool = False, last: bool = False) -> np.ndarray:
+    def by_parameters(self, inertial: bool = False) -> np.ndarray:
         """d `CalibratedModel.output_torque` / d (parameters of the terms, inertial parameters), (n, K, p).
 
         Args:
             inertial: Whether the derivatives by the inertial parameters (10, n) are wanted too, link by link.
-            last: Whether only those by the parameters of the last term are wanted.
         """
-        return self.nonzero_by_parameters(inertial, last).dense(self.model.robot.n)
+        return self.nonzero_by_parameters(inertial).dense(self.model.robot.n)
 
-    def nonzero_by_parameters(self, inertial: bool = False, last: bool = False) -> Columns:
+    def nonzero_by_parameters(self, inertial: bool = False) -> Columns:
         """As `by_parameters`, without those that are 0."""
-        terms, physics, r = self.model.terms[-1:] if last else self.model.terms, self.physics, self.recording
+        terms, physics, r = self.model.terms, self.physics, self.recording
         sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
         inexact = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in terms]  # no torque of the instant
         n, parts = self.model.robot.n, [Columns.none(len(r.t))]
@@ -116,7 +115,7 @@ class Prediction:
             parts.append(self._sensitivity("theta").placed(np.repeat(holds, sizes), ~np.repeat(inexact, sizes)))
         if inertial:
             parts.append(self._sensitivity("inertial").moved(sum(sizes)))
-        if any(t.effect.side == "sensor" for t in self.model.terms):
+        if any(t.effect.side == "sensor" for t in terms):
             dense = Columns.joined(parts, size).dense(n)
             for k in np.flatnonzero(np.any(dense, axis=(0, 1))):
                 dense[:, :, k] = physics.passed_on(r, dense[:, :, k])
