@@ -35,7 +35,18 @@ from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.report.console import PlainConsole
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.robot.robot import load_robot
-from rrr_oc.storage import Made, check_file, check_folder, new_files, plain, read_npz, read_regular, write_npz, write_text
+from rrr_oc.storage import (
+    Made,
+    check_file,
+    check_folder,
+    new_files,
+    new_folder,
+    plain,
+    read_npz,
+    read_regular,
+    write_npz,
+    write_text,
+)
 
 PLANT = Plant("rrr", np.full(3, 5.0), np.full(3, 10.0), np.full(3, 0.2))
 
@@ -271,6 +282,34 @@ def test_progress_on_a_terminal_takes_names_literally():
     assert SHOWN in written
     assert not set("\x9b\u202e") & set(written)
     assert "\x1b[31m\\u009b" not in written
+
+
+def test_links_in_a_circle_are_refused(recordings, tmp_path):
+    """Before a computation as well as after it, at the name itself and behind it; Python's own error depends on its version."""
+    (tmp_path / "circle").symlink_to("circle")
+    said = "is, or lies behind, a link that leads in a circle"
+    for path in (tmp_path / "circle", tmp_path / "circle" / "model.json"):
+        for use in (check_file, check_folder, lambda at: check_apart([], [at]), lambda at: check_apart([at], [])):
+            with pytest.raises(UserError, match=said):
+                use(path)
+        for read in (read_regular, load_model, read_table, load_priors, load_robot, load_recordings):
+            with pytest.raises(UserError):
+                read(path)
+        for write in (lambda at: new_files(at, []), new_folder):
+            with pytest.raises(UserError, match="cannot be written"), write(path):
+                pass
+    save_recordings(recordings, tmp_path / "set")
+    (tmp_path / "set" / "0.csv").unlink()
+    (tmp_path / "set" / "0.csv").symlink_to("0.csv")
+    with pytest.raises(UserError, match=rf"0\.csv: {said}"):
+        load_recordings(tmp_path / "set")
+
+
+def test_a_link_to_nothing_is_no_folder(tmp_path):
+    (tmp_path / "link").symlink_to("nothing")
+    with pytest.raises(UserError, match=r"link: is a link to nothing; a folder is required"):
+        check_folder(tmp_path / "link")
+    check_file(tmp_path / "link")  # a file takes its place
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/null")])
