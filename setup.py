@@ -17,7 +17,7 @@ site = Path(cmeel.__file__).parent.parent
 include = site / "cmeel.prefix" / "include"
 casadi_dir = Path(casadi.__file__).parent
 # No run path: `import casadi` comes first and brings the library of this SONAME along.
-libcasadi = str(next(casadi_dir.glob("libcasadi.so.*")))
+libcasadi = str(next(path for name in ("libcasadi.so.*", "libcasadi.*.dylib") for path in casadi_dir.glob(name)))
 # pip builds in a folder of a random name, which headers would otherwise leave in messages of errors.
 without_folders = f"-ffile-prefix-map={site}=site-packages"
 

@@ -92,9 +92,8 @@ def taken(run: Kept, name: str, files: Sequence[str] = ()) -> dict[str, Any] | N
         if content is None or (not changed and content["hash"] != _hash(run, content["found"], files)):
             run.listener.show(f"{name}: what is saved in {run.out} is damaged; it is made again")
         elif changed:
-            run.listener.show(
-                f"{name}: begun anew; what is saved in {run.out} was made with another {' and another '.join(changed)}"
-            )
+            others = ", ".join(changed)
+            run.listener.show(f"{name}: begun anew; what is saved in {run.out} was made with other settings: {others}")
         else:
             return content["found"]
     saved.unlink(missing_ok=True)  # the motion beside it is about to change

@@ -4,6 +4,7 @@ What has its name is on the disk, so that a loss of power does not leave it empt
 which the next one that writes there removes; a lock tells it from one that is still being written.
 """
 
+import errno
 import fcntl
 import hashlib
 import io
@@ -33,6 +34,16 @@ RESULTS_DEPEND_ON = ("casadi", "cma", "mujoco", "numpy", "pin", "scipy")
 SHOWN_BY = ("commands", "report")  # folders of this package that show results and compute none
 LARGEST = 2_000_000_000  # [bytes] of a file that is read; doubled, a file of this size may take all memory of a small machine
 NEW = partial(Path.touch, exist_ok=False)  # makes a file that must not be there yet
+
+
+def resolved(path: Path) -> Path:
+    """Where a path leads, with links followed; raises `UserError` where they lead in a circle."""
+    try:
+        path.stat()
+    except OSError as error:
+        if error.errno == errno.ELOOP:  # for which Python's own error depends on its version
+            raise UserError(f"{path}: is, or lies behind, a link that leads in a circle") from None
+    return path.resolve()
 
 
 def read_regular(path: str | Path) -> bytes:
@@ -189,6 +200,7 @@ def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
 def check_file(path: str | Path) -> None:
     """Raise `UserError` where no file of this name could be written; for checks before a long computation."""
     path = Path(path).absolute()
+    resolved(path)
     with _as_user_error(path):
         _check_replaceable(path)
         _check_place(path.parent)
@@ -197,9 +209,10 @@ def check_file(path: str | Path) -> None:
 def check_folder(path: str | Path) -> None:
     """Raise `UserError` where no files could be written into a folder of this name, existing or new."""
     path = Path(path).absolute()
+    resolved(path)
     with _as_user_error(path):
-        if path.exists() and not path.is_dir():
-            raise UserError(f"{path}: is a file; a folder is required")
+        if (path.exists() or path.is_symlink()) and not path.is_dir():
+            raise UserError(f"{path}: is {'a file' if path.exists() else 'a link to nothing'}; a folder is required")
         _check_place(path)
 
 

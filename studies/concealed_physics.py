@@ -39,8 +39,8 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.commands.shared import Jobs, Workers
 from rrr_oc.diagnosis.candidates import Screen, signatures
-from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.evidence import solve
+from rrr_oc.diagnosis.files.diagnosis_file import to_json
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.procedure import diagnose, ready
 from rrr_oc.effects import CATALOGUE, Effect, Trial

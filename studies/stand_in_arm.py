@@ -14,7 +14,6 @@ from typing import Annotated
 
 import mujoco
 import numpy as np
-import pandas as pd
 import typer
 from rich.console import Console
 from scipy.interpolate import CubicSpline
@@ -22,6 +21,7 @@ from scipy.interpolate import CubicSpline
 # pyright: reportAttributeAccessIssue=false
 # (mujoco has no stubs)
 from rrr_oc.errors import UserError, entry_point
+from rrr_oc.recordings.csv_table import read_table
 from rrr_oc.storage import new_folder, write_csv, write_json
 
 STEP, SAMPLES = 0.001, 5  # [s] of the engine; steps between two rows of a recording
@@ -64,9 +64,9 @@ def compiled(urdf: Path, mass: float) -> mujoco.MjModel:
 def read_motion(file: Path, joints: list[str]) -> CubicSpline:
     """Positions of the joints over time, as a spline."""
     try:
-        table = pd.read_csv(file)
-        return CubicSpline(table["t"], table[[f"q_{joint}" for joint in joints]])
-    except (OSError, ValueError, KeyError) as error:
+        t, *q = read_table(file).columns(["t", *(f"q_{joint}" for joint in joints)])
+        return CubicSpline(t, np.array(q).T)
+    except (UserError, ValueError) as error:
         raise UserError(f"{file}: not a motion of {', '.join(joints)} with columns t and q_<joint> ({error})") from None
 
 

@@ -1,6 +1,6 @@
 """Covariance and intervals of estimates, robust where residuals are autocorrelated.
 
-The estimator is ours: HAC covariances of statsmodels (Newey–West) weigh lags by a kernel, know no gaps between recordings and no
+The estimator is ours: the usual HAC covariances (Newey–West) weigh lags by a kernel, know no gaps between recordings and no
 Student distribution for short ones, and would give other intervals.
 """
 

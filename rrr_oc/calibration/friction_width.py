@@ -18,37 +18,23 @@ from rrr_oc.recordings.recording import Recording
 
 WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], grid whose best point is refined; its ends bound the width
 FINE = 0.005  # of a width, to which the best is found; doubled, the error looks like friction that varies at low speed
-FALL_OFF = (0.1, 0.2, 0.4)  # of a joint's highest speed, over which friction may fall off; doubled, less freedom at low speed
 LEAST_GAIN = 12.0  # of twice the log-likelihood: below 0.1 % by chance; doubled, more joints keep the nominal width
 DIFFERENCE = 0.01  # of a width, for derivatives by it; doubled, no change within the standard errors
 MOST_CHANGE = 1.2  # factor by which one step may change a width; doubled, steps leave the range where derivatives hold
 
 
-def with_widths(
-    prepared: Sequence[Prepared], model: CalibratedModel, free: bool = False, least_gain: float = LEAST_GAIN
-) -> CalibratedModel:
+def with_widths(prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:
     """The model with the width of each joint's dry friction, between the ends of `WIDTHS`, of the least residual.
 
     The model's own width stays unless another raises twice the log-likelihood, counted in independent samples, by more than
-    `least_gain`. Unknown inertial parameters are free in the comparison. The other friction of a joint gets the same width.
-
-    Args:
-        free: Whether friction may also fall off over speed in the comparison, so that such an effect, if the model lacks it, is not
-            taken for an abrupt change of sign.
-        least_gain: 0 for the best width, significant or not.
+    `LEAST_GAIN`. Unknown inertial parameters are free in the comparison. The other friction of a joint gets the same width.
     """
     columns = np.cumsum([0, *(len(term.estimates) for term in model.terms)])
     chosen = [i for i, t in enumerate(model.terms) if t.effect.sign_forms and t.width is not None]
     if not chosen:
         return model
     found = rows(prepared, model, inertial=model.inertial == "identify")
-    fastest = np.max([np.quantile(np.abs(p.recording.dq), 0.99, axis=1) for p in prepared], axis=0)
-    fastest = np.maximum(fastest, 1e-3)  # a joint may stand still
-    speeds = np.array(FALL_OFF if free else ())[:, None] * fastest
-    widths = {
-        model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i]), speeds, least_gain)
-        for i in chosen
-    }
+    widths = {model.terms[i].effect.joints: _best_width(prepared, found, model.terms[i], int(columns[i])) for i in chosen}
     return replace(model, terms=tuple(widened(term, widths) for term in model.terms))
 
 
@@ -58,10 +44,8 @@ def widened(term: Term, widths: Mapping[tuple[int, ...], float]) -> Term:
     return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 
 
-def _best_width(
-    prepared: Sequence[Prepared], found: Rows, term: Term, column: int, speeds: np.ndarray, least_gain: float
-) -> float:
-    """The best width of a joint's dry friction, which may fall off beyond speeds (m, n), beside all other columns."""
+def _best_width(prepared: Sequence[Prepared], found: Rows, term: Term, column: int) -> float:
+    """The best width of a joint's dry friction, beside all other columns; the term's own unless another is significantly better."""
     (j,), own = term.effect.joints, cast(float, term.width)
     others = found.jacobian[j][:, np.any(found.jacobian[j] != 0, axis=0) & (np.arange(found.jacobian.shape[2]) != column)]
     span = orth(others / lengths(others.T @ others))
@@ -69,12 +53,12 @@ def _best_width(
     target = target - span @ (span.T @ target)
 
     def left(width: float) -> float:
-        laws = filtered(prepared, lambda r: _unit_laws(term, r, width, speeds[:, j]), [j] * (1 + len(speeds))).T
-        laws = laws - span @ (span.T @ laws)
-        return float(np.sum((target - laws @ np.linalg.lstsq(laws, target, rcond=1e-9)[0]) ** 2))
+        law = filtered(prepared, lambda r: _unit_law(term, r, width), [j]).T
+        law = law - span @ (span.T @ law)
+        return float(np.sum((target - law @ np.linalg.lstsq(law, target, rcond=1e-9)[0]) ** 2))
 
     best, count = best_width(left), found.moving[j].sum() * STRIDE / CORRELATION
-    return best if count * (left(own) / max(left(best), 1e-300) - 1) > least_gain else own
+    return best if count * (left(own) / max(left(best), 1e-300) - 1) > LEAST_GAIN else own
 
 
 def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:
@@ -86,13 +70,11 @@ def best_width(cost: Callable[[float], float], fine: float = FINE) -> float:
     return min((costs[k], WIDTHS[k]), (float(between.fun), float(np.exp(between.x))))[1]
 
 
-def _unit_laws(term: Term, recording: Recording, width: float, speeds: np.ndarray) -> np.ndarray:
-    """Dry friction of level 1, constant and falling off beyond each of the speeds (m,), (1 + m, K)."""
-    (j,), dq = term.effect.joints, recording.dq
+def _unit_law(term: Term, recording: Recording, width: float) -> np.ndarray:
+    """Dry friction of level 1, (1, K)."""
     (parameter,) = term.effect.parameters
-    (torque,) = term.effect.torque(Signals(recording.q, dq), {parameter.name: 1.0}, width)
-    constant = np.array(torque).reshape(-1)
-    return np.array([constant, *(constant * np.exp(-((dq[j] / speed) ** 2)) for speed in speeds)])
+    (torque,) = term.effect.torque(Signals(recording.q, recording.dq), {parameter.name: 1.0}, width)
+    return np.array(torque).reshape(1, -1)
 
 
 def with_step_of_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> CalibratedModel:

@@ -20,9 +20,9 @@ from rrr_oc.calibration.covariance import Covariance, covariance_of_some, interv
 from rrr_oc.calibration.friction_width import LEAST_GAIN, with_step_of_widths, with_widths_free
 from rrr_oc.calibration.least_squares import GaussNewton, normal_equations
 from rrr_oc.calibration.prediction_error import error
-from rrr_oc.calibration.regression import Rows, is_linear, rows, with_residuals
+from rrr_oc.calibration.regression import Rows, rows, with_residuals
 from rrr_oc.calibration.samples import CORRELATION, FILTER, STRIDE, Prepared, noise, without_spikes
-from rrr_oc.calibration.term_fit import TermFit, TermPoint, bounds, labels, with_estimates
+from rrr_oc.calibration.term_fit import TermPoint, bounds, labels, minimum, with_estimates
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.rank import condition, undetermined
@@ -108,7 +108,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
 
 def _minimum(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
     """The point with the least weighted squares of the residuals within the parameters' bounds."""
-    return TermFit(prepared, is_linear(prepared, at.model), fix_undetermined=True).minimum(at, OPTIONS)
+    return minimum(prepared, at, OPTIONS)
 
 
 def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:

@@ -97,18 +97,17 @@ class Prediction:
         """What is at work in the recording: the springs that it lists, then the model's terms that hold for it."""
         return self.model.physics(self.recording)
 
-    def by_parameters(self, inertial: bool = False, last: bool = False) -> np.ndarray:
+    def by_parameters(self, inertial: bool = False) -> np.ndarray:
         """d `CalibratedModel.output_torque` / d (parameters of the terms, inertial parameters), (n, K, p).
 
         Args:
             inertial: Whether the derivatives by the inertial parameters (10, n) are wanted too, link by link.
-            last: Whether only those by the parameters of the last term are wanted.
         """
-        return self.nonzero_by_parameters(inertial, last).dense(self.model.robot.n)
+        return self.nonzero_by_parameters(inertial).dense(self.model.robot.n)
 
-    def nonzero_by_parameters(self, inertial: bool = False, last: bool = False) -> Columns:
+    def nonzero_by_parameters(self, inertial: bool = False) -> Columns:
         """As `by_parameters`, without those that are 0."""
-        terms, physics, r = self.model.terms[-1:] if last else self.model.terms, self.physics, self.recording
+        terms, physics, r = self.model.terms, self.physics, self.recording
         sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
         inexact = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in terms]  # no torque of the instant
         n, parts = self.model.robot.n, [Columns.none(len(r.t))]
@@ -119,7 +118,7 @@ class Prediction:
             )
         if inertial:
             parts.append(self._sensitivity("inertial", self.physics.inertial).moved(sum(sizes)))
-        if any(t.effect.side == "sensor" for t in self.model.terms):
+        if any(t.effect.side == "sensor" for t in terms):
             dense = Columns.joined(parts, size).dense(n)
             for k in np.flatnonzero(np.any(dense, axis=(0, 1))):
                 dense[:, :, k] = physics.passed_on(r, dense[:, :, k])
@@ -137,17 +136,12 @@ class Prediction:
         named = self.physics.named()
         if any(effect.side == "sensor" or ("load" in effect.inputs and self.model.torque != "load") for effect, *_ in named):
             return None
-        robot, arm = self.model.robot, [(e, tuple(theta.values())) for e, theta, _ in named if e.side in ("body", "motion")]
-        moved = self._at_work["load"] if self._link_moves else ()
-        return (*arm, *moved, *(x.tobytes() for x in (robot.placements, robot.axes, robot.gravity)))
-
-    @property
-    def _link_moves(self) -> bool:
-        return any(effect.moves_link for effect, *_ in self.physics.named())
+        robot, bodies = self.model.robot, [(e, tuple(theta.values())) for e, theta, _ in named if e.side == "body"]
+        return (*bodies, *(x.tobytes() for x in (robot.placements, robot.axes, robot.gravity)))
 
     def by_inertial(self) -> Columns:
         """d `CalibratedModel.output_torque` / d inertial parameters (10, n), link by link, without the model's sensors."""
-        if self.regressor_depends_on is None or self._link_moves:
+        if self.regressor_depends_on is None:
             return self._sensitivity("inertial", self.physics.inertial)
         # They do not depend on the inertial parameters: those of unit bodies give the same bits, whichever model asked first
         return self._sensitivity("inertial", np.tile(UNIT_BODY, (self.model.robot.n, 1)).T)
@@ -266,7 +260,7 @@ class Prediction:
         load = of("link", "body", "motion")
         return {
             "load": load,
-            "body": load if self._link_moves else of("body", "motion"),
+            "body": load if any(effect.moves_link for effect, *_ in named) else of("body", "motion"),
             "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
         }
 

@@ -56,7 +56,6 @@ def gauss_newton(
     tried: Callable[[Point, Sequence[np.ndarray]], Iterable[tuple[Point, float]]],
     how: GaussNewton,
     accepted: Callable[[Point, Point], Point] = lambda _, there: there,
-    again: Callable[[Point, bool], Point | None] = lambda *_: None,
 ) -> Point:
     """The point of least cost, from a start: steps to the minimum of the quadratic, shortened until the cost falls.
 
@@ -64,23 +63,18 @@ def gauss_newton(
         near: The cost near a point; weights that depend on the residual are those of the point.
         tried: Points after steps from a point, and their costs under its weights, one by one as they are asked for.
         accepted: The point to go on from after a successful step, from the points before and after it.
-        again: The point to go on from where the search would end: because no step promises enough (False), or because none of
-            those tried lowers the cost (True). None ends it.
     """
     for _ in range(how.steps):
         value, matrix, right, lower, upper = near(at)
         step = box_step(matrix, right, lower, upper)
-        found, promising = None, not step @ (2 * right - matrix @ step) < how.promise * value
-        if promising:
-            results = tried(at, [fraction * step for fraction in how.fractions])
-            found = next((one for one in results if one[1] <= value * (1 + how.rise)), None)
-        if found is not None:
-            at = accepted(at, found[0])
-            if value - found[1] < how.gain * value:
-                break
-        elif (other := again(at, promising)) is not None:
-            at = other
-        else:
+        if step @ (2 * right - matrix @ step) < how.promise * value:
+            break
+        results = tried(at, [fraction * step for fraction in how.fractions])
+        found = next((one for one in results if one[1] <= value * (1 + how.rise)), None)
+        if found is None:
+            break
+        at = accepted(at, found[0])
+        if value - found[1] < how.gain * value:
             break
     return at
 

@@ -52,24 +52,18 @@ class Rows:
         return float(weights @ np.sum(self.residual**2, axis=1))
 
 
-def rows(
-    prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False, without_last: Rows | None = None
-) -> Rows:
+def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False) -> Rows:
     """The rows of a model: derivatives by the parameters of its terms in their order.
 
     Args:
         inertial: Whether derivatives by the inertial parameters (10, n) follow, link by link in the order of `Robot.inertial`.
-        without_last: Rows of the model without its last term, from which all other derivatives are taken as they are.
     """
-    parts = [_rows(p, model, inertial, without_last is not None) for p in prepared]
+    parts = [_rows(p, model, inertial) for p in prepared]
     stretches, start = [], 0
     for part in parts:
         stretches += [slice(start + s.start, start + s.stop) for s in part.stretches]
         start += part.residual.shape[1]
     jacobian = np.concatenate([p.jacobian for p in parts], axis=1)
-    if without_last is not None:
-        at = sum(len(t.estimates) for t in model.terms[:-1])
-        jacobian = np.concatenate([without_last.jacobian[:, :, :at], jacobian, without_last.jacobian[:, :, at:]], axis=2)
     values = model.values
     sizes = np.maximum(np.abs(np.append(values, np.zeros(jacobian.shape[2] - len(values)))), 1.0)
     largest = np.maximum(jacobian.max(axis=(0, 1), initial=0.0), -jacobian.min(axis=(0, 1), initial=0.0))
@@ -112,15 +106,6 @@ def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray
     return np.concatenate([p.passed(law(p.recording), joints) for p in prepared], axis=1)
 
 
-def variance(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
-    """Variance of white noise whose filtered samples would be as large as the residuals of the rows that count, (n,) [(Nm)²]."""
-    square = white = 0.0
-    for p in prepared:
-        square = square + np.sum(_filtered_residuals(p, model) ** 2, axis=1)
-        white = white + np.sum((p.matrix.multiply(p.matrix) @ p.moving.T).T * p.counted, axis=1)
-    return square / np.maximum(white, 1e-300)
-
-
 def _starts(prepared: Prepared, model: CalibratedModel, physics: Physics) -> list[np.ndarray]:
     """Orthonormal bases (kept, m) of what the unknown starts of the stretches may add to the filtered torque of each joint."""
     r, n = prepared.recording, len(prepared.measured)
@@ -149,10 +134,10 @@ def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarra
     return _cleared(prepared.passed(residual, range(len(residual))), _starts(prepared, model, physics))
 
 
-def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool) -> Rows:
+def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
     at = Prediction(model, prepared.recording)
     residual = residuals(prepared, model, at.physics)
-    jacobian = _derivatives(prepared, at, inertial and not last, last)
+    jacobian = _derivatives(prepared, at, inertial)
     _, stretches, durations = kept_rows(prepared.recording)
     starts = _starts(prepared, model, at.physics)
     return Rows(
@@ -164,11 +149,11 @@ def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, last: bool
     )
 
 
-def _derivatives(prepared: Prepared, at: Prediction, inertial: bool, last: bool) -> np.ndarray:
+def _derivatives(prepared: Prepared, at: Prediction, inertial: bool) -> np.ndarray:
     """Filtered derivatives at the rows that are kept, (n, kept, p); those by inertial parameters once for as long as they hold."""
     depends_on = at.regressor_depends_on if inertial else None
     if depends_on is None:
-        return _filtered(prepared, at.nonzero_by_parameters(inertial, last))
+        return _filtered(prepared, at.nonzero_by_parameters(inertial))
     if _REGRESSORS.get(prepared, (None,))[0] != depends_on:
         _REGRESSORS[prepared] = depends_on, _filtered(prepared, at.by_inertial())
     return np.concatenate([_filtered(prepared, at.nonzero_by_parameters()), _REGRESSORS[prepared][1]], axis=2)

@@ -119,19 +119,6 @@ def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared,
     return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01)), share) for p in prepared)
 
 
-def without_reversals(prepared: Sequence[Prepared], joints: np.ndarray | bool = True) -> tuple[Prepared, ...]:
-    """The recordings without the samples near a joint's reversal, within the window of its speed.
-
-    Smoothed speeds do not tell which way abrupt friction points there, and friction that turns a little too early or too late
-    looks like an effect at low speed.
-
-    Args:
-        joints: Which joints lose these samples, (n,).
-    """
-    chosen = np.reshape(joints, (-1, 1))
-    return tuple(replace(p, moving=p.moving & ~(_turning(p.recording) & chosen)) for p in prepared)
-
-
 def residuals(prepared: Prepared, model: CalibratedModel, physics: Physics | None = None) -> np.ndarray:
     """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]; `physics` of the recording, if it is at hand."""
     return prepared.measured - model.output_torque(prepared.recording, physics)

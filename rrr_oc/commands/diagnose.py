@@ -10,9 +10,9 @@ from rich.table import Table
 from rrr_oc import __version__, parallel
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, command_line, loaded, shown
+from rrr_oc.diagnosis.files.stages import SHARES
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
-from rrr_oc.diagnosis.stages import SHARES
 from rrr_oc.effects.priors import load_priors
 from rrr_oc.effects.words import joint_words
 from rrr_oc.errors import noted

@@ -14,6 +14,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.schema import HEAVIEST
+from rrr_oc.storage import resolved
 
 Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
@@ -67,11 +68,11 @@ def loaded(dataset: Path, output: Output) -> RecordingSet:
 
 def check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:
     """Raise `UserError` where what is to be written would take the place of what was read; a name may be a pattern such as *.png."""
-    inputs = [place for path in read for place in (path.absolute(), path.resolve())]
+    inputs = [place for path in read for place in (path.absolute(), resolved(path))]
     for path in written:
-        folder = path.absolute().parent
+        folder, leads_to = path.absolute().parent, resolved(path)
         for one in inputs:
-            same = one == path.resolve() or (fnmatch(one.name, path.name) and one.parent in (folder, folder.resolve()))
+            same = one == leads_to or (fnmatch(one.name, path.name) and one.parent in (folder, folder.resolve()))
             if same:
                 raise UserError(f"{one}: is read by this command and would be overwritten; another place is required")
 

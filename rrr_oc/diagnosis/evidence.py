@@ -114,6 +114,19 @@ class Joint:
         none = np.zeros((0, 0))
         return cls(noise, diags(scale) @ white, none, np.zeros(0), none, float(log_det), count), sigma
 
+    @classmethod
+    def weighted(cls, data: Data, j: int, noise: Noise, weights: np.ndarray, log_det: float) -> "Joint":
+        """A joint whose rows have these weights (M,) in the noise, W with this logarithm of its determinant; see `weights`."""
+        white, _ = noise.whitening(data.place[j], data.turning[j])
+        none = np.zeros((0, 0))
+        one = cls(noise, diags(weights) @ white, none, np.zeros(0), none, log_det, int(data.counted[j].sum()))
+        return one.with_features(data.features[j])
+
+    def weights(self, data: Data, j: int) -> np.ndarray:
+        """By how much each row counts, beside the noise's own filters, (M,); 1 where the noise is normal."""
+        own, plain = self.white.diagonal(), self.noise.whitening(data.place[j], data.turning[j])[0].diagonal()
+        return np.divide(own, plain, out=np.ones_like(own), where=plain != 0)
+
     def with_features(self, features: np.ndarray) -> "Joint":
         """The joint with the features of its discrepancy (M, F)."""
         x = self.white @ features

@@ -85,7 +85,7 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     share: dict[Identity, float] = {}
     for structure, p in every:
         for key in identities(structure):
-            share[key] = share.get(key, 0.0) + p
+            share[key] = min(share.get(key, 0.0) + p, 1.0)  # which rounding may exceed
     own = [identity(t.effect) for t in at.fitted.extra]
     findings, named = [], set(own)
     for i, term in enumerate(at.fitted.extra):

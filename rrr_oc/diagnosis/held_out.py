@@ -15,11 +15,11 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, summary
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.evidence import Joint, Posterior
+from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.knobs import ABSORBED
 from rrr_oc.diagnosis.search import Search
-from rrr_oc.diagnosis.stages import Fold, FoldData, Stages
 from rrr_oc.errors import reason
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.storage import number

@@ -17,14 +17,7 @@ from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_spikes
 from rrr_oc.calibration.term_fit import bounds
 from rrr_oc.diagnosis.data import Data
-from rrr_oc.diagnosis.findings import Finding, Possible, found
-from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
-from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
-from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
-from rrr_oc.diagnosis.search import Kind, Search, State, beside, kind
-from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
-from rrr_oc.diagnosis.stages import (
+from rrr_oc.diagnosis.files.stages import (
     SHARES,
     FindingData,
     FoldData,
@@ -35,6 +28,13 @@ from rrr_oc.diagnosis.stages import (
     SuggestionData,
     numbers,
 )
+from rrr_oc.diagnosis.findings import Finding, Possible, found
+from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
+from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
+from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
+from rrr_oc.diagnosis.search import Kind, Search, State, beside, kind
+from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
 from rrr_oc.effects.priors import Priors

@@ -5,11 +5,11 @@ what is missing is found by linear algebra on few numbers.
 """
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import REST_SPEED, Prepared
 from rrr_oc.effects import CATALOGUE, Signals, Trial, View
@@ -98,17 +98,6 @@ def _ranges(prepared: Sequence[Prepared], model: CalibratedModel) -> dict[tuple[
         ):
             found[name, i] = (float(low), max(float(high), float(low) + 1e-6))
     return found
-
-
-def as_seen(prepared: Sequence[Prepared], model: CalibratedModel, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The terms for a fit to other recordings: series start at 0, over the part of their range that these recordings cover."""
-    if all(t.effect.has_edges or not t.effect.validity for t in terms):
-        return tuple(terms)
-    result, ranges = [], _ranges(prepared, model)
-    for term in terms:
-        effect = term.effect.renewed(ranges)
-        result.append(term if effect is None else replace(term, effect=effect).with_values(0 * term.values))
-    return tuple(result)
 
 
 @dataclass(frozen=True)

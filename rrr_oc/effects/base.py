@@ -426,10 +426,6 @@ class Effect:
         """
         return ()
 
-    def travel(self, theta: Mapping[str, float]) -> float | None:
-        """Travel over which its friction builds up after a reversal [rad]; None where it needs none."""
-        return None
-
     # beliefs before recordings are seen
 
     @property
@@ -442,11 +438,6 @@ class Effect:
     def equivalents(self, theta: Mapping[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
         """Effects, with parameters, of the same law over part of the range, more probable where only some recordings have it."""
         yield from ()
-
-    @property
-    def precedence(self) -> tuple["Effect", ...]:
-        """Laws that are preferred to this one where noise hides most of the difference."""
-        return ()
 
     # black-box terms, which represent a torque that no law explains
 
@@ -464,19 +455,6 @@ class Effect:
     def validity(self) -> tuple[tuple[tuple[str, int], float, float], ...]:
         """What it depends on, with the range of validity (least, greatest)."""
         return ()
-
-    @property
-    def has_edges(self) -> bool:
-        """Whether it begins at an edge within its range; else it is a series over the range."""
-        return False
-
-    def near(self, step: float) -> Iterator["Effect"]:
-        """The same with one of its edges moved by a share `step` of the range, either way."""
-        yield from ()
-
-    def renewed(self, ranges: Mapping[tuple[str, int], tuple[float, float]]) -> "Effect | None":
-        """A series over the ranges that other recordings show; None for an effect that keeps its range."""
-        return None
 
     def without_range(self) -> "Effect":
         """The effect without the range that recordings gave it, for comparisons."""

@@ -1,6 +1,5 @@
 """Which directions of a least-squares problem the data determine: one test, on columns scaled to length 1."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +9,7 @@ from scipy.linalg import eigh
 # count, which are squares of singular values.
 DETERMINED = 1e-10  # over the largest: steps, estimates, pseudo-inverses. Rounding is 1e-16 per parameter; doubled, no change
 ROUNDING = 1e-15  # over the largest: a condition number is infinite. Tighter, since 1e6 is worth reporting; doubled, no change
-UNIQUE = 1e-7  # share of a signature that a model's parameters cannot reproduce. Looser: what is left is compared with noise
-UNIQUE_TOGETHER = 1e-6  # the same for several signatures, which may also reproduce each other
-COLUMN = 1e-8  # length of a column's rest over its own: structural dependence, tested at random states without noise
-COLUMN_PROJECTED = 1e-7  # the same, of columns less their projection on others, which costs a digit
+COLUMN = 1e-8  # length of a column's rest over its own, or over 1 if that is more: structural dependence, tested at random states without noise
 TAKES_PART = 1e-3  # share of an undetermined direction: a parameter with more of it is undetermined; doubled, no change
 
 
@@ -34,17 +30,11 @@ class Directions:
     determined: np.ndarray
 
     @classmethod
-    def of(cls, matrix: np.ndarray, tolerance: float = DETERMINED, scale: np.ndarray | None = None) -> "Directions":
-        """The directions of a normal matrix (p, p), and which are determined: eigenvalues above `tolerance` times the largest.
-
-        Args:
-            scale: Lengths of the columns, where `matrix` holds what is left of them after a projection; eigenvalues then count
-                as they are. By default the lengths are those that the matrix says.
-        """
-        own = scale is None
-        scale = lengths(matrix) if scale is None else scale
+    def of(cls, matrix: np.ndarray, tolerance: float = DETERMINED) -> "Directions":
+        """The directions of a normal matrix (p, p), and which are determined: eigenvalues above `tolerance` times the largest."""
+        scale = lengths(matrix)
         values, vectors = eigh(matrix / np.outer(scale, scale))  # numpy's (LAPACK's syevd) fails on some finite matrices
-        return cls(scale, values, vectors, values > tolerance * (max(values.max(initial=0.0), 1e-300) if own else 1.0))
+        return cls(scale, values, vectors, values > tolerance * max(values.max(initial=0.0), 1e-300))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The least solution of matrix @ x = right in scaled parameters, with undetermined directions left out, (p,)."""
@@ -76,20 +66,13 @@ def condition(matrix: np.ndarray) -> float:
     return float(np.sqrt(found.values[-1] / found.values[0])) if len(found.values) and found.determined.all() else float("inf")
 
 
-def independent_columns(
-    columns: np.ndarray, tolerance: float = COLUMN, length: float = 1.0, order: Sequence[int] | None = None
-) -> np.ndarray:
-    """Indices of columns (K, p) that do not depend linearly on those taken before them, in their order.
-
-    Args:
-        tolerance: Length of a column's rest over its own, or over `length` if that is more.
-        order: In which columns are taken; from the first to the last by default.
-    """
+def independent_columns(columns: np.ndarray) -> np.ndarray:
+    """Indices of columns (K, p) that do not depend linearly on those taken before them, from the first to the last."""
     upper = np.asarray(np.linalg.qr(columns, mode="r"))
     chosen: list[int] = []
-    for column in range(columns.shape[1]) if order is None else order:
+    for column in range(columns.shape[1]):
         target = upper[:, column]
         rest = target - upper[:, chosen] @ np.linalg.lstsq(upper[:, chosen], target, rcond=None)[0] if chosen else target
-        if np.linalg.norm(rest) > tolerance * max(length, float(np.linalg.norm(target))):
-            chosen.append(int(column))
+        if np.linalg.norm(rest) > COLUMN * max(1.0, float(np.linalg.norm(target))):
+            chosen.append(column)
     return np.array(chosen, int)

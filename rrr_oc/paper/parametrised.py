@@ -86,12 +86,6 @@ class RestrictedDesign:
         via = [np.ravel(phase.states(s)[:m], order="F") for phase in guess.phases]
         return np.concatenate([guess.parameters, [phase.duration for phase in guess.phases], *via])
 
-    def start_at(self, x: np.ndarray) -> np.ndarray:
-        """Variables of a vector of the encoding."""
-        decoded = self.encoding.decode(x[None])
-        _, T, via = self.encoding.split(self.encoding.values(x[None]))
-        return np.concatenate([decoded.theta[:, 0], T[:, 0], *[np.ravel(v[:, :, 0], order="F") for v in via]])
-
     def cost(self, w: np.ndarray, widths: tuple[float, float], margin: np.ndarray) -> float:
         """The program's cost [N²m²s] of variables, with the widths of Akima's weights and of the springs [rad]."""
         return float(self._f(w / self._scale, widths, margin)) * self.encoding.design.problem.cost_scale

@@ -1,7 +1,5 @@
-"""CSV files of numbers under a header line: read by pandas, with exact line numbers where they are wrong."""
+"""CSV files of numbers under a header line: read by numpy, with exact line numbers where they are wrong."""
 
-import csv
-import io
 import itertools
 import math
 import re
@@ -24,7 +22,7 @@ class Table:
     """A CSV file whose header has been read.
 
     Blank lines, text after `#`, a byte-order mark, CRLF, quotes and spaces around names, and `;` or tabs in place of commas
-    are harmless. A header may stand behind `#`, where `numpy.savetxt` puts it. An empty cell is a NaN, as pandas writes it.
+    are harmless. A header may stand behind `#`, where `numpy.savetxt` puts it. An empty cell is a NaN.
 
     Attributes:
         path: The file.
@@ -47,40 +45,28 @@ class Table:
 
         Raises `UserError` for a row with more or fewer cells than the header and a cell that is no number.
         """
-        indices = [self.names.index(name) for name in names]
-        values = self._parsed(indices)
+        indices, rows = [self.names.index(name) for name in names], list(self._rows())
+        values = self._parsed([content for _, content in rows], indices)
         if values is not None:
             return values
-        rows = [self._row(number, content, indices) for number, content in self._rows()]
-        return np.array(rows, float).reshape(-1, len(indices)).T
+        return np.array([self._row(number, content, indices) for number, content in rows], float).reshape(-1, len(indices)).T
 
     def line(self, row: int) -> int:
         """Number of the line that holds a row of `columns`."""
         return next(itertools.islice(self._rows(), row, None))[0]
 
-    def _parsed(self, indices: list[int]) -> np.ndarray | None:
-        """Values as pandas reads them; None where it refuses the file or would accept a wrong row."""
-        import pandas  # takes half a second, so only where a recording is read
-
-        body = self.data[self.start :]
-        if any(word in body for word in (b"rue", b"RUE", b"alse", b"ALSE")):  # it takes "true" for 1
+    def _parsed(self, rows: Sequence[str], indices: Sequence[int]) -> np.ndarray | None:
+        """Values as numpy reads them; None where it refuses a cell, as an empty one, or would accept a wrong row."""
+        if not rows or any(row.count(self.delimiter) != len(self.names) - 1 for row in rows):
             return None
-        if len(next((content for _, content in self._rows()), "").split(self.delimiter)) != len(self.names):
-            return None  # it cuts off what the first row has too much
         try:
-            frame = pandas.read_csv(
-                io.BytesIO(body), sep=self.delimiter, header=None, names=list(range(len(self.names))), usecols=indices, dtype=float,
-                index_col=False, comment="#", quoting=csv.QUOTE_NONE, keep_default_na=False, na_values=["", "nan", "NaN"],
-            )  # fmt: skip
+            return np.loadtxt(rows, delimiter=self.delimiter, usecols=indices, comments=None, ndmin=2).T.copy()
         except ValueError:
             return None
-        if body.count(self.delimiter.encode()) != len(frame) * (len(self.names) - 1):
-            return None  # it fills short rows with NaN
-        return np.ascontiguousarray(frame[indices].to_numpy().T)
 
     def _rows(self) -> Iterator[tuple[int, str]]:
-        for i, line in enumerate(LINE.finditer(self.data, self.start), self.header_line + 1):
-            content = line[1].split(b"#", 1)[0].decode()
+        for i, line in enumerate(self.data[self.start :].splitlines(), self.header_line + 1):
+            content = line.split(b"#", 1)[0].decode()
             if content.strip():
                 yield i, content
 
@@ -128,7 +114,7 @@ def _with_names(path: Path, number: int, start: int, content: str) -> tuple[tupl
     delimiter = next((d for d in ",;\t" if d in content), ",")
     names = tuple(name.strip().strip("\"'").strip() for name in content.split(delimiter))
     if names[0] == "" != names[-1] and len(names) > 1:
-        names = ("index", *names[1:])  # as pandas writes it
+        names = ("index", *names[1:])  # of rows, which data frames write without a name
     if "" in names:
         raise UserError(
             f"{path}, line {number}: column {names.index('') + 1} of {len(names)} has no name; every column needs one"

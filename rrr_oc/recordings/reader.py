@@ -17,6 +17,7 @@ from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 from rrr_oc.schema import HEAVIEST, Payload, one_spelling, spellings
+from rrr_oc.storage import resolved
 
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
@@ -58,7 +59,7 @@ def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolP
 
 def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: Header, robot: Robot) -> Recording:
     path = folder / entry.file
-    if not path.resolve().is_relative_to(folder.resolve()):  # a message may show what stands in it
+    if not resolved(path).is_relative_to(resolved(folder)):  # a message may show what stands in it
         raise UserError(f"{path}: is a link that leads out of the set's folder; a recording must lie in it")
     table = _one_payload(read_table(path))
     recorded = tuple(f"{'current' if header.torque == 'current' else 'tau'}_{joint}" for joint in robot.joints)

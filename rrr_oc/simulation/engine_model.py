@@ -5,7 +5,6 @@
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -120,7 +119,6 @@ class Twin:
             limits. Then follow actuators without torque whose activations are the effects' internal states. The coordinate after
             that of a joint with an elastic gear is the link's position less its drive's.
         library: The compiled effects; None where all effects have forms of MuJoCo's own, or there are none.
-        generated: Which of the effects it contains.
         extra_mass: Mass held beyond the listed payload [kg], from the effects on the payload.
     """
 
@@ -129,7 +127,6 @@ class Twin:
     widths: np.ndarray
     mj: mujoco.MjModel
     library: EffectLibrary | None
-    generated: tuple[bool, ...] = ()
     extra_mass: float = 0.0
 
     @cached_property
@@ -158,22 +155,6 @@ class Twin:
         """Set the payload's listed mass [kg], 0 to release it, without a new compilation."""
         self.mj.body(PAYLOAD).mass[0] = payload + self.extra_mass
         mujoco.mj_setConst(self.mj, mujoco.MjData(self.mj))  # constants that depend on masses: invweights, subtree masses
-
-    def with_theta(self, theta: Sequence[float] | np.ndarray, widths: np.ndarray | None = None) -> "Twin":
-        """A copy with other parameters (and widths) of its generated effects; the compiled library is shared.
-
-        Raises `UserError` where there is no library, or a parameter of an effect in MuJoCo's own form would change.
-        """
-        if self.library is None:
-            raise UserError("only generated effects take new parameters in a compiled model; build another twin")
-        theta, widths = _checked(self.model, theta, self.widths if widths is None else widths)
-        free = [inside or e.side == "sensor" for e, inside in zip(self.model.effects, self.generated, strict=True)]
-        fixed = ~np.repeat(free, [len(e.parameters) for e in self.model.effects])
-        if not np.array_equal(self.theta[fixed], theta[fixed]):
-            raise UserError("effects in the drives, or of the body, that are the engine's own change only in another twin")
-        mj = copy(self.mj)
-        mj.numeric(self.library.marker).data[:] = generated_c.values(theta, widths, self.extra_mass, self.model.robot.inertial)
-        return replace(self, theta=theta, widths=widths, mj=mj)
 
 
 def twin(
@@ -213,7 +194,7 @@ def twin(
         mj = _compiled(spec, robot)
     except ValueError as error:
         raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {str(error).strip()}") from None
-    engine = Twin(model, theta, widths, mj, library, generated, body.payload)
+    engine = Twin(model, theta, widths, mj, library, body.payload)
     engine.set_payload(0.0)
     return engine
 

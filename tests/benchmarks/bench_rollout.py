@@ -58,11 +58,9 @@ def batch(form: str, integrator: str) -> Batch:
     if form == "bare":
         one = twin(model, settings=settings)
         twins, context = [one] * CANDIDATES, nullcontext
-    elif form == "generated":
-        one = twin(model, THETA, settings=settings)
-        twins, context = [one.with_theta(theta) for theta in thetas], one.effects
     else:
-        twins, context = [twin(model, theta, settings=settings) for theta in thetas], nullcontext
+        twins = [twin(model, theta, settings=settings) for theta in thetas]
+        context = twins[0].effects
     steps = round(SECONDS / STEP)
     signal = 300 * np.cos(np.outer(np.arange(steps) * STEP, [1.0, 1.5, 2.0]))  # rate of the controllers' input [Nm/s]
     initial = np.hstack([np.zeros((CANDIDATES, 1)), rng.uniform(-0.5, 0.5, (CANDIDATES, 3)), np.zeros((CANDIDATES, 6))])

@@ -120,16 +120,6 @@ def test_rounding_carries_no_parameter_over_its_bound(concealed):
     assert all(v >= 0 for t in moved for v in t.values)
 
 
-def test_friction_that_falls_off_is_not_taken_for_an_abrupt_sign(tmp_path):
-    plant, rng = one(folder=tmp_path), np.random.default_rng(5)
-    made = [record(plant, f"{i}.csv", rng, 20.0) for i in range(2)]
-    made = [replace(r, tau=r.tau + 2.0 * np.exp(-((r.dq / 0.2) ** 2)) * np.tanh(r.dq / plant.width)) for r in made]
-    recordings = as_set(plant, made)
-    prepared, start = prepare(recordings), plain_model(recordings)
-    assert with_widths(prepared, start).terms[0].width < plant.width  # the plain model has no other way
-    assert with_widths(prepared, start, free=True).terms[0].width == pytest.approx(plant.width, rel=0.1)
-
-
 def test_spikes_are_taken_out_and_counted(concealed):
     recordings, clean = concealed
     rng, spiked = np.random.default_rng(0), []

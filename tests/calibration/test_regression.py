@@ -51,7 +51,7 @@ def test_derivatives_by_inertial_parameters_that_are_kept_hold_for_other_models(
     for model in (*models, *reversed(models)):
         found = rows(prepared, model, inertial=True)
         anew = rows([replace(p) for p in prepared], model, inertial=True)
-        np.testing.assert_allclose(found.jacobian, anew.jacobian, rtol=1e-12, atol=1e-12)  # rounding
+        np.testing.assert_array_equal(found.jacobian, anew.jacobian)
         np.testing.assert_array_equal(found.residual, anew.residual)
         seen.append(found.jacobian[:, :, -30:])
     for i, name in enumerate(ADDED):
@@ -80,5 +80,3 @@ def test_a_term_that_holds_for_no_recording_has_columns_of_zeros(arm):
         found = rows(prepared, replace(plain, terms=terms), inertial).jacobian
         assert found.shape[2] == columns
         assert not np.any(found[:, :, columns - (32 if inertial else 2) :][:, :, :2])
-    anew = rows(prepared, replace(plain, terms=(*plain.terms, gear)), without_last=rows(prepared, plain))
-    np.testing.assert_array_equal(anew.jacobian, found)

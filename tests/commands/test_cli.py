@@ -285,7 +285,7 @@ def test_help_imports_nothing_heavy():
     """What takes seconds before a word is said; in a process of its own, since this one has all of it."""
     code = (
         "import sys\nfrom rrr_oc import cli\nsys.argv = ['rrr-oc', '--help']\ntry:\n    cli.main()\nexcept SystemExit:\n    pass\n"
-        "print(sorted({'numpy', 'scipy', 'casadi', 'pinocchio', 'mujoco', 'pandas', 'joblib', 'matplotlib'} & set(sys.modules)))"
+        "print(sorted({'numpy', 'scipy', 'casadi', 'pinocchio', 'mujoco', 'joblib', 'matplotlib'} & set(sys.modules)))"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "diagnose" in shown
@@ -310,7 +310,6 @@ def test_a_real_set_passes_through_calibrate_and_evaluate(monkeypatch, tmp_path,
 HEAVY = {
     "numpy",
     "scipy",
-    "pandas",
     "casadi",
     "pinocchio",
     "mujoco",

@@ -24,7 +24,7 @@ from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.commands import app
-from rrr_oc.diagnosis.diagnosis_file import DiagnosisFile, to_json
+from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile, to_json
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import folds_of
 from rrr_oc.diagnosis.procedure import diagnose, ready

@@ -8,7 +8,7 @@ import pytest
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.diagnosis import findings
-from rrr_oc.diagnosis.diagnosis_file import _prior
+from rrr_oc.diagnosis.files.diagnosis_file import _prior
 from rrr_oc.diagnosis.findings import _rivals, contribution, found, identities, identity, probabilities
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
 from rrr_oc.diagnosis.search import Search
@@ -92,6 +92,23 @@ def test_an_effect_too_small_to_matter_is_possible_but_not_claimed(monkeypatch, 
     claimed, possible = found(search, SimpleNamespace(fitted=SimpleNamespace(extra=(placed(OFFSET[0]),))))
     assert (len(claimed), len(possible)) == (claims, 1 - claims)
     assert (claimed or possible)[0].probability == pytest.approx(1.0)
+
+
+def test_no_probability_exceeds_1_by_rounding(monkeypatch):
+    """Of an effect, and of one that is possible beside it, that are in every structure: sums of the shares of all."""
+    monkeypatch.setattr(findings, "wald", lambda *_: 1e-9)
+    monkeypatch.setattr(Search, "worths", lambda *_: [50.0])
+    monkeypatch.setattr(findings, "contribution", lambda *_: 1.0)
+    fitted, rng, sums = SimpleNamespace(extra=(placed(OFFSET[0]),)), np.random.default_rng(0), []
+    for _ in range(20):
+        scores = rng.normal(size=20)
+        search = searched({frozenset({OFFSET, HARNESS, (ParallelSpring((i,)), ())}): score for i, score in enumerate(scores)})
+        search.fitter = SimpleNamespace(data=None, view=SimpleNamespace(springs=()), priors=PRIORS)  # pyright: ignore[reportAttributeAccessIssue]
+        (claimed,), possible = found(search, SimpleNamespace(fitted=fitted))
+        sums.append(sum(p for _, p in probabilities(search)))
+        assert possible[0].key == ("cable_harness", (0,))
+        assert max(claimed.probability, claimed.alone, possible[0].probability) <= 1.0
+    assert max(sums) > 1.0  # so that there is something to round
 
 
 @pytest.mark.parametrize("beforehand", [0.005, 0.03, 0.3])

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 from rrr_oc.commands import app
 from rrr_oc.commands import diagnose as command
 from rrr_oc.diagnosis import procedure
-from rrr_oc.diagnosis.diagnosis_file import to_json
+from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.files.stages import SHARES, SearchData, Stages
 from rrr_oc.diagnosis.held_out import intervals
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.diagnosis.search import Search
-from rrr_oc.diagnosis.stages import SHARES, SearchData, Stages
 from rrr_oc.kept import Keeping
 from rrr_oc.progress import Step
 from rrr_oc.recordings.recording import RecordingSet
@@ -67,7 +67,7 @@ def test_without_a_folder_the_numbers_are_the_same(recordings, whole):
     assert whole[0].said == []
 
 
-@pytest.mark.parametrize("stages", range(len(ORDER) + 1))
+@pytest.mark.parametrize("stages", [1, 2, 4, 6])
 def test_a_diagnosis_goes_on_from_any_stage_to_the_same_numbers(recordings, whole, tmp_path, stages, monkeypatch):
     _, folder = whole
     for name in ORDER[:stages]:
@@ -84,8 +84,11 @@ def test_other_recordings_are_begun_anew(recordings, whole, tmp_path):
     shutil.copytree(whole[1], tmp_path, dirs_exist_ok=True)
     again = Run(recordings, tmp_path, "others")
     assert numbers(again.found) == numbers(whole[0].found)
-    assert {line.split(": ")[1] for line in again.said} == {f"begun anew, since from the run that {tmp_path} is of differ"}
-    assert all(line.endswith(": recordings") for line in again.said)
+    assert again.said
+    assert all(
+        line.endswith(f": begun anew; what is saved in {tmp_path} was made with other settings: recordings")
+        for line in again.said
+    )
 
 
 def test_what_a_search_remembers_is_read_back(recordings):
@@ -94,9 +97,13 @@ def test_what_a_search_remembers_is_read_back(recordings):
     search = Search(fitter, every)
     at = search.run(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
     again, there = stages.keep("search", SearchData.of(search, at)).search(Search(fitter, every), stages.start)
-    assert {k: v for k, v in again.visited.items() if k in search.visited} | search.visited == again.visited
-    assert (again.foreseen, again.settled) == (search.foreseen, search.settled)
-    assert there.score == pytest.approx(at.score, abs=0.5)  # [nats]: estimates of the sizes end at a tolerance
+    assert (again.visited, again.foreseen, again.settled) == (search.visited, search.foreseen, search.settled)
+    assert there.score == at.score
+    moved = there.fitted.model.values - at.fitted.model.values
+    spread = np.sqrt(np.diag(np.linalg.inv(at.fitted.posterior.matrix)))[: len(moved)]
+    assert np.all(np.abs(moved) < spread)  # a search ends a step before the optimum where that seems linear enough
+    assert there.fitted.posterior.cost(there.fitted.residual) <= there.fitted.posterior.cost(at.fitted.residual)
+    np.testing.assert_array_equal(there.fitted.posterior.sizes.sigma, at.fitted.posterior.sizes.sigma)
     assert [t.effect for t in there.fitted.model.terms] == [t.effect for t in at.fitted.model.terms]
 
 
@@ -136,7 +143,7 @@ def test_an_optional_step_that_fails_is_named_and_costs_nothing_else(recordings,
     assert [e["effect"] for e in content["effects"]] == ["quadratic_drag"]
     assert (tmp_path / "out" / "model.json").is_file()
     if step != "report.html and prediction.png":
-        assert ("Not made: " + step in (tmp_path / "out" / "report.html").read_text()) == (step != "before_after.png")
+        assert f"Not made: {step}" in (tmp_path / "out" / "report.html").read_text()
     steps = [json.loads(line) for line in ended.stderr.splitlines() if line.startswith("{")]
     assert [s["stage"] for s in steps][-1] == "report"
     assert all({"stage", "share_done", "tried", "seconds", "seconds_left"} <= s.keys() for s in steps)

@@ -42,7 +42,9 @@ def test_no_candidate_nearby_is_better(restricted):
 def test_smoothing_vanishes_with_its_width(restricted):
     """The program's own cost at one point tends to the exact one as both widths go to zero."""
     known, program, best = restricted
-    start, exact = program.start_at(best.x), float(Analytic(known)(best.x[None]).E1[0])
+    encoding, exact = program.encoding, float(Analytic(known)(best.x[None]).E1[0])
+    _, durations, via = encoding.split(encoding.values(best.x[None]))
+    start = np.r_[encoding.decode(best.x[None]).theta[:, 0], durations[:, 0], *[v[:, :, 0].ravel("F") for v in via]]
     margin = np.zeros((6, 2))
     errors = [abs(program.cost(start, (w, w), margin) / exact - 1) for w in (1e-1, 1e-2, 1e-3, 1e-5)]
     assert errors[0] > errors[1] > errors[-1]

@@ -27,8 +27,7 @@ def candidates(settings: Settings) -> tuple[list, np.ndarray, np.ndarray]:
     robot, rng = load_robot("rrr"), np.random.default_rng(0)
     model = Model(robot, robot.tool, (CATALOGUE["parallel_spring"]((1,)), CATALOGUE["biarticular_spring"]((1, 2))))
     thetas = THETA * rng.uniform(0.5, 1.5, (COUNT, THETA.size))
-    one = twin(model, THETA, settings=settings)
-    twins = [one.with_theta(t) if settings.effects == "generated" else twin(model, t, settings=settings) for t in thetas]
+    twins = [twin(model, theta, settings=settings) for theta in thetas]
     for engine in twins:
         engine.set_payload(rng.uniform(0, 5))
     initial = np.hstack([np.zeros((COUNT, 1)), rng.uniform(-1, 1, (COUNT, 6)), np.zeros((COUNT, 3))])

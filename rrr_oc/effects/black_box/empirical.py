@@ -159,26 +159,8 @@ class Empirical(Effect):
         )
         return f"something that begins {where}"
 
-    @property
-    def has_edges(self):
-        return bool(self.edges)
-
-    def renewed(self, ranges):
-        """Over what these ranges and its own have in common."""
-        if self.edges:
-            return None
-        low, high = np.array([ranges[v] for v in self.variables]).T
-        low, high = np.maximum(low, self.low), np.minimum(high, self.high)
-        return replace(self, low=tuple(low.tolist()), high=tuple(np.maximum(high, low + 1e-6).tolist()))
-
     def without_range(self):
         return replace(self, low=(), high=(), largest=0.0)
-
-    def near(self, step):
-        for k, (side, edge, power) in enumerate(self.edges if self.edges != STRAIGHT else ()):
-            for there in (edge - step, edge + step):
-                if 0 < there < 1:
-                    yield replace(self, edges=(*self.edges[:k], (side, there, power), *self.edges[k + 1 :]))
 
     @classmethod
     def black_box_trials(cls, view, j, ranges, torque):

@@ -3,7 +3,6 @@
 import numpy as np
 
 from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior, Trial
-from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.numerics.smooth import cos, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -28,11 +27,6 @@ class PositionDependentFriction(Effect):
         j = self.joints[0]
         profile = cos(theta["order"] * signals.q[j] - theta["phase"])
         return (-theta["amplitude"] * profile * sign(signals.dq[j], width),)
-
-    @property
-    def precedence(self):
-        """In slow motion the load is a function of position, so that friction over either is nearly the same."""
-        return (LoadDependentFriction(self.joints),)
 
     @classmethod
     def trials(cls, view):

@@ -34,9 +34,6 @@ class PreslidingHysteresis(Effect):
         dq = signals.dq[self.joints[0]]
         return (fabs(dq) * (sign(dq, width) - signals.states[0]) * theta["stiffness"] / fmax(theta["level"], 1e-9),)
 
-    def travel(self, theta):
-        return theta["level"] / theta["stiffness"]
-
     @classmethod
     def trials(cls, view):
         for j in range(view.n):

@@ -231,9 +231,6 @@ def _alike(kind: type[Effect], of: Example | None) -> list[str]:
     equal = dict.fromkeys(type(effect) for effect, _ in of.effect.equivalents(of.theta)) if of else {}
     if equal:
         said.append(f"Over part of the range it has the same law as {listed([_link(k) for k in equal])}.")
-    first = dict.fromkeys(type(effect) for effect in of.effect.precedence) if of else {}
-    if first:
-        said.append(f"Where noise hides most of the difference, {listed([_link(k) for k in first])} is preferred.")
     return ["## What looks alike", " ".join(said)] if said else []
 
 

@@ -14,8 +14,8 @@ from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.model_file import TermEntry, effect_of, term_entry, term_of, terms_of
-from rrr_oc.diagnosis.data import Noise
-from rrr_oc.diagnosis.evidence import Sizes, Start
+from rrr_oc.diagnosis.data import Data, Noise
+from rrr_oc.diagnosis.evidence import Joint, Sizes, Start
 from rrr_oc.diagnosis.findings import Finding, Possible
 from rrr_oc.diagnosis.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion
@@ -61,7 +61,10 @@ class Stages:
     def saved(self, name: str, schema: type[S]) -> S | None:
         """A stage that is there already."""
         found = None if self.kept is None else taken(self.kept, name)
-        return None if found is None else msgspec.convert(found, schema)
+        if self.kept is None or found is None:
+            return None
+        self.kept.listener.show(f"{name}: taken from the interrupted or repeated run in {self.kept.out}")
+        return msgspec.convert(found, schema)
 
     def keep(self, name: str, content: S) -> S:
         """Save a stage; as it is read back."""
@@ -73,11 +76,7 @@ class Stages:
     def once(self, name: str, schema: type[S], make: Callable[[], S]) -> S:
         """A stage that is there already, or is made and saved."""
         found = self.saved(name, schema)
-        if found is None:
-            return self.keep(name, make())
-        if self.kept is not None:
-            self.kept.listener.show(f"{name}: taken from the interrupted or repeated run in {self.kept.out}")
-        return found
+        return self.keep(name, make()) if found is None else found
 
 
 class ModelData(Struct):
@@ -103,14 +102,23 @@ class ModelData(Struct):
 
 
 class NoiseData(Struct):
-    """See `data.Noise`."""
+    """The noise of a joint, see `data.Noise`, and what its rows count in it, see `evidence.Joint`."""
 
     filters: list[list[float]]
     spreads: list[float]
     turning: float
+    weights: list[float]
+    log_det: float
 
-    def noise(self) -> Noise:
-        return Noise(tuple(np.array(f) for f in self.filters), np.array(self.spreads), self.turning)
+    @classmethod
+    def of(cls, data: Data, j: int, one: Joint) -> "NoiseData":
+        noise = one.noise
+        weights = one.weights(data, j).tolist()
+        return cls([f.tolist() for f in noise.filters], noise.spreads.tolist(), noise.turning, weights, one.log_det)
+
+    def joint(self, data: Data, j: int) -> Joint:
+        noise = Noise(tuple(np.array(f) for f in self.filters), np.array(self.spreads), self.turning)
+        return Joint.weighted(data, j, noise, np.array(self.weights), self.log_det)
 
 
 class Sought(Struct):
@@ -127,6 +135,7 @@ class SearchData(Struct):
 
     Attributes:
         model, links: The model, and the errors of its links in standard deviations of their prior.
+        score: Logarithm of its posterior probability, up to a constant.
         noise, sigma, discrepancy, size_of_links: What is estimated beside the parameters, see `evidence.Sizes`.
         sought: All effects that were tried.
         fitted, predicted: Logarithm of the posterior probability of structures that were fitted, and of further ones as predicted.
@@ -135,6 +144,7 @@ class SearchData(Struct):
 
     model: ModelData
     links: list[float]
+    score: float
     noise: list[NoiseData]
     sigma: list[float]
     discrepancy: list[float]
@@ -146,23 +156,24 @@ class SearchData(Struct):
 
     @classmethod
     def of(cls, search: Search, at: State) -> "SearchData":
-        sizes, number = at.fitted.posterior.sizes, dict[tuple[Effect, tuple[str, ...]], int]()
-        noise = [NoiseData([f.tolist() for f in one.filters], one.spreads.tolist(), one.turning) for one in sizes.noise]
+        post, number = at.fitted.posterior, dict[tuple[Effect, tuple[str, ...]], int]()
+        sizes, noise = post.sizes, [NoiseData.of(post.data, j, one) for j, one in enumerate(post.joints)]
         every = [_scores(known, number) for known in (search.visited, search.foreseen, search.settled)]
         sought = [Sought(e.name, e.joints, _options(e), groups) for e, groups in number]
         model = ModelData.of(at.fitted.model)
         measured = sizes.sigma.tolist(), sizes.discrepancy.tolist(), sizes.links
-        return cls(model, at.fitted.links.tolist(), noise, *measured, sought, *every)
+        return cls(model, at.fitted.links.tolist(), float(at.score), noise, *measured, sought, *every)
 
     def search(self, search: Search, start: CalibratedModel) -> tuple[Search, State]:
-        """The search with what it remembers, and its best structure, fitted again from where it was."""
+        """The search with what it remembers, and its best structure under the sizes that were estimated."""
         own = [(effect_of(s.effect, s.joints, s.options), s.groups) for s in self.sought]
         known = [{frozenset(own[k] for k in some): score for some, score in of} for of in self._scores]
         search = replace(search, visited=known[0], foreseen=known[1], settled=known[2])
-        noise = tuple(one.noise() for one in self.noise)
-        sizes = Sizes(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links)
-        begin = Start.of(search.fitter.data, sizes)
-        return search, search.scored(search.fitter.fit(self.model.model(start), np.array(self.links), begin))
+        joints = tuple(one.joint(search.fitter.data, j) for j, one in enumerate(self.noise))
+        noise = tuple(one.noise for one in joints)
+        begin = Start(Sizes(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links), joints)
+        fitted = search.fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True)
+        return search, State(fitted, self.score)
 
     @property
     def _scores(self) -> tuple[Scores, Scores, Scores]:
