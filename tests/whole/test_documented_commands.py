@@ -86,6 +86,7 @@ NOT_RUN = {
     "validation/analytic_vs_mujoco.py": ("minutes", "tests/simulation/test_tracking.py"),
     "validation/calibration_coverage.py": ("hours", "tests/calibration/test_calibration.py"),
     "validation/calibration_ways.py": ("minutes", "tests/calibration/test_calibration.py"),
+    "validation/diagnosis_times.py": ("hours", "tests/validation/test_diagnosis_times.py"),
     "validation/kills.py": ("minutes", "tests/whole/test_study.py"),
     "python docs/dependencies.py": ("it writes a page; a test compares that page", "tests/test_packaging.py"),
     "validation/peers/": ("hours, and needs other tools", "tests/validation/test_peers.py"),
