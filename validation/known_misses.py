@@ -4,7 +4,7 @@
 
 Each case is a few recordings of a made-up plant, or real ones, of which a maintainer knows what a diagnosis should say and, when the
 case was added, did not. What it says now is compared with that; a case that is right becomes a test. A case takes one process and is
-ended after 300 s of processor time. One that is done is not done again unless the code has changed.
+ended after `--longest` seconds of processor time. One that is done is not done again unless the code has changed.
 """
 
 import json
@@ -50,8 +50,6 @@ from validation.concealed.write import write_case
 
 ROOT = Path(__file__).resolve().parents[1]
 MADE_WITH = [Path(__file__), ROOT / "tests" / "helpers", ROOT / "validation" / "concealed"]
-LONGEST = 300  # [s] of processor time of a case
-ENDED = f"ended after {LONGEST} s"
 Key = tuple[str, tuple[int, ...]]  # an effect's name and joints
 
 
@@ -389,27 +387,27 @@ CASES = {
 # --- command line ---
 
 
-def _judge(name: str, folder: Path) -> None:
+def _judge(name: str, folder: Path, longest: int) -> None:
     """In a process of its own: judge a case and write what came out."""
-    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST + 10))
+    resource.setrlimit(resource.RLIMIT_CPU, (longest, longest + 10))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     begin = time.process_time()
     found, right = CASES[name].judge(folder)
     write_json(folder / "found.json", {"found": found, "right": right, "processor_s": time.process_time() - begin})
 
 
-def judged(name: str, out: Path) -> None:
+def judged(name: str, out: Path, longest: int) -> None:
     """Write what came out of a case to its file; raises `UserError` where it failed."""
     folder, file = out / name, out / f"{name}.json"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "found.json").unlink(missing_ok=True)
-    process = multiprocessing.get_context("spawn").Process(target=_judge, args=(name, folder))
+    process = multiprocessing.get_context("spawn").Process(target=_judge, args=(name, folder, longest))
     process.start()
     process.join()
     if (folder / "found.json").exists():
         result = json.loads((folder / "found.json").read_text())
     elif process.exitcode == -signal.SIGXCPU:
-        result = {"found": ENDED, "right": False, "processor_s": float(LONGEST)}
+        result = {"found": f"ended after {longest} s", "right": False, "processor_s": float(longest)}
     else:
         raise UserError(f"{name}: its process ended with {process.exitcode}")
     write_json(file, {"case": name, "hidden": CASES[name].hidden, "wanted": CASES[name].wanted} | result)
@@ -428,13 +426,14 @@ def table(out: Path) -> str:
 def main(
     out: Annotated[Path, typer.Option(help="folder of the results")] = Path("results/known_misses"),
     only: Annotated[str, typer.Option(help="part of a case's name")] = "",
+    longest: Annotated[int, typer.Option(min=1, help="processor time after which a case is ended [s]")] = 300,
 ) -> None:
     """Judge the known cases and write known_misses.md and a JSON file of each."""
     names = [name for name in CASES if only in name]
     if not names:
         raise UserError(f"--only is {only!r}; the cases are {', '.join(CASES)}")
     for name in track(names, "cases"):
-        Made([out / f"{name}.json"], {"case": name, "longest_s": LONGEST}, MADE_WITH).once(partial(judged, name, out))
+        Made([out / f"{name}.json"], {"case": name, "longest_s": longest}, MADE_WITH).once(partial(judged, name, out, longest))
         write_text(out / "known_misses.md", table(out))
     print(table(out))
 

@@ -1,0 +1,243 @@
+"""Which law a diagnosis names where several explain the recordings nearly as well, and what it does where none does."""
+
+import itertools
+from dataclasses import replace
+
+import chains
+import numpy as np
+import pytest
+from recorded import Plant, as_set, multisine, record
+
+from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
+from rrr_oc.calibration.model_file import load_model, save_model
+from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.samples import prepare
+from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.procedure import diagnose, ready
+from rrr_oc.diagnosis.signatures import view
+from rrr_oc.diagnosis.suggestion import suggest
+from rrr_oc.effects.priors import Priors
+from rrr_oc.effects.sensor.torque_gain import TorqueGain
+from rrr_oc.effects.sensor.torque_offset import TorqueOffset
+from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
+from rrr_oc.model.symbolic_model import Model
+from rrr_oc.numerics.rank import pseudo_inverse
+from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.robot.robot import ToolPoint, load_robot
+
+TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
+
+
+def test_ripples_of_many_orders_are_found_and_what_is_weaker_than_they(planar):
+    plant, rng, orders = planar(1), np.random.default_rng(8), {12: 0.4, 24: 0.3, 31: 0.2, 40: 0.15}
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(4)]
+    gear = [replace(r, tau=r.tau + 0.1 + sum(a * np.sin(k * r.q + k) for k, a in orders.items())) for r in made]
+    found = [f.term for f in diagnose(as_set(plant, gear)).findings]
+    ripples = {round(t.named["order"]): t.named["amplitude"] for t in found if t.effect == TorqueRipple((0,))}
+    assert ripples == pytest.approx(orders, rel=0.05)
+    assert [t.effect.name for t in found if t.effect != TorqueRipple((0,))] == ["torque_offset"]
+
+
+@pytest.mark.parametrize("gain", [-0.6, 1.5])
+def test_a_gain_at_its_bound_is_none(gain):
+    """There all that the joint has scales with it."""
+    assert not TorqueGain((0,)).possible({"gain": gain}, 0.0)
+    assert TorqueGain((0,)).possible({"gain": 0.9 * gain}, 0.0)
+
+
+def test_a_tilt_is_found_where_one_of_its_angles_does_nothing(planar):
+    """Arms that move in a plane hardly feel a tilt about an axis in it; what is fitted to it is beyond all bounds."""
+    plant, rng = planar(2), np.random.default_rng(3)
+    plant.model.gravity.linear = 9.81 * np.array([np.sin(0.03), 0.0, -np.cos(0.03)])
+    found = diagnose(as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(4)]))
+    (finding,) = found.findings
+    equal = {"gravity_tilt", "encoder_offset", "backlash"}  # all turn the first link
+    assert finding.term.effect.name in equal
+    assert equal <= {finding.term.effect.name, *(name for name, _ in finding.rivals)}
+
+
+@pytest.mark.parametrize(("share", "named"), [(1e-4, False), (3e-3, True)])
+def test_what_is_finer_than_any_model_is_not_named(planar, share, named):
+    plant, rng = planar(1), np.random.default_rng(10)
+    made = [record(plant, f"{i}.csv", rng, 10.0, noise=1e-5) for i in range(3)]
+    ripple = [replace(r, tau=r.tau + share * np.std(r.tau) * np.sqrt(2) * np.sin(9 * r.q)) for r in made]
+    assert bool(diagnose(as_set(plant, ripple)).findings) is named
+
+
+def test_friction_that_all_but_vanishes_is_found(planar):
+    """At the times and friction that trials are made of, its ratio would be below −1."""
+    plant, rng = planar(1), np.random.default_rng(4)
+    made = [record(plant, f"{i}.csv", rng, 10.0, noise=0.01) for i in range(4)]
+    friction = [np.exp(-r.t / 8.0) * (np.tanh(r.dq / plant.width) + r.dq) for r in made]
+    weak = [replace(r, tau=r.tau - 0.95 * f) for r, f in zip(made, friction, strict=True)]
+    found = diagnose(as_set(plant, weak)).findings[0].term
+    assert found.effect.name == "friction_drift"
+    assert found.named["ratio"] == pytest.approx(-0.95, abs=0.05)
+    assert found.named["time_constant"] == pytest.approx(8.0, rel=0.15)
+
+
+def test_what_few_recordings_leave_open_of_links_stays_near_what_is_believed(planar):
+    """Inertial parameters fitted to a slow motion predict a fast one where what is believed beside it counts."""
+    plant, rng = planar(3), np.random.default_rng(12)
+    motions = [multisine(3, np.arange(400) / 100, rng, fastest) for fastest in (0.15, 1.5)]
+    recordings = as_set(plant, [record(plant, f"{k}.csv", rng, 4.0, motion=m) for k, m in enumerate(motions)], "identify")
+    _, fitter, _, plain = ready(recordings, Priors())
+    none, left = fitter.data.links.none, []
+    for wide in (100.0, 1.0):
+        slow = replace(
+            fitter, data=replace(fitter.data.part([0]), links=replace(fitter.data.links, std=wide * fitter.data.links.std))
+        )
+        fitted = slow.fit(plain, none)
+        left.append(np.linalg.norm(rows(fitter.data.part([1]).prepared, fitted.model).residual))
+    assert left[1] < 0.8 * left[0], left
+
+
+def test_a_spring_that_engages_in_part_of_the_range_and_an_offset_are_no_harness_and_ripples(planar):
+    """Though these, one by one, explain more."""
+    plant, rng = planar(1), np.random.default_rng(3)
+    made = [record(plant, f"{i}.csv", rng, 12.0, pea={0: (1.0, 0.0)}) for i in range(4)]
+    found = diagnose(as_set(plant, [replace(r, tau=r.tau - 0.5, springs=()) for r in made])).findings
+    values = {f.term.effect.name: f.term.named for f in found}
+    assert set(values) == {"parallel_spring", "torque_offset"}
+    assert values["parallel_spring"]["stiffness"] == pytest.approx(1.0, rel=0.05)
+    assert values["torque_offset"]["offset"] == pytest.approx(-0.5, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [3, 4])  # of which the ten fit 5 and 15 of noise
+def test_a_payloads_centre_goes_before_a_links_inertial_parameters_that_fit_more_noise(tmp_path, seed):
+    """The last link's ten hold all that a payload's three do where all recordings carry it."""
+    (tmp_path / "skew.urdf").write_text(chains.random_chain(1, 3))
+    plant, rng = Plant(tmp_path / "skew.urdf", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(seed)
+    off = np.add(TOOL, (0.02, 0.01, 0.0))
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, payload=2.0, tool=off) for i in range(4)]
+    recordings = as_set(plant, made)
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    found = diagnose(recordings).findings
+    assert [f.term.effect.name for f in found] == ["payload_com"]
+
+
+def test_a_drift_within_an_only_recording_goes_on_from_block_to_block(planar):
+    plant, rng = planar(1), np.random.default_rng(2)
+    whole = record(plant, "0.csv", rng, 40.0, 0.01)
+    friction = np.tanh(whole.dq / plant.width) + whole.dq
+    warm = replace(whole, tau=whole.tau + 0.5 * np.exp(-whole.t / 5.0) * friction)
+    found = diagnose(as_set(plant, [warm]))
+    (drift,) = found.findings
+    assert drift.term.effect.name == "friction_drift"
+    assert drift.term.named == pytest.approx({"ratio": 0.5, "time_constant": 5.0}, rel=0.05)
+    assert found.held_out[1][0] < 0.2 * found.held_out[0][0]
+
+
+def test_recorded_load_torque_may_hold_what_no_law_explains(planar, tmp_path):
+    """A detent: on the link's side, for no drive is in what was recorded."""
+    plant, rng = planar(1), np.random.default_rng(4)
+    made = [record(plant, f"{i}.csv", rng, 12.0, 0.01, load=True) for i in range(4)]
+    made = [replace(r, tau=r.tau + 1.5 * np.exp(-((r.q / 0.25) ** 2))) for r in made]
+    found = diagnose(as_set(plant, made, torque="load"))
+    (term,) = (f.term for f in found.findings if f.term.effect.black_box)
+    assert term.effect.side == "link"
+    assert term.effect.depends_on == (("q", 0),)
+    assert found.held_out[1][0] < 0.3 * found.held_out[0][0]
+    save_model(found.model, tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json").terms == found.model.terms
+
+
+def test_a_mismatch_that_nothing_explains_is_said_to_be_one(planar, tmp_path):
+    """Torques of another course in every recording: beyond the noise, and nothing holds on recordings left out."""
+    plant, rng, made = planar(1), np.random.default_rng(7), []
+    for i in range(4):
+        r = record(plant, f"{i}.csv", rng, 12.0, 0.003)
+        f, phase = rng.uniform(1.2, 2.0, 3), rng.uniform(0, 6.3, 3)
+        made.append(replace(r, tau=r.tau + 0.4 * np.sin(2 * np.pi * f[:, None] * r.t + phase[:, None]).sum(axis=0)))
+    found = diagnose(as_set(plant, made))
+    assert found.findings == ()
+    assert found.verdict == "cannot_tell"
+    assert found.mismatch[0]["significant"]
+    content = write_diagnosis(found, tmp_path)
+    assert "these recordings do not decide what" in (tmp_path / "report.html").read_text()
+    (suggested,) = content["suggested_recordings"]
+    assert (tmp_path / suggested["trajectory"]).exists()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_payload_that_errors_of_the_links_could_replace_is_claimed(seed):
+    """They predict held-out recordings as well, but only at many times the size that a URDF's errors have."""
+    plant, rng = Plant("rrr", np.array([1.0, 2.0, 1.0]), np.full(3, 2.0), np.full(3, 0.3)), np.random.default_rng(seed)
+    tool = load_robot("rrr").tool.position
+    made = [record(plant, f"{i}.csv", rng, 8.0, 0.003, payload=1.0, tool=tool) for i in range(4)]
+    (found,) = diagnose(as_set(plant, [replace(r, payload=0 * r.t) for r in made])).findings
+    assert found.term.effect.name == "payload_mass"
+    assert found.term.values == pytest.approx([1.0], abs=0.01)
+
+
+def test_friction_that_grows_with_load_goes_before_friction_over_position(planar):
+    """In slow motion load is all but a function of position: one law of three parameters explains most of both."""
+    plant, rng, made = planar(1), np.random.default_rng(2), []
+    for i in range(4):
+        motion = tuple(1.5 * x for x in multisine(1, np.arange(1200) / 100, rng, 0.3))
+        r, turn = record(plant, f"{i}.csv", rng, 12.0, 0.01, motion), np.tanh(motion[1] / plant.width)
+        law = 0.25 * np.abs(plant.load(*motion)) + 0.03 * np.cos(2 * motion[0] + 3)
+        made.append(replace(r, tau=r.tau + turn * law))
+    said: list[str] = []
+    found = [f.term for f in diagnose(as_set(plant, made), lambda step: said.append(step.said)).findings]
+    assert next(line for line in said if "friction" in line).startswith("load_dependent_friction")
+    assert {t.effect.name for t in found} == {"load_dependent_friction", "position_dependent_friction"}
+    assert found[0].values[0] == pytest.approx(0.25, rel=0.15)
+
+
+def test_pieces_too_short_for_the_filter_do_not_count(planar):
+    """After 8 s bursts of 8 samples between gaps, and one recording only: blocks are made of what can be used."""
+    plant, rng = planar(1), np.random.default_rng(6)
+    whole = record(plant, "0.csv", rng, 16.0, 0.01)
+    kept = np.flatnonzero((whole.t < 8) | (np.arange(len(whole.t)) % 40 < 8))
+    arrays = {name: getattr(whole, name)[..., kept] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    gaps = np.flatnonzero(np.diff(arrays["t"]) > 0.05) + 1
+    ends = [0, *gaps.tolist(), len(kept)]
+    torn = replace(whole, **arrays, segments=tuple(slice(a, b) for a, b in itertools.pairwise(ends)))
+    assert not diagnose(as_set(plant, [torn])).findings
+    one, other = (fit_terms(s, prepare(s), plain_model(s)).model for s in (as_set(plant, [torn]), as_set(plant, [whole])))
+    for term, whole_term in zip(one.terms, other.terms, strict=True):
+        for e, w in zip(term.estimates, whole_term.estimates, strict=True):
+            assert e.std is not None
+            assert w.std is not None
+            assert e.std < 4 * w.std  # of half the time
+
+
+@pytest.mark.parametrize("undecided", [False, True])
+def test_a_suggested_motion_keeps_to_what_the_arm_can_do(planar, undecided):
+    """Recorded with the joints in step: most motions within their ranges would need more torque and come lower than recorded."""
+    plant, made = planar(2), []
+    t = np.arange(1000) / 100
+    for i, w in enumerate((0.6, 0.8, 1.0)):
+        one = np.array([0.8 * np.sin(w * t), 0.8 * w * np.cos(w * t), -0.8 * w**2 * np.sin(w * t)])
+        motion = tuple(np.array([[0.3], [-1.5]]) * (k == 0) + np.array([[1.0], [-2.0]]) * x for k, x in enumerate(one))
+        made.append(record(plant, f"{i}.csv", np.random.default_rng(i), 10.0, motion=motion, payload=3.0, tool=(0.4, 0.0, 0.0)))
+    recordings = replace(as_set(plant, made), tool=ToolPoint(1, np.array([0.4, 0.0, 0.0])))
+    weak = replace(
+        recordings.robot, effort=np.full(2, 1e-3), velocity=np.full(2, 1e-3)
+    )  # below what was recorded, which counts
+    recordings = replace(recordings, robot=weak)
+    plain = calibrate(recordings)
+    seen = view(prepare(recordings), plain)
+    arm = Model(weak, recordings.tool)
+    largest = np.max([np.abs(r.tau).max(axis=1) for r in made], axis=0)
+    lowest = min(float(arm.tool_height(q)) for r in made for q in r.q.T)
+    found = Finding(Term(TorqueOffset((1,)), (Estimate(0.5),)), 1.0, 0.6, 50.0, 1e-9, (("coulomb_asymmetry", (1,)),))
+    (suggestion,) = suggest(recordings, plain, [] if undecided else [found], undecided, seen)
+    m = suggestion.motion
+    assert np.all((seen.low <= m.q.T) & (seen.high >= m.q.T))
+    assert np.all(np.abs(m.dq).max(axis=1) <= seen.speed)
+    assert np.all(np.abs(plain.torques(m)[0]).max(axis=1) <= 1.01 * largest)  # planned with dry friction of a wider transition
+    assert min(float(arm.tool_height(q)) for q in m.q.T) >= lowest
+    np.testing.assert_allclose(m.dq[:, [0, -1]], 0, atol=1e-9)
+    assert np.ptp(m.q, axis=1).min() > 0.05
+
+
+def test_leaving_out_what_alone_knows_of_a_parameter_says_nothing_of_it():
+    """A column of zeros has neither an estimate nor a say."""
+    matrix = np.array([[4.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 2.0]])
+    inverse = pseudo_inverse(matrix)
+    assert np.all(inverse[1] == pytest.approx(0.0, abs=1e-12))
+    np.testing.assert_allclose(inverse[np.ix_([0, 2], [0, 2])], np.linalg.inv(matrix[np.ix_([0, 2], [0, 2])]), atol=1e-12)
