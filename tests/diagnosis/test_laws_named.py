@@ -23,7 +23,6 @@ from rrr_oc.effects.sensor.torque_gain import TorqueGain
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.numerics.rank import pseudo_inverse
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.robot.robot import ToolPoint, load_robot
 
@@ -233,11 +232,3 @@ def test_a_suggested_motion_keeps_to_what_the_arm_can_do(planar, undecided):
     assert min(float(arm.tool_height(q)) for q in m.q.T) >= lowest
     np.testing.assert_allclose(m.dq[:, [0, -1]], 0, atol=1e-9)
     assert np.ptp(m.q, axis=1).min() > 0.05
-
-
-def test_leaving_out_what_alone_knows_of_a_parameter_says_nothing_of_it():
-    """A column of zeros has neither an estimate nor a say."""
-    matrix = np.array([[4.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 2.0]])
-    inverse = pseudo_inverse(matrix)
-    assert np.all(inverse[1] == pytest.approx(0.0, abs=1e-12))
-    np.testing.assert_allclose(inverse[np.ix_([0, 2], [0, 2])], np.linalg.inv(matrix[np.ix_([0, 2], [0, 2])]), atol=1e-12)
