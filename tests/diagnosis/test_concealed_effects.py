@@ -50,7 +50,7 @@ def diagnosed(case: Path) -> dict:
 
 @pytest.mark.parametrize(
     ("robot", "effect"),
-    [("arm2", "load_dependent_friction"), ("arm2", "encoder_offset"), ("arm1", "stribeck"), ("arm2", "torque_gain")],
+    [("arm2", "load_dependent_friction"), ("arm1", "stribeck")],
 )
 def test_names_what_was_concealed(made, robot, effect):
     case, truth = made(f"{effect}/{robot}", robot, Concealed(effect, 2.0))
