@@ -286,6 +286,18 @@ def right_direction(way: int, found: Diagnosis) -> bool:
     return single(found, right)
 
 
+def right_echo(truth: float, found: Diagnosis) -> bool:
+    """Whether nothing but what follows the past of the load is found, with the frequency [rad/s] within 15 %."""
+    echoes = [f.term.named["frequency"] for f in found.findings if f.term.effect.name == "echo"]
+    return len(echoes) == len(found.findings) and any(near(w, truth, 0.15) for w in echoes)
+
+
+def sloshing(folder: Path) -> tuple[str, bool]:
+    found = diagnose(concealed("sloshing", "arm3", Concealed("sloshing_payload", 3.0))(folder))
+    (file,) = (folder / "sealed").glob("*.json")
+    return claims(found), right_echo(json.loads(file.read_text())["effects"][0]["parameters"]["omega"]["value"], found)
+
+
 def right_servo(found: Diagnosis) -> bool:
     first = found.findings[0].term if found.findings else None
     return (
@@ -370,6 +382,7 @@ CASES = {
         )
         for way, words in ((1, "upwards"), (-1, "downwards"))
     },
+    "sloshing": Known("a payload that sloshes, three joints", "nothing but an echo of the load at its frequency", sloshing),
     "servo": Known(
         "a real servo, `xl330_pendulum`", "load_dependent_friction first, in all recordings", _of(servo, right_servo)
     ),

@@ -65,17 +65,6 @@ def test_names_what_was_concealed(made, robot, effect):
     assert all(m["significant"] == (m["joint"] == hidden["joint"]) for m in found["mismatch"] if m["joint"] == hidden["joint"])
 
 
-def test_what_is_decided_by_the_past_is_said_to_be(made):
-    """A payload that sloshes: nothing of the instant explains it."""
-    case, truth = made("sloshing", "arm3", Concealed("sloshing_payload", 3.0))
-    found = diagnosed(case)
-    assert found["effects"] == []
-    assert all(u["depends_on"] == ["load_torque", "time"] for u in found["unexplained"])
-    model = load_model(output(case) / "model.json")
-    frequency = truth["effects"][0]["parameters"]["omega"]["value"]
-    assert any(abs(t.named["frequency"] / frequency - 1) < 0.15 for t in model.terms if t.effect.name == "echo")
-
-
 def test_repaired_model_predicts_unseen_recordings(made, tmp_path):
     case, truth = made("load_dependent_friction/arm2", "arm2", Concealed("load_dependent_friction", 2.0))
     found = diagnosed(case)

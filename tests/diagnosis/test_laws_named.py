@@ -7,6 +7,7 @@ import chains
 import numpy as np
 import pytest
 from recorded import Plant, as_set, multisine, record
+from scipy.signal import lsim
 
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import Estimate, Term
@@ -14,6 +15,7 @@ from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import prepare
+from rrr_oc.diagnosis.diagnosis_file import to_json
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.procedure import diagnose, ready
 from rrr_oc.diagnosis.signatures import view
@@ -55,6 +57,21 @@ def test_a_tilt_is_found_where_one_of_its_angles_does_nothing(planar):
     equal = {"gravity_tilt", "encoder_offset", "backlash"}  # all turn the first link
     assert finding.term.effect.name in equal
     assert equal <= {finding.term.effect.name, *(name for name, _ in finding.rivals)}
+
+
+def test_what_is_decided_by_the_past_is_said_to_be(planar):
+    """An oscillator of 7 rad/s follows the load, as a payload that sloshes: nothing of the instant explains its torque."""
+    plant, rng, made, w = planar(1), np.random.default_rng(3), [], 7.0
+    for i in range(4):
+        motion = multisine(1, np.arange(1000) / 100, rng)
+        r, load = record(plant, f"{i}.csv", rng, 10.0, 0.01, motion), plant.load(*motion)[0]
+        state = [[0.0, 1.0], [-(w**2), -0.1 * w]], [[0.0], [w**2]], [[1.0, 0.0]], [[0.0]]
+        made.append(replace(r, tau=r.tau + 0.3 * (lsim(state, load, r.t, [load[0], 0.0])[1] - load)))
+    found = diagnose(as_set(plant, made))
+    content = to_json(found)
+    assert content["effects"] == []
+    assert all(u["depends_on"] == ["load_torque", "time"] for u in content["unexplained"])
+    assert any(abs(f.term.named["frequency"] / w - 1) < 0.15 for f in found.findings if f.term.effect.name == "echo")
 
 
 @pytest.mark.parametrize(("share", "named"), [(1e-4, False), (3e-3, True)])
