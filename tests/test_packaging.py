@@ -124,3 +124,9 @@ def test_an_unknown_licence_is_refused():
     Made.metadata["License-Expression"] = "MIT AND GPL-3.0-only"
     with pytest.raises(UserError, match=r"made: its licence is 'MIT AND GPL-3.0-only'; docs/dependencies\.py knows 0BSD"):
         dependencies.licence("made", cast(Any, Made))
+
+
+def test_files_that_begin_first_are_there():
+    names = re.findall(r'^    "(\w+/\w+\.py)",$', (ROOT / "tests" / "conftest.py").read_text(), re.M)
+    assert names
+    assert [name for name in names if not (ROOT / "tests" / name).is_file()] == []
