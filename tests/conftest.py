@@ -16,6 +16,7 @@ LONGEST = (
     "whole/test_documented_commands.py",
     "diagnosis/test_laws_named.py",
     "whole/test_study.py",
+    "diagnosis/test_links_and_payloads.py",
     "diagnosis/test_dry_friction.py",
     "diagnosis/test_concealed_effects.py",
     "diagnosis/test_some_recordings.py",
