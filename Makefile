@@ -3,20 +3,25 @@ PYTHON ?= python3
 VENV ?= .venv
 LOWEST ?= .venv-lowest
 ARGS ?=
-# Recording which statements run takes a quarter to a third more processor time; `make test COVERAGE=` leaves it out.
-COVERAGE ?= --cov=rrr_oc --cov-report=term
+# A process for each core; the tests of a file stay in one of them, and files begin in the order of tests/conftest.py. Benchmarks are
+# not for processes that share a machine. ARGS="-n 0" runs all in one process.
+SIDE_BY_SIDE = -n logical --dist loadfile --no-loadscope-reorder -p no:benchmark
 BUILT_FROM = pyproject.toml setup.py rrr_oc/robot/_rigid_body.cpp rrr_oc/numerics/_along.cpp rrr_oc/numerics/_stepping.cpp
 # A short part of the tests that touches every dependency.
 SHORT = $(addprefix tests/,numerics/test_akima.py robot/test_robot.py robot/test_rigid_body.py codesign/test_task.py \
   effects/test_effects.py recordings/test_recordings.py recordings/test_importers.py commands/test_cli.py model/test_metrics.py \
   optimal_control/test_solver.py simulation/test_rollout.py paper/test_evolution.py)
 
-.PHONY: study test test-lowest docs lint wheel
+.PHONY: study test coverage test-lowest docs lint wheel
 study: $(VENV)/installed
 	$(VENV)/bin/python studies/pea_bpea.py $(ARGS)
 
 test: $(VENV)/installed
-	$(VENV)/bin/python -m pytest $(COVERAGE) $(ARGS)
+	$(VENV)/bin/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
+
+# Recording which statements run takes a quarter to a third more processor time.
+coverage: $(VENV)/installed
+	$(VENV)/bin/python -m pytest $(SIDE_BY_SIDE) --cov=rrr_oc --cov-report=term $(ARGS)
 
 # The lowest versions warn of each other's deprecations, which is no fault of ours: warnings stay warnings here.
 test-lowest: $(LOWEST)/installed

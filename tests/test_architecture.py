@@ -2,9 +2,8 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "rrr_oc"
@@ -39,8 +38,18 @@ def imported(text: str, package: tuple[str, ...] = ()) -> set[str]:
     return names
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@cache
 def imports_of(path: Path) -> set[str]:
     return imported(path.read_text(), ("rrr_oc", *path.relative_to(PACKAGE).parts[:-1]))
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
 
 
 def test_the_map_shows_the_folders_that_there_are():
@@ -55,45 +64,55 @@ def test_the_map_goes_from_the_ground_up():
         below.add(folder)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_imports_go_one_way(path):
-    own, allowed = folder_of(path), folders_of_the_map()
-    places = {name.split(".")[1] for name in imports_of(path) if name.startswith("rrr_oc.")} - {"__version__"}
-    may = set(ROOT_MODULES) | (allowed[own] | {own} if own in allowed else START.get(own, set()))
-    assert places <= may, f"{path.relative_to(ROOT)} imports from {', '.join(sorted(places - may))}"
+def test_imports_go_one_way():
+    map_, wrong = folders_of_the_map(), {}
+    for path in MODULES:
+        own = folder_of(path)
+        places = {name.split(".")[1] for name in imports_of(path) if name.startswith("rrr_oc.")} - {"__version__"}
+        may = set(ROOT_MODULES) | (map_[own] | {own} if own in map_ else START.get(own, set()))
+        if not places <= may:
+            wrong[name_of(path)] = sorted(places - may)
+    assert wrong == {}, "modules, and folders that they must not import from"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_the_package_does_not_know_studies_validation_and_tests(path):
-    assert not {name.split(".")[0] for name in imports_of(path)} & {"studies", "validation", "tests", "chains", "conftest"}
+def test_the_package_does_not_know_studies_validation_and_tests():
+    others = {"studies", "validation", "tests", *(path.stem for path in (ROOT / "tests").rglob("*.py"))}
+    found = {name_of(path): {name.split(".")[0] for name in imports_of(path)} & others for path in MODULES}
+    assert {path: names for path, names in found.items() if names} == {}
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if folder_of(p) not in VISIBLE], ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_plots_and_printing_live_away_from_numbers(path):
-    assert not {name.split(".")[0] for name in imports_of(path)} & {"matplotlib", "rich", "typer"}
-    calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
-    assert not [f for f in calls if isinstance(f, ast.Name) and f.id == "print"], f"{path} prints"
+def test_plots_and_printing_live_away_from_numbers():
+    wrong = {}
+    for path in (p for p in MODULES if folder_of(p) not in VISIBLE):
+        found = {name.split(".")[0] for name in imports_of(path)} & {"matplotlib", "rich", "typer"}
+        calls = [node.func for node in ast.walk(parsed(path)) if isinstance(node, ast.Call)]
+        found |= {f"print in line {f.lineno}" for f in calls if isinstance(f, ast.Name) and f.id == "print"}
+        if found:
+            wrong[name_of(path)] = sorted(found)
+    assert wrong == {}
 
 
-@pytest.mark.parametrize("folder", sorted({p.parent for p in MODULES} - {PACKAGE}), ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_every_folder_says_what_lives_in_it(folder):
-    assert ast.get_docstring(ast.parse((folder / "__init__.py").read_text())), f"{folder}/__init__.py has no docstring"
-    assert len(list(folder.glob("*.py"))) <= 14, f"{folder.relative_to(ROOT)} has too many files to be read at a glance"
+def test_every_folder_says_what_lives_in_it_and_is_read_at_a_glance():
+    folders = sorted({p.parent for p in MODULES} - {PACKAGE})
+    assert [name_of(f) for f in folders if not ast.get_docstring(parsed(f / "__init__.py"))] == [], "no docstring"
+    counts = {name_of(f): len(list(f.glob("*.py"))) for f in folders}
+    assert {folder: count for folder, count in counts.items() if count > 14} == {}, "too many files"
 
 
-def functions_of(path: Path):
-    tree = ast.parse(path.read_text())
-    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_functions_are_short_and_take_few_arguments(path):
-    for function in functions_of(path):
-        lines, a = (function.end_lineno or 0) - function.lineno + 1, function.args
-        names = [x.arg for x in (*a.posonlyargs, *a.args, *a.kwonlyargs) if x.arg not in ("self", "cls")]
-        assert lines <= 60, f"{path.name}:{function.name} has {lines} lines"
-        command = any(isinstance(d, ast.Call) and ast.unparse(d.func).endswith(".command") for d in function.decorator_list)
-        assert len(names) <= 6 or command, f"{path.name}:{function.name} takes {len(names)} arguments"
+def test_functions_are_short_and_take_few_arguments():
+    wrong = []
+    for path in MODULES:
+        for function in ast.walk(parsed(path)):
+            if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            lines, a = (function.end_lineno or 0) - function.lineno + 1, function.args
+            names = [x.arg for x in (*a.posonlyargs, *a.args, *a.kwonlyargs) if x.arg not in ("self", "cls")]
+            command = any(isinstance(d, ast.Call) and ast.unparse(d.func).endswith(".command") for d in function.decorator_list)
+            if lines > 60:
+                wrong.append(f"{name_of(path)}: {function.name} has {lines} lines")
+            if len(names) > 6 and not command:
+                wrong.append(f"{name_of(path)}: {function.name} takes {len(names)} arguments")
+    assert wrong == []
 
 
 def test_the_reader_of_imports_sees_all_forms():

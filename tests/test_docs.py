@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from html.parser import HTMLParser
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,9 +19,6 @@ from doc_pages import CURRENT, PAGES, ROOT, blocks, code
 from rrr_oc.commands import COMMANDS, app, load
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import STATUSES
-
-each_page = pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
-each_current_page = pytest.mark.parametrize("page", CURRENT, ids=lambda p: str(p.relative_to(ROOT)))
 
 
 def missing_names(text: str) -> list[str]:
@@ -100,22 +98,29 @@ def declared(option: str, script: str) -> bool:
     )
 
 
-@each_current_page
-def test_python_imports_what_exists(page):
-    for language, content in blocks(page.read_text()):
-        if language == "python":
-            assert not missing_names(content)
+def on_pages(check: Callable[[str], list[str]]) -> dict[str, list[str]]:
+    """What a check finds wrong on each page that is not right."""
+    found = {str(page.relative_to(ROOT)): check(page.read_text()) for page in CURRENT}
+    return {page: wrong for page, wrong in found.items() if wrong}
 
 
-@each_current_page
-def test_dotted_names_exist(page):
-    named = {name for span in code(page.read_text()) for name in re.findall(r"(?<![\w./-])rrr_oc(?:\.\w+)+", span)}
-    assert not [name for name in sorted(named) if not exists(name)]
+def test_python_imports_what_exists():
+    def check(text: str) -> list[str]:
+        return [name for language, content in blocks(text) if language == "python" for name in missing_names(content)]
+
+    assert on_pages(check) == {}
 
 
-@each_current_page
-def test_paths_exist(page):
-    assert not missing_paths(page.read_text())
+def test_dotted_names_exist():
+    def check(text: str) -> list[str]:
+        named = {name for span in code(text) for name in re.findall(r"(?<![\w./-])rrr_oc(?:\.\w+)+", span)}
+        return [name for name in sorted(named) if not exists(name)]
+
+    assert on_pages(check) == {}
+
+
+def test_paths_exist():
+    assert on_pages(missing_paths) == {}
 
 
 def test_the_tour_names_modules_that_exist():
@@ -125,14 +130,13 @@ def test_the_tour_names_modules_that_exist():
     assert not [path for path in sorted(named) if not (ROOT / "rrr_oc" / path).exists() and not (ROOT / path).exists()]
 
 
-@each_page
-def test_links_lead_somewhere(page):
-    assert not missing_links(page, page.read_text())
+def test_links_lead_somewhere():
+    found = {str(page.relative_to(ROOT)): missing_links(page, page.read_text()) for page in PAGES}
+    assert {page: targets for page, targets in found.items() if targets} == {}
 
 
-@each_current_page
-def test_commands_and_options_exist(page):
-    assert not {command: bad for command in code(page.read_text()) if (bad := unknown_options(command))}
+def test_commands_and_options_exist():
+    assert on_pages(lambda text: [f"{line}: {bad}" for line in code(text) for bad in unknown_options(line)]) == {}
 
 
 def test_the_readme_names_every_page():

@@ -35,25 +35,25 @@ def pins(name: str) -> dict[str, str]:
     return dict(line.split("==") for line in lines)
 
 
-@pytest.mark.parametrize("requirement", [*FOR_USERS, *FOR_TESTS], ids=str)
-def test_the_exact_version_lies_in_the_range(requirement):
-    assert requirement.specifier.contains(pins("ci.txt")[requirement.name])
+def test_exact_versions_lie_in_their_ranges():
+    exact = pins("ci.txt")
+    assert {str(r): exact[r.name] for r in (*FOR_USERS, *FOR_TESTS) if not r.specifier.contains(exact[r.name])} == {}
 
 
-@pytest.mark.parametrize("requirement", FOR_USERS, ids=str)
-def test_the_lowest_version_is_the_lower_bound(requirement):
-    lowest = pins("lowest.txt")[requirement.name]
-    assert requirement.specifier.contains(lowest)
-    bounds = [s.version for s in requirement.specifier if s.operator == ">="]
-    assert len(bounds) == 1
-    assert lowest in (bounds[0], f"{bounds[0]}.0", f"{bounds[0]}.0.0")
+def test_lowest_versions_are_the_lower_bounds():
+    lowest, wrong = pins("lowest.txt"), {}
+    for requirement in FOR_USERS:
+        pinned, bounds = lowest[requirement.name], [s.version for s in requirement.specifier if s.operator == ">="]
+        of_bound = {f"{bound}{zeros}" for bound in bounds for zeros in ("", ".0", ".0.0")}
+        if len(bounds) != 1 or pinned not in of_bound or not requirement.specifier.contains(pinned):
+            wrong[str(requirement)] = pinned
+    assert wrong == {}
 
 
-@pytest.mark.parametrize("requirement", FOR_USERS, ids=str)
-def test_only_what_the_extension_is_compiled_against_has_an_upper_end(requirement):
+def test_only_what_the_extension_is_compiled_against_has_an_upper_end():
     """A library that asks for an exact version, or for an old one, cannot be installed beside others."""
-    operators = {s.operator for s in requirement.specifier}
-    assert operators == ({">=", "<"} if requirement.name in COMPILED_AGAINST else {">="})
+    operators = {r.name: {s.operator for s in r.specifier} for r in FOR_USERS}
+    assert operators == {r.name: {">=", "<"} if r.name in COMPILED_AGAINST else {">="} for r in FOR_USERS}
 
 
 def test_the_extension_is_built_with_exact_versions_with_which_it_also_runs():
@@ -97,13 +97,11 @@ def test_types_are_packaged():
 REACHED = dependencies.reached()
 
 
-@pytest.mark.parametrize("name", REACHED)
-def test_all_that_is_installed_is_pinned_in_the_version_that_is_installed(name):
-    installed, parts = REACHED[name]
-    if installed is None:
-        assert parts == {dependencies.BUILD}
-    else:
-        assert dependencies.pinned()[name] == installed.version
+def test_all_that_is_installed_is_pinned_in_the_version_that_is_installed():
+    pinned = dependencies.pinned()
+    installed = {name: one.version for name, (one, _) in REACHED.items() if one is not None}
+    assert {name: (version, pinned.get(name)) for name, version in installed.items() if version != pinned.get(name)} == {}
+    assert {name for name, (one, parts) in REACHED.items() if one is None and parts != {dependencies.BUILD}} == set()
 
 
 def test_nothing_else_is_pinned():
@@ -127,3 +125,9 @@ def test_an_unknown_licence_is_refused():
     Made.metadata["License-Expression"] = "MIT AND GPL-3.0-only"
     with pytest.raises(UserError, match=r"made: its licence is 'MIT AND GPL-3.0-only'; docs/dependencies\.py knows 0BSD"):
         dependencies.licence("made", cast(Any, Made))
+
+
+def test_files_that_begin_first_are_there():
+    names = re.findall(r'^    "(\w+/\w+\.py)",$', (ROOT / "tests" / "conftest.py").read_text(), re.M)
+    assert names
+    assert [name for name in names if not (ROOT / "tests" / name).is_file()] == []

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -96,6 +97,42 @@ def record(
     rates = differentiate(t, seen, segments), differentiate(t, seen, segments, 2)
     motion = Motion(t, seen, *rates, np.full(t.size, payload), segments)
     return replace(Recording.planned(name, motion, springs), tau=tau, computed=computed)
+
+
+def by_engine(plant: Plant, name: str, rng: np.random.Generator, loss: float) -> Recording:
+    """A recording of 15 s by MuJoCo, whose dry friction is a constraint: a joint that reverses may stand still for a moment."""
+    model = mujoco.MjModel.from_xml_path(str(plant.urdf))
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.001
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.jnt_limited[:], model.dof_frictionloss[:] = 0, loss
+    model.dof_damping[:], model.dof_armature[:] = plant.viscous, plant.armature
+    data, t = mujoco.MjData(model), np.arange(15000) / 1000
+    q, dq, _ = multisine(plant.n, t, rng)
+    data.qpos[:], data.qvel[:] = q[:, 0], dq[:, 0]
+    seen = np.empty((2, plant.n, t.size))
+    for k in range(t.size):
+        data.qfrc_applied[:] = 200 * (q[:, k] - data.qpos) + 20 * (dq[:, k] - data.qvel)
+        seen[:, :, k] = data.qpos, data.qfrc_applied
+        mujoco.mj_step(model, data)
+    positions, tau = seen[:, :, ::10]
+    made = record(plant, name, rng, 15.0, motion=(positions, *np.zeros((2, plant.n, 1500))))
+    return replace(made, tau=tau + 0.01 * tau.std(axis=1, keepdims=True) * rng.standard_normal(tau.shape))
+
+
+def point_to_point(plant: Plant, noise: float, always: float) -> list[Recording]:
+    """Four recordings of one joint with a second of rest after each move and speeds that are trapezoids, with 0.4 Nm more: always in
+    the share `always`, the rest while the joint moves."""
+    rng, made = np.random.default_rng(1), []
+    shape = np.repeat([1.0, 0.0, -1.0, 0.0], [30, 60, 30, 100])
+    for i in range(4):
+        sizes = np.diff(rng.uniform(-1.0, 1.0, 8), prepend=0.0) / 0.27
+        ddq = np.concatenate([size * shape for size in sizes])[None]
+        dq = np.concatenate([[[0.0]], np.cumsum(ddq[:, :-1], axis=1) / 100], axis=1)
+        q = np.concatenate([[[0.0]], np.cumsum(dq[:, :-1] + ddq[:, :-1] / 200, axis=1) / 100], axis=1)
+        ddq[:, 1:] = (ddq[:, 1:] + ddq[:, :-1]) / 2  # where it jumps
+        r = record(plant, f"{i}.csv", rng, ddq.size / 100, noise, (q, dq, ddq))
+        made.append(replace(r, tau=r.tau + 0.4 * np.maximum(always, np.tanh(r.dq / plant.width) ** 2)))
+    return made
 
 
 def behind_gear(plant: Plant, recorded: Recording, motion: tuple[np.ndarray, ...], through: Callable) -> Recording:

@@ -364,15 +364,18 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("broken", BROKEN)
 @pytest.mark.parametrize("reader", READERS)
-def test_whatever_is_no_such_file_is_one_sentence(tmp_path, reader, broken):
+def test_whatever_is_no_such_file_is_one_sentence(tmp_path, reader):
     header = {"format": "rrr_oc-recordings/1", "robot": "rrr", "joints": ["joint1", "joint2", "joint3"]}
     (tmp_path / "header.json").write_text(json.dumps(header | {"recordings": [{"file": "a.json"}]}))
-    (tmp_path / "a.json").write_bytes(BROKEN[broken])
-    with pytest.raises(UserError) as caught:
-        READERS[reader](tmp_path / "a.json")
-    assert len(str(caught.value)) < 700
+    said = dict.fromkeys(BROKEN, "it was read")
+    for broken, content in BROKEN.items():
+        (tmp_path / "a.json").write_bytes(content)
+        try:
+            READERS[reader](tmp_path / "a.json")
+        except UserError as error:
+            said[broken] = "" if len(str(error)) < 700 else f"{len(str(error))} characters"
+    assert {broken: what for broken, what in said.items() if what} == {}
 
 
 def test_a_byte_order_mark_does_no_harm(tmp_path):

@@ -88,9 +88,10 @@ NOT_RUN = {
     "validation/calibration_ways.py": ("minutes", "tests/calibration/test_calibration.py"),
     "validation/diagnosis_times.py": ("hours", "tests/validation/test_diagnosis_times.py"),
     "validation/kills.py": ("minutes", "tests/whole/test_study.py"),
+    "validation/known_misses.py": ("half an hour", "tests/validation/test_known_misses.py"),
     "python docs/dependencies.py": ("it writes a page; a test compares that page", "tests/test_packaging.py"),
     "validation/peers/": ("hours, and needs other tools", "tests/validation/test_peers.py"),
-    "validation/engine_plants.py": ("minutes to hours", "tests/diagnosis/test_diagnosis.py"),
+    "validation/engine_plants.py": ("minutes to hours", "tests/diagnosis/test_dry_friction.py"),
 }
 
 

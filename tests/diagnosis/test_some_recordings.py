@@ -1,0 +1,142 @@
+"""Diagnosis of effects that only some of the recordings have."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.samples import prepare
+from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.held_out import folds_of
+from rrr_oc.diagnosis.procedure import diagnose, ready
+from rrr_oc.diagnosis.signatures import trials, view
+from rrr_oc.effects.priors import Priors
+from rrr_oc.effects.sensor.torque_offset import TorqueOffset
+from rrr_oc.recordings.recording import Recording
+from rrr_oc.report.diagnosis_words import sentence
+from rrr_oc.simulation.replay import pieces
+
+TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
+
+
+def test_what_is_held_out_leaves_recordings_of_its_kind_behind():
+    """Every other recording carries a payload: taking every other one out would leave none."""
+    plant, rng = Plant("rrr", np.ones(3), np.ones(3), 0.1 * np.ones(3)), np.random.default_rng(1)
+    made = [record(plant, f"{i}.csv", rng, 4.0, payload=2.0 * (i % 2)) for i in range(8)]
+    way, _, folds = folds_of(ready(as_set(plant, made), Priors())[1].data)
+    assert way == "recordings"
+    assert sorted(k for held in folds for k in held) == list(range(8))
+    for held in folds:
+        assert {k % 2 for k in held} == {0, 1}
+
+
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_an_effect_of_some_groups_is_that_of_all_where_nothing_speaks_against_it(planar, everywhere):
+    plant, rng = planar(1), np.random.default_rng(8)
+    made_up = [replace(record(plant, f"{k}.csv", rng, 6.0), group="ab"[k % 2]) for k in range(4)]
+    offset = [replace(r, tau=r.tau - 2.0) if everywhere or r.group == "a" else r for r in made_up]
+    (finding,) = diagnose(as_set(plant, offset)).findings
+    assert (finding.term.effect, finding.term.groups) == (TorqueOffset((0,)), () if everywhere else ("a",))
+    assert finding.term.values == pytest.approx([-2.0], rel=0.02)
+
+
+@pytest.mark.parametrize("change", ["payload", "gain"])
+def test_what_only_one_recording_has_is_found_there(planar, change):
+    """Nothing but pieces of that recording can confirm it."""
+    plant, rng = planar(1), np.random.default_rng(2)
+    made = [
+        record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, 0.5 * (change == "payload" and i == 1), TOOL) for i in range(4)
+    ]
+    made = [replace(r, payload=0 * r.t) for r in made]
+    other = {"payload": 1.0, "gain": 1.1}[change] * made[1].tau
+    recordings = as_set(plant, [made[0], replace(made[1], tau=other), *made[2:]])
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    (found,) = diagnose(recordings).findings
+    names = {"payload": "payload_mass", "gain": "torque_gain"}
+    assert found.term.effect.name == names[change]
+    assert found.term.groups == ("1.csv",)
+
+
+def test_a_payload_that_runs_through_many_values_costs_no_more(planar):
+    """What a payload does to the links is affine in its mass: the same as with each mass by itself."""
+    plant, rng = planar(2), np.random.default_rng(8)
+    r = record(plant, "0.csv", rng, 3.0)
+    ramp = replace(r, payload=np.linspace(0.0, 2.0, len(r.t)))
+    whole = as_set(plant, [ramp])
+    whole = replace(whole, tool=whole.robot.point(whole.robot.links[-1], [0.2, 0.1, 0]))
+    model, at = plain_model(whole), [0, 150, 299]
+    moving = Prediction(model, prepare(whole)[0].recording)
+    for k in at:
+        held = replace(whole, recordings=(replace(r, payload=np.full(len(r.t), ramp.payload[k])),))
+        alone = Prediction(model, prepare(held)[0].recording)
+        for a, b in zip(moving.partials, alone.partials, strict=True):
+            assert a[..., k] == pytest.approx(b[..., k], abs=1e-9)
+        trial = next(t for t in trials(view(prepare(whole), model), "motor") if t.effect.name == "payload_com")
+        assert moving.by_trial(trial)[..., k] == pytest.approx(alone.by_trial(trial)[..., k], abs=1e-9)
+    assert 10 < len(pieces(ramp)) < 60
+
+
+def with_changes(plant: Plant, rng: np.random.Generator, change, count: int = 5) -> list[Recording]:
+    """Recordings of 10 s, each with what `change` adds to the torque of one of this number."""
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(count)]
+    return [replace(r, tau=r.tau + change(i, r)) for i, r in enumerate(made)]
+
+
+def test_an_effect_may_be_another_in_each_recording(planar):
+    plant, rng, truth = planar(1), np.random.default_rng(9), {1: 0.6, 3: -0.5, 4: 1.2}
+    found = diagnose(as_set(plant, with_changes(plant, rng, lambda i, r: truth.get(i, 0.0)))).findings
+    assert {f.term.effect.name for f in found} == {"torque_offset"}
+    assert {g: f.term.values[0] for f in found for g in f.term.groups} == pytest.approx(
+        {f"{i}.csv": v for i, v in truth.items()}, abs=0.01
+    )
+
+
+def test_friction_may_be_another_in_some_recordings(planar):
+    """As of a gear that was cold: no law of the catalogue, and friction that grows with load least of all."""
+    plant, rng, truth = planar(1), np.random.default_rng(3), {0: (0.6, 0.3), 1: (0.3, 0.1), 2: (0.15, 0.1)}
+
+    def change(i: int, r: Recording) -> np.ndarray:
+        dry, viscous = truth.get(i, (0.0, 0.0))
+        return dry * np.tanh(r.dq / plant.width) + viscous * r.dq
+
+    found = diagnose(as_set(plant, with_changes(plant, rng, change, 6)))
+    assert {(f.term.effect.name, f.term.effect.joints) for f in found.findings} == {("friction_change", (0,))}
+    values = {g: f.term.values for f in found.findings for g in f.term.groups}
+    assert values == {f"{i}.csv": pytest.approx(v, abs=0.02) for i, v in truth.items()}
+    said = sentence(to_json(found) | {"bootstrap": {}})
+    assert "lacks a torque on j1 that depends on the speed of j1 and the direction of j1 in 3 of the recordings." in said
+
+
+def test_payloads_may_be_others_in_each_recording(planar):
+    plant, rng, truth = planar(1), np.random.default_rng(2), {1: 1.0, 3: 3.0}
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, truth.get(i, 0.0), TOOL) for i in range(5)]
+    recordings = as_set(plant, [replace(r, payload=0 * r.t) for r in made])
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    found = diagnose(recordings).findings
+    assert {f.term.effect.name for f in found} == {"payload_mass"}
+    assert {g: f.term.values[0] for f in found for g in f.term.groups} == pytest.approx({"1.csv": 1.0, "3.csv": 3.0}, rel=0.02)
+
+
+def test_a_spring_of_one_recording_of_many_beside_a_law_of_all(planar):
+    """Engaged half of the time in one of eight: what counts is whether it helps there."""
+    plant, rng = planar(1), np.random.default_rng(11)
+
+    def change(i: int, r: Recording) -> np.ndarray:
+        return 0.6 * r.dq * np.abs(r.dq) - (i == 2) * 8.0 * np.maximum(0.0 - r.q, 0.0)
+
+    found = diagnose(as_set(plant, with_changes(plant, rng, change, 8))).findings
+    assert {(f.term.effect.name, f.term.groups) for f in found} == {("quadratic_drag", ()), ("parallel_spring", ("2.csv",))}
+
+
+def test_a_payload_that_was_listed_and_not_mounted(planar):
+    plant, rng = planar(1), np.random.default_rng(12)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, None, None, 3.0 * (i == 3), TOOL) for i in range(4)]
+    made = [replace(r, payload=0 * r.t + 3.0 * (i in (1, 3))) for i, r in enumerate(made)]
+    recordings = as_set(plant, made)
+    recordings = replace(recordings, tool=recordings.robot.point(recordings.robot.links[-1], TOOL))
+    (found,) = diagnose(recordings).findings
+    assert (found.term.effect.name, found.term.groups) == ("payload_mass", ("1.csv",))
+    assert found.term.values == pytest.approx([-3.0], rel=0.02)
