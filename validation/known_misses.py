@@ -3,8 +3,8 @@
     python validation/known_misses.py --out results/known_misses
 
 Each case is a few recordings of a made-up plant, or real ones, of which a maintainer knows what a diagnosis should say and, when the
-case was added, did not. What it says now is compared with that; a case that is right becomes a test. A case takes one process and is
-ended after `--longest` seconds of processor time. One that is done is not done again unless the code has changed.
+case was added, did not. What it says now is compared with that; a case that is right becomes a test unless it takes minutes. A case
+takes one process and is ended after `--longest` seconds of processor time. One that is done is not done again unless the code has changed.
 """
 
 import json
@@ -14,6 +14,7 @@ import resource
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -76,7 +77,8 @@ def claims(found: Diagnosis) -> str:
         words = f"{finding.term.effect.name}{f' of joint {joints}' if joints else ''}"
         return words + f" in {len(finding.term.groups)} recordings" * bool(finding.term.groups)
 
-    return ", ".join(map(one, found.findings)) or "nothing"
+    counts = Counter(map(one, found.findings))
+    return ", ".join(f"{words}{f' {count} times' * (count > 1)}" for words, count in counts.items()) or "nothing"
 
 
 def diagnosed(make: Callable[[Path], RecordingSet], right: Callable[[Diagnosis], bool], folder: Path) -> tuple[str, bool]:
@@ -174,10 +176,10 @@ def sticking(folder: Path) -> RecordingSet:
     return as_set(plant, [by_engine(plant, f"{i}.csv", rng, 2.0) for i in range(4)])
 
 
-def asymmetric(noise: float, folder: Path) -> RecordingSet:
+def asymmetric(folder: Path) -> RecordingSet:
     """Friction that is larger in one direction, from point to point."""
     plant = replace(pendulum(folder), width=0.02)
-    return as_set(plant, point_to_point(plant, noise, 0.0))
+    return as_set(plant, point_to_point(plant, 0.2, 0.0))
 
 
 def stiffer_spring(folder: Path) -> RecordingSet:
@@ -353,14 +355,9 @@ CASES = {
         _of(preloaded_spring, right_preload),
     ),
     "sticking": Known("nothing; dry friction holds the joint", "nothing", _of(sticking, named())),
-    **{
-        f"asymmetry-{noise:g}": Known(
-            f"friction larger in one direction, noise {100 * noise:g} %",
-            "coulomb_asymmetry",
-            _of(partial(asymmetric, noise), one_named("coulomb_asymmetry")),
-        )
-        for noise in (0.02, 0.2)
-    },
+    "asymmetry": Known(
+        "friction larger in one direction, noise 20 %", "coulomb_asymmetry", _of(asymmetric, one_named("coulomb_asymmetry"))
+    ),
     "stiffer": Known(
         "a listed spring that is stiffer in two recordings",
         "spring_stiffness there, a second spring as a rival",
@@ -430,7 +427,7 @@ def table(out: Path) -> str:
     """All cases that are done, in Markdown."""
     done = [json.loads((out / f"{name}.json").read_text()) for name in CASES if (out / f"{name}.json").exists()]
     rows = [
-        [r["case"], r["hidden"], r["wanted"], r["found"], "yes" if r["right"] else "no", f"{r['processor_s']:.0f}"]
+        [r["case"], r["hidden"], r["wanted"], r["found"], "yes" if r["right"] else "no", f"{r['processor_s']:.1f}"]
         for r in done
     ]
     return markdown(["case", "hidden", "wanted", "found", "right", "processor time [s]"], rows)

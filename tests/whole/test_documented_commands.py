@@ -47,6 +47,7 @@ REDUCED = {
     "design": ["--configurations", "PEA", "--starts", "1", "--motions", "0", "--tolerance", "1e-2", "--jobs", "1"],
     "diagnose": ["--no-simulate", "--jobs", "1"],
     "excite": ["--starts", "1", "--harmonics", "4", "--duration", "8"],
+    "stand_in_arm": ["--speeds", "1,0.7", "--joint", ""],  # hides a payload alone
 }
 STIFF = {**REDUCED, "design": [*REDUCED["design"], "--configurations", "SA"]}  # where nothing is made of the design
 STARTS = ("starts=8", "starts=1")  # of Python examples
