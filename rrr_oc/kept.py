@@ -26,6 +26,10 @@ class Listener(Protocol):
         """A sentence."""
         ...
 
+    def note(self, sentence: str, /) -> None:
+        """A sentence beside the results."""
+        ...
+
     def count(self, name: str, total: int | None = None) -> AbstractContextManager[Callable[[int, str], None]]:
         """A function that takes how many of a total are done, and a remark."""
         ...
@@ -75,7 +79,7 @@ def once(run: Kept, name: str, make: Callable[[], dict[str, Any]], files: Sequen
     files = [name] if files is None else files
     found = taken(run, name, files)
     if found is not None:
-        run.listener.show(f"{name}: taken from the interrupted or repeated run in {run.out}")
+        run.listener.note(f"{name}: taken from the interrupted or repeated run in {run.out}")
         return found
     found = make()
     if not found.get("interrupted"):
@@ -90,10 +94,10 @@ def taken(run: Kept, name: str, files: Sequence[str] = ()) -> dict[str, Any] | N
         content = _read(saved)
         changed = [] if content is None else _changed(content["asked"], _settings(run))
         if content is None or (not changed and content["hash"] != _hash(run, content["found"], files)):
-            run.listener.show(f"{name}: what is saved in {run.out} is damaged; it is made again")
+            run.listener.note(f"{name}: what is saved in {run.out} is damaged; it is made again")
         elif changed:
             others = ", ".join(changed)
-            run.listener.show(f"{name}: begun anew; what is saved in {run.out} was made with other settings: {others}")
+            run.listener.note(f"{name}: begun anew; what is saved in {run.out} was made with other settings: {others}")
         else:
             return content["found"]
     saved.unlink(missing_ok=True)  # the motion beside it is about to change

@@ -33,7 +33,7 @@ class Run:
     def __init__(self, recordings: RecordingSet, folder, asked: str = "these") -> None:
         self.said: list[str] = []
         self.steps: list[Step] = []
-        kept = Keeping(folder, {"recordings": asked, "code": "1"}, SimpleNamespace(show=self.said.append))
+        kept = Keeping(folder, {"recordings": asked, "code": "1"}, SimpleNamespace(note=self.said.append))
         self.found = diagnose(recordings, self.steps.append, None, kept)
 
 

@@ -522,7 +522,7 @@ def test_limits_of_the_arm_are_among_what_a_design_depends_on(tmp_path):
 @pytest.mark.parametrize("harm", [None, b"{", b"[1]", b'{"asked": {}}', "result", "motion", "settings"])
 def test_a_damaged_result_is_solved_again(tmp_path, harm):
     said = []
-    study = SimpleNamespace(out=tmp_path, asked={"code": "1"}, listener=SimpleNamespace(show=said.append))
+    study = SimpleNamespace(out=tmp_path, asked={"code": "1"}, listener=SimpleNamespace(note=said.append))
 
     def solve():
         write_npz(kept_motion(study, "SA"), {"x": np.ones(1)})

@@ -40,7 +40,7 @@ def test_a_small_study_leaves_a_report_and_is_not_run_twice(monkeypatch, capsys,
     assert (tmp_path / "phase_plane.png").stat().st_size > 10_000
     capsys.readouterr()
     assert run(study, monkeypatch, *arguments) == 0
-    assert capsys.readouterr().out.count("taken from the interrupted or repeated run") == 4
+    assert capsys.readouterr().err.count("taken from the interrupted or repeated run") == 4
     assert json.loads((tmp_path / "summary.json").read_text())["optima"] == optima
 
 

@@ -63,7 +63,7 @@ class Stages:
         found = None if self.kept is None else taken(self.kept, name)
         if self.kept is None or found is None:
             return None
-        self.kept.listener.show(f"{name}: taken from the interrupted or repeated run in {self.kept.out}")
+        self.kept.listener.note(f"{name}: taken from the interrupted or repeated run in {self.kept.out}")
         return msgspec.convert(found, schema)
 
     def keep(self, name: str, content: S) -> S:
