@@ -352,7 +352,7 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
         tuple(data.mismatch),
         tuple(s.suggestion() for s in data.suggestions),
         tuple(f.fold(stages.start) for f in data.folds),
-        tuple(data.above_noise),
+        tuple(np.array(data.above_noise, float).tolist()),
         data.priors,
         data.failed,
     )

@@ -288,7 +288,7 @@ class ResultData(Struct):
     mismatch: list[dict[str, Any]]
     suggestions: list[SuggestionData]
     folds: list[FoldData]
-    above_noise: list[float]
+    above_noise: Numbers
     priors: str | None
     failed: dict[str, str]
 
