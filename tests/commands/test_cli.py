@@ -85,11 +85,11 @@ def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, 
     (tmp_path / "known.toml").write_text('[context]\ninertias = "exact"\n[stribeck]\nprobability = 0.2\n')
     given, found = [], diagnose_command.diagnose_recordings
 
-    def kept(recordings, report, priors):
+    def noting(recordings, report, priors, kept):
         given.append((priors, {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}))
-        return found(recordings, report, priors)
+        return found(recordings, report, priors, kept)
 
-    monkeypatch.setattr(diagnose_command, "diagnose_recordings", kept)
+    monkeypatch.setattr(diagnose_command, "diagnose_recordings", noting)
     options = ["--no-simulate", "--jobs", "1", "--priors", tmp_path / "known.toml"]
     assert run(monkeypatch, "diagnose", folder / "set", "--out", tmp_path / "o", *options) == 0
     ((priors, threads),) = given
