@@ -41,7 +41,6 @@ MOST = 1e300  # of a score; JSON has no infinity
 Numbers = list[float | None]  # None where a number is not known
 Scores = list[tuple[list[int], float]]  # effects of a structure, by their numbers, and its score [nats]
 S = TypeVar("S", bound=Struct)
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
