@@ -14,13 +14,16 @@ HERE = Path(__file__).parent
 # Files that take more than half a minute of processor time, longest first: they begin first, so that none is left at the end.
 LONGEST = (
     "whole/test_documented_commands.py",
-    "diagnosis/test_laws_named.py",
-    "whole/test_study.py",
+    "codesign/test_task_sets.py",
     "diagnosis/test_links_and_payloads.py",
-    "diagnosis/test_dry_friction.py",
-    "diagnosis/test_concealed_effects.py",
     "diagnosis/test_some_recordings.py",
+    "whole/test_study.py",
+    "diagnosis/test_dry_friction.py",
+    "diagnosis/test_laws_named.py",
     "whole/test_real_arms_study.py",
+    "diagnosis/test_concealed_effects.py",
+    "codesign/test_springs_of_designs.py",
+    "diagnosis/test_stages.py",
 )
 
 settings.register_profile("long", max_examples=int(os.environ.get("RRR_OC_EXAMPLES", "20000")))
