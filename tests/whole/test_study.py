@@ -204,7 +204,7 @@ def test_a_motion_is_never_beside_the_summary_of_another_run(out, tmp_path, monk
 
 def test_repeating_the_command_takes_the_saved_results(out, summary, monkeypatch, capsys):
     assert run(study, monkeypatch, *TINY, "--out", str(out)) == 0
-    told = capsys.readouterr().out
+    told = capsys.readouterr().err
     assert all(f"{name}: taken from" in told.replace("\n", " ") for name in ("SA", "PEA"))
     again = json.loads((out / "summary.json").read_text())
     assert again["configurations"] == summary["configurations"]
@@ -342,7 +342,7 @@ def test_a_finished_design_is_not_lost_to_a_later_step(monkeypatch, capsys, tmp_
     assert "PEA" in (tmp_path / "results" / "report.md").read_text()
     capsys.readouterr()
     assert run(study, monkeypatch, *command) == 0
-    assert "PEA: taken from" in capsys.readouterr().out.replace("\n", " ")
+    assert "PEA: taken from" in capsys.readouterr().err.replace("\n", " ")
     again = json.loads((tmp_path / "results" / "summary.json").read_text())["configurations"]
     assert list(again) == ["PEA", "PEA*"]
     assert again["PEA"]["E1"] == first["PEA"]["E1"]
