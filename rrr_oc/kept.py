@@ -77,13 +77,20 @@ def once(run: Kept, name: str, make: Callable[[], dict[str, Any]], files: Sequen
     """A result by name: the one in the folder if a run with the same settings wrote it, else that of `make`, which is saved at once
     unless it was interrupted. `files` are the motions that belong to it, by default that of its name."""
     files = [name] if files is None else files
-    found = taken(run, name, files)
+    found = known(run, name, files)
     if found is not None:
-        run.listener.note(f"{name}: taken from the interrupted or repeated run in {run.out}")
         return found
     found = make()
     if not found.get("interrupted"):
         save(run, name, found, files)
+    return found
+
+
+def known(run: Kept, name: str, files: Sequence[str] = ()) -> dict[str, Any] | None:
+    """As `taken`; that it is there is said."""
+    found = taken(run, name, files)
+    if found is not None:
+        run.listener.note(f"{name}: taken from the interrupted or repeated run in {run.out}")
     return found
 
 

@@ -173,7 +173,7 @@ def term_entry(term: Term, robot: Robot) -> TermEntry:
     return TermEntry(
         effect=effect.name,
         joints=[robot.joints[j] for j in effect.joints],
-        options={f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joints"},
+        options=options_of(effect),
         width=None if term.width is None or effect.width is None else WidthEntry(term.width, effect.width.unit),
         recordings=term.recordings,
         groups=term.groups,
@@ -182,6 +182,11 @@ def term_entry(term: Term, robot: Robot) -> TermEntry:
             for p, e in zip(effect.parameters, term.estimates, strict=True)
         },
     )
+
+
+def options_of(effect: Effect) -> dict[str, Any]:
+    """What distinguishes an effect from others of its kind on the same joints."""
+    return {f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joints"}
 
 
 def load_model(path: str | Path) -> CalibratedModel:

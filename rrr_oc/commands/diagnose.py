@@ -12,11 +12,12 @@ from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, command_line, loaded, shown
 from rrr_oc.diagnosis.files.stages import SHARES
 from rrr_oc.diagnosis.held_out import in_closed_loop
+from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.diagnosis.procedure import diagnose as diagnose_recordings
 from rrr_oc.effects.priors import load_priors
-from rrr_oc.effects.words import joint_words
+from rrr_oc.effects.words import joint_words, words
 from rrr_oc.errors import noted
-from rrr_oc.kept import Keeping, once
+from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
 from rrr_oc.report.diagnosis_words import not_claimed, not_made, on_prior, plain, rows, unexplained, verdict
@@ -53,18 +54,28 @@ def diagnose(
     asked = {"recordings": hash_of(recordings.files), "priors": None if priors is None else hash_of([priors])}
     kept = Keeping(out, asked | {"version": __version__, "code": code()}, output)
     with parallel.workers(jobs, workers), output.stages() as tell, parallel.one_thread():
-        found = diagnose_recordings(recordings, tell, believed, kept)
+        found = diagnose_recordings(recordings, lambda step: tell(replace(step, said=words(step.said))), believed, kept)
         progress, failed = Progress(SHARES, tell), dict(found.failed)
         simulated = None
         if simulate:
             progress.tell("tracking")
             with noted(failed, "tracking"):
-                simulated = once(kept, "tracking", lambda: plain_data(in_closed_loop(found)), ())
+                simulated = _tracked(found, kept)
         progress.tell("report")
         content = write_diagnosis(replace(found, failed=failed), out, simulated, command_line(context))
     output.result(content)
     _show_diagnosis(content, output)
     output.show(f"{out} holds diagnosis.json, model.json and report.html.")
+
+
+def _tracked(found: Diagnosis, kept: Keeping) -> dict[str, Any]:
+    """Errors in closed loop. Where there are none, the reason may be gone at the next try, such as a missing compiler: it is not kept."""
+    simulated = known(kept, "tracking")
+    if simulated is None:
+        simulated = plain_data(in_closed_loop(found))
+        if not any("why_not" in simulated[when] for when in ("before", "after")):
+            save(kept, "tracking", simulated)
+    return simulated
 
 
 def _show_diagnosis(found: dict[str, Any], output: Output) -> None:

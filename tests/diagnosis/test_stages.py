@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from rrr_oc.commands import app
 from rrr_oc.commands import diagnose as command
-from rrr_oc.diagnosis import procedure
+from rrr_oc.diagnosis import held_out, procedure
 from rrr_oc.diagnosis.files.diagnosis_file import to_json
 from rrr_oc.diagnosis.files.stages import SHARES, SearchData, Stages
 from rrr_oc.diagnosis.held_out import intervals
@@ -147,3 +147,20 @@ def test_an_optional_step_that_fails_is_named_and_costs_nothing_else(recordings,
     steps = [json.loads(line) for line in ended.stderr.splitlines() if line.startswith("{")]
     assert [s["stage"] for s in steps][-1] == "report"
     assert all({"stage", "share_done", "tried", "seconds", "seconds_left"} <= s.keys() for s in steps)
+
+
+def test_why_there_is_no_tracking_is_asked_again_and_steps_are_in_words(recordings, tmp_path, monkeypatch):
+    """As where a C compiler was missing and no longer is."""
+    save_recordings(recordings.__class__(**(recordings.__dict__ | {"path": tmp_path / "set"})), tmp_path / "set")
+    arguments = ["diagnose", str(tmp_path / "set"), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    with monkeypatch.context() as patch:
+        patch.setattr(held_out, "evaluate_simulated", failing)
+        first = CliRunner().invoke(app, arguments)
+    assert "quadratic drag of j1" in first.stderr
+    assert "quadratic_drag" not in first.stderr
+    file = tmp_path / "out" / "diagnosis.json"
+    without = json.loads(file.read_text())["simulated"]["before"]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    tracked = json.loads(file.read_text())["simulated"]["before"]
+    assert without == {"why_not": "RuntimeError: variables [ddq_1] are free"}
+    assert tracked.keys() == {"j1"}

@@ -5,7 +5,7 @@ with what it reads back, too (`rrr_oc.kept`), so that both end in the same numbe
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import msgspec
@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
-from rrr_oc.calibration.model_file import TermEntry, effect_of, term_entry, term_of, terms_of
+from rrr_oc.calibration.model_file import TermEntry, effect_of, options_of, term_entry, term_of, terms_of
 from rrr_oc.diagnosis.data import Data, Noise
 from rrr_oc.diagnosis.evidence import Joint, Sizes, Start
 from rrr_oc.diagnosis.findings import Finding, Possible
@@ -21,7 +21,7 @@ from rrr_oc.diagnosis.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion
 from rrr_oc.effects import Effect
 from rrr_oc.effects.base import Prior
-from rrr_oc.kept import Kept, save, taken
+from rrr_oc.kept import Kept, known, save
 from rrr_oc.model.motion import Motion
 from rrr_oc.progress import Progress
 from rrr_oc.recordings.recording import Recording
@@ -59,11 +59,8 @@ class Stages:
 
     def saved(self, name: str, schema: type[S]) -> S | None:
         """A stage that is there already."""
-        found = None if self.kept is None else taken(self.kept, name)
-        if self.kept is None or found is None:
-            return None
-        self.kept.listener.note(f"{name}: taken from the interrupted or repeated run in {self.kept.out}")
-        return msgspec.convert(found, schema)
+        found = None if self.kept is None else known(self.kept, name)
+        return None if found is None else msgspec.convert(found, schema)
 
     def keep(self, name: str, content: S) -> S:
         """Save a stage; as it is read back."""
@@ -158,7 +155,7 @@ class SearchData(Struct):
         post, number = at.fitted.posterior, dict[tuple[Effect, tuple[str, ...]], int]()
         sizes, noise = post.sizes, [NoiseData.of(post.data, j, one) for j, one in enumerate(post.joints)]
         every = [_scores(known, number) for known in (search.visited, search.foreseen, search.settled)]
-        sought = [Sought(e.name, e.joints, _options(e), groups) for e, groups in number]
+        sought = [Sought(e.name, e.joints, options_of(e), groups) for e, groups in number]
         model = ModelData.of(at.fitted.model)
         measured = sizes.sigma.tolist(), sizes.discrepancy.tolist(), sizes.links
         return cls(model, at.fitted.links.tolist(), float(at.score), noise, *measured, sought, *every)
@@ -166,21 +163,14 @@ class SearchData(Struct):
     def search(self, search: Search, start: CalibratedModel) -> tuple[Search, State]:
         """The search with what it remembers, and its best structure under the sizes that were estimated."""
         own = [(effect_of(s.effect, s.joints, s.options), s.groups) for s in self.sought]
-        known = [{frozenset(own[k] for k in some): score for some, score in of} for of in self._scores]
-        search = replace(search, visited=known[0], foreseen=known[1], settled=known[2])
+        every = (self.fitted, self.predicted, self.exchanged)
+        fitted, predicted, exchanged = ({frozenset(own[k] for k in some): score for some, score in of} for of in every)
+        search = replace(search, visited=fitted, foreseen=predicted, settled=exchanged)
         joints = tuple(one.joint(search.fitter.data, j) for j, one in enumerate(self.noise))
         noise = tuple(one.noise for one in joints)
         begin = Start(Sizes(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links), joints)
-        fitted = search.fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True)
-        return search, State(fitted, self.score)
-
-    @property
-    def _scores(self) -> tuple[Scores, Scores, Scores]:
-        return self.fitted, self.predicted, self.exchanged
-
-
-def _options(effect: Effect) -> dict[str, Any]:
-    return {f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joints"}
+        best = search.fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True)
+        return search, State(best, self.score)
 
 
 def _scores(known: Mapping[frozenset, float], number: dict[tuple[Effect, tuple[str, ...]], int]) -> Scores:
