@@ -9,8 +9,9 @@ from scipy.linalg import orth
 from scipy.optimize import minimize_scalar
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
+from rrr_oc.calibration.jacobian import changes_sign
 from rrr_oc.calibration.least_squares import box_step, normal_equations
-from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
+from rrr_oc.calibration.regression import Rows, filtered, rows, width_columns
 from rrr_oc.calibration.samples import CORRELATION, STRIDE, Prepared
 from rrr_oc.effects import Signals
 from rrr_oc.numerics.rank import lengths, pseudo_inverse
@@ -19,7 +20,6 @@ from rrr_oc.recordings.recording import Recording
 WIDTHS = (0.0025, 0.005, 0.01, 0.02, 0.05, 0.1)  # [rad/s], grid whose best point is refined; its ends bound the width
 FINE = 0.005  # of a width, to which the best is found; doubled, the error looks like friction that varies at low speed
 LEAST_GAIN = 12.0  # of twice the log-likelihood: below 0.1 % by chance; doubled, more joints keep the nominal width
-DIFFERENCE = 0.01  # of a width, for derivatives by it; doubled, no change within the standard errors
 MOST_CHANGE = 1.2  # factor by which one step may change a width; doubled, steps leave the range where derivatives hold
 
 
@@ -40,7 +40,7 @@ def with_widths(prepared: Sequence[Prepared], model: CalibratedModel) -> Calibra
 
 def widened(term: Term, widths: Mapping[tuple[int, ...], float]) -> Term:
     """The term with its joint's width [rad/s], if its effect changes sign with the speed over a width above 0."""
-    known = term.effect.width is not None and term.effect.width.unit == "rad/s" and bool(term.width)
+    known = changes_sign(term.effect) and bool(term.width)
     return replace(term, width=widths.get(term.effect.joints, term.width)) if known else term
 
 
@@ -104,9 +104,5 @@ def _by_widths(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel
     """Fitted widths of friction, by joint, and the rows with derivatives by their logarithms after all others."""
     friction = [t for t in model.terms if t.effect.sign_forms]
     widths = {t.effect.joints: cast(float, t.width) for t in friction if t.width not in (None, nominal_term(t.effect).width)}
-    columns = [found.jacobian]
-    for joints, width in widths.items():
-        there = replace(model, terms=tuple(widened(t, {joints: width * (1 + DIFFERENCE)}) for t in model.terms))
-        change = found.residual - with_residuals(found, prepared, there).residual
-        columns.append(change[:, :, None] / DIFFERENCE)
-    return widths, replace(found, jacobian=np.concatenate(columns, axis=2))
+    columns = width_columns(prepared, model, list(widths)) if widths else np.zeros((*found.residual.shape, 0))
+    return widths, replace(found, jacobian=np.concatenate([found.jacobian, columns], axis=2))

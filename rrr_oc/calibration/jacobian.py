@@ -146,6 +146,21 @@ class Prediction:
         # They do not depend on the inertial parameters: those of unit bodies give the same bits, whichever model asked first
         return self._sensitivity("inertial", np.tile(UNIT_BODY, (self.model.robot.n, 1)).T)
 
+    def by_widths(self, joints: Sequence[tuple[int, ...]]) -> Columns:
+        """d `CalibratedModel.output_torque` / d logarithm of the width over which all friction on each of these joints changes sign."""
+        found, smooth = self._sensitivity("widths", self.physics.inertial), [e for e in self.physics.model.effects if e.width]
+        if not len(found.joints):
+            return replace(found, size=len(joints))
+        own = [joints.index(e.joints) if e.joints in joints and changes_sign(e) else -1 for e in smooth]
+        dense = np.zeros((self.model.robot.n, len(found.values), len(joints)))
+        for j, number, column in zip(found.joints, found.numbers, found.values.T, strict=True):
+            if own[number] >= 0:
+                dense[j, :, own[number]] += column * self.physics.widths[number]
+        if any(t.effect.side == "sensor" for t in self.model.terms):
+            for k in range(len(joints)):
+                dense[:, :, k] = self.physics.passed_on(self.recording, dense[:, :, k])
+        return Columns.of(dense)
+
     def by_trial(self, trial: Trial) -> np.ndarray:
         """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm]."""
         true = self.before_sensors(trial)
@@ -264,13 +279,14 @@ class Prediction:
             "through": tuple(one for one in named if "load" in one[0].inputs and self.model.torque != "load"),
         }
 
-    def _sensitivity(self, by: Literal["theta", "inertial"], inertial: np.ndarray) -> Columns:
+    def _sensitivity(self, by: Literal["theta", "inertial", "widths"], inertial: np.ndarray) -> Columns:
         physics, r = self.physics, self.recording
         function, joints, numbers = _nonzero(physics.model.sensitivity("load" if self.model.torque == "load" else "motor", by))
         values = np.zeros((0, len(r.t)))
         if len(joints):
             (values,) = along(function, *physics.inputs(r), physics.theta, physics.widths, inertial)
-        return Columns(joints, numbers, values.T, physics.theta.size if by == "theta" else physics.inertial.size)
+        sizes = {"theta": physics.theta.size, "inertial": physics.inertial.size, "widths": physics.widths.size}
+        return Columns(joints, numbers, values.T, sizes[by])
 
     def _of_series(self, trial: Trial) -> np.ndarray | None:
         """Of an effect that is a sum of given functions times coefficients; None of any other."""
@@ -330,6 +346,11 @@ class Prediction:
         for row in np.flatnonzero(np.any(shift, axis=1)).tolist():
             result += self.partials[row // n][:, row % n] * shift[row]
         return result
+
+
+def changes_sign(effect: Effect) -> bool:
+    """Whether an effect changes sign with the speed over a width, which all friction of a joint has in common."""
+    return effect.width is not None and effect.width.unit == "rad/s"
 
 
 @lru_cache(maxsize=KEPT)

@@ -77,6 +77,15 @@ def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = 
     )
 
 
+def width_columns(prepared: Sequence[Prepared], model: CalibratedModel, joints: Sequence[tuple[int, ...]]) -> np.ndarray:
+    """Derivatives by the logarithm of the width over which friction on these joints changes sign, (n, M, number of them)."""
+    parts = []
+    for p in prepared:
+        at = Prediction(model, p.recording)
+        parts.append(_cleared(_filtered(p, at.by_widths(joints)), _starts(p, model, at.physics)))
+    return np.concatenate(parts, axis=1)
+
+
 def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> Rows:
     """The rows with the residuals of another model or of cleaned torques; the derivatives stay as they are.
 

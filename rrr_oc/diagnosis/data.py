@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.regression import Rows, filtered, rows, with_residuals
+from rrr_oc.calibration.regression import Rows, filtered, rows, width_columns, with_residuals
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
 from rrr_oc.diagnosis.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY
 from rrr_oc.diagnosis.signatures import SignatureCache, dry_friction
@@ -97,6 +97,12 @@ class Data:
     def residual(self, found: Rows, model: CalibratedModel) -> np.ndarray:
         """The residual of another model, (n, M)."""
         return with_residuals(found, self.prepared, model).residual[:, self.at]
+
+    def by_widths(self, model: CalibratedModel, joints: list[tuple[int, ...]]) -> np.ndarray:
+        """Derivatives by the logarithm of the width over which friction on these joints changes sign, (n, M, number of them)."""
+        if not joints:
+            return np.zeros((self.n, len(self.label), 0))
+        return width_columns(self.prepared, model, joints)[:, self.at]
 
     @property
     def groups(self) -> tuple[str, ...]:

@@ -23,7 +23,6 @@ BEND = 0.01  # of the squared change over a step, by which residuals may miss th
 FRACTIONS = (1.0, 0.4, 0.1, 0.02)  # of a step, tried until the cost falls
 BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
-DIFFERENCE = 0.01  # of a width, for derivatives by it
 MIXTURES = 2  # directions in which ways of changing sign are mixed
 EXACT_LINKS, EXACT_LAWS = 0.01, 0.01  # sizes of the errors of links, and of a discrepancy, that an exact arm has
 OTHER_SIGN = 3.0  # nats from which another way in which friction changes sign is fitted
@@ -239,12 +238,9 @@ class Fitter:
         """Derivatives by the terms' parameters, the links' errors and the logarithms of the widths of dry friction, (n, M, p)."""
         size = len(model.values)
         by_links = found.jacobian[:, :, size:] @ self.data.links.at(links)[1]
-        widths = []
-        for joints, width in self.widths(model).items():
-            there = replace(model, terms=tuple(widened(t, {joints: width * (1 + DIFFERENCE)}) for t in model.terms))
-            change = found.residual - self.data.residual(found, there)
-            widths.append(change[:, :, None] / DIFFERENCE)
-        return np.concatenate([found.jacobian[:, :, :size], by_links, *widths], axis=2)
+        return np.concatenate(
+            [found.jacobian[:, :, :size], by_links, self.data.by_widths(model, list(self.widths(model)))], axis=2
+        )
 
     def widths(self, model: CalibratedModel) -> dict[tuple[int, ...], float]:
         """Width of the sign of each joint's dry friction [rad/s]."""

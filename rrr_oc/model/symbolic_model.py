@@ -113,8 +113,9 @@ class Model:
         torque = ca.densify(self.side_torque("drive", signals, theta, widths))
         return ca.Function("drive_torque", [q, dq, ddq, time, payload, theta, widths, load, states], [torque])
 
-    def sensitivity(self, signal: Literal["motor", "load"], by: Literal["theta", "inertial"]) -> ca.Function:
-        """Arguments of `motor_inverse` -> d tau_signal / d by, exact: (n, number of parameters) or (n, 10 n), link by link.
+    def sensitivity(self, signal: Literal["motor", "load"], by: Literal["theta", "inertial", "widths"]) -> ca.Function:
+        """Arguments of `motor_inverse` -> d tau_signal / d by, exact: (n, number of parameters), (n, 10 n), link by link, or (n, number of
+        widths).
 
         Called on (n, K) arrays it returns the K Jacobians side by side.
         """

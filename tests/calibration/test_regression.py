@@ -7,9 +7,10 @@ import pytest
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.calibration.friction_width import widened
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
-from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.regression import rows, width_columns
 from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.effects import CATALOGUE
 
@@ -80,3 +81,21 @@ def test_a_term_that_holds_for_no_recording_has_columns_of_zeros(arm):
         found = rows(prepared, replace(plain, terms=terms), inertial).jacobian
         assert found.shape[2] == columns
         assert not np.any(found[:, :, columns - (32 if inertial else 2) :][:, :, :2])
+
+
+@pytest.mark.parametrize("name", ["nothing", "friction by load", "gain and delay", "stribeck", "gear"])
+def test_derivatives_by_widths_of_friction_against_differences(arm, name):
+    plain, prepared = arm
+    added = {**ADDED, "stribeck": [term("stribeck", (1,), 0.5, 0.2, width=0.05)]}[name]
+    model = replace(plain, terms=tuple(widened(t, {(j,): 0.05 for j in range(3)}) for t in (*plain.terms, *added)))
+    found = width_columns(prepared, model, [(0,), (1,), (2,)])
+    for j in range(3):
+        ends = []
+        for change in (0.999, 1.001):
+            there = replace(model, terms=tuple(widened(t, {(j,): 0.05 * change}) for t in model.terms))
+            ends.append(rows(prepared, there).residual)
+        expected = (ends[0] - ends[1]) / np.log(1.001 / 0.999)
+        largest = np.abs(expected).max()
+        assert largest > 1e-3
+        # of a gear, the width's part in how the link swings is neglected; else the error of the difference, of second order
+        assert np.abs(found[:, :, j] - expected).max() < (0.05 if name == "gear" else 1e-4) * largest
