@@ -34,6 +34,7 @@ from rrr_oc.calibration.calibrated_model import nominal_term
 from rrr_oc.calibration.friction_width import widened
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose, ready
+from rrr_oc.effects import BlackBox
 from rrr_oc.effects.black_box.empirical import STRAIGHT, Empirical
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.friction.coulomb_asymmetry import CoulombAsymmetry
@@ -236,7 +237,8 @@ def right_ripple(found: Diagnosis) -> bool:
 def right_bump(found: Diagnosis) -> bool:
     effects = [f.term.effect for f in found.findings]
     ripples = [e for e in effects if e.name == "torque_ripple"]
-    return (("q", 0),) in [e.depends_on for e in effects] and not ripples and found.held_out[1][0] < 0.3 * found.held_out[0][0]
+    variables = [e.depends_on for e in effects if isinstance(e, BlackBox)]
+    return (("q", 0),) in variables and not ripples and found.held_out[1][0] < 0.3 * found.held_out[0][0]
 
 
 def right_cushion(found: Diagnosis) -> bool:

@@ -23,7 +23,7 @@ from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.regression import Rows, rows, with_residuals
 from rrr_oc.calibration.samples import CORRELATION, FILTER, STRIDE, Prepared, noise, without_spikes
 from rrr_oc.calibration.term_fit import TermPoint, bounds, labels, minimum, with_estimates
-from rrr_oc.effects import plain_effects
+from rrr_oc.effects import MovesLink, plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.rank import condition, undetermined
 from rrr_oc.recordings.recording import RecordingSet
@@ -114,7 +114,8 @@ def _minimum(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
 def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
     """The point with each effect in the sharper form of least residual, where that is significantly better than its own."""
     for i in range(len(at.model.terms)):
-        best, model, effect = at, at.model, at.model.terms[i].effect.sharper()
+        best, model, own = at, at.model, at.model.terms[i].effect
+        effect = own.sharper() if isinstance(own, MovesLink) else None
         while effect is not None:
             terms = (*model.terms[:i], replace(best.model.terms[i], effect=effect), *model.terms[i + 1 :])
             if (better := _better(prepared, best, replace(model, terms=terms))) is None:

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.effects import Body, Effect, Signals, Trial
+from rrr_oc.effects import BlackBox, Body, BodyChange, Delay, Effect, MovesLink, Signals, Trial, WithStates
 from rrr_oc.model.recorded_physics import Physics, felt_load, later, moved, states_along
 from rrr_oc.model.shared_model import KEPT
 from rrr_oc.numerics.along import along
@@ -195,7 +195,7 @@ class Prediction:
     @cached_property
     def gain(self) -> np.ndarray | None:
         """Recorded over true change of each joint's torque (n,), by the model's sensors; None where they delay it."""
-        if any(effect.dynamics == "delay" for effect in self.physics.model.effects):
+        if any(isinstance(effect, Delay) for effect in self.physics.model.effects):
             return None
         return self.physics.passed_on(self.recording, np.ones_like(self.recording.q))[:, 0]
 
@@ -244,7 +244,7 @@ class Prediction:
         """The rigid body with the model's effects, without the listed payload."""
         body = Body(ca.DM(self.model.robot.inertial), ca.DM(self.model.robot.gravity), 0.0, list(self.model.tool.position))
         for effect, theta, _ in self.physics.named():
-            body = effect.change(body, theta)
+            body = effect.change(body, theta) if isinstance(effect, BodyChange) else body
         return replace(body, inertial=ca.evalf(ca.SX(body.inertial)), gravity=ca.evalf(_gravity(body)))
 
     @cached_property
@@ -291,6 +291,8 @@ class Prediction:
     def _of_series(self, trial: Trial) -> np.ndarray | None:
         """Of an effect that is a sum of given functions times coefficients; None of any other."""
         effect = trial.effect
+        if not isinstance(effect, BlackBox):
+            return None
         basis = effect.basis(self.signals if effect.inputs else self.of_motion, trial.width)
         if basis is None:
             return None
@@ -301,13 +303,13 @@ class Prediction:
 
     def _of_torque(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
         signals = self.signals if effect.inputs else self.of_motion
-        if effect.states:
+        if isinstance(effect, WithStates):
             signals = replace(signals, states=list(states_along(self.recording, effect, theta, width, self.load)))
         return -self._on_joints(effect, effect.torque(signals, theta, width))
 
     def _of_sensor(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
         true = self.physics.torques(self.recording)[self.model.torque == "load"]
-        if effect.dynamics == "delay":
+        if isinstance(effect, Delay):
             return later(self.recording, true, effect.delay(theta)) - true
         return self._on_joints(effect, effect.torque(replace(self.signals, load=true), theta, width))
 
@@ -322,7 +324,7 @@ class Prediction:
 
         def more(mass: float) -> np.ndarray:
             base = replace(self.body, payload=self.body.payload + mass)
-            there = effect.change(base, theta)
+            there = effect.change(base, theta) if isinstance(effect, BodyChange) else base
             links = [np.array(with_payload(ca.DM(b.inertial), tool, b.payload, b.position)) for b in (base, there)]
             pull = np.array(ca.evalf(_gravity(there) - _gravity(base))).reshape(3)
             return np.concatenate([(links[1] - links[0]).T.reshape(-1), pull])
@@ -336,7 +338,7 @@ class Prediction:
 
     def _of_motion(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
         by_q, _, by_ddq = self.partials[:3]
-        if effect.moves_link:
+        if isinstance(effect, MovesLink):
             (j,) = effect.joints
             own = felt_load(self.recording, effect, self.load[j]), (by_q[j, j], by_ddq[j, j])
             shift = moved(self.recording, effect, theta, width, *own)

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.effects import CATALOGUE, Effect
+from rrr_oc.effects import CATALOGUE, BlackBox, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.robot.inertial_parameters import is_possible
 from rrr_oc.robot.parameters import Parameter
@@ -287,12 +287,10 @@ def _effect(where: str, kind: type[Effect], entry: TermEntry, robot: Robot) -> E
             raise UserError(f"{where}.options.{key}: found {value!r}; allowed are {', '.join(map(str, allowed))}")
     try:
         effect = kind(joints, **options)
-        effect.check_options()
+        if isinstance(effect, BlackBox):
+            effect.check_options(robot.n)
     except (TypeError, ValueError, UserError) as error:
         raise UserError(f"{where}.options: {error}") from None
-    beyond = [j for _, j in effect.depends_on if j >= robot.n]
-    if beyond:
-        raise UserError(f"{where}.options: found joint {beyond[0]}; 0 to {robot.n - 1} are allowed")
     return effect
 
 

@@ -56,7 +56,7 @@ def catalogue_schema() -> Any:
 
 def _sold() -> dict[str, DesignForm]:
     """Forms of the springs that can be bought, by label."""
-    return {label: kind.design for label, kind in design_forms().items() if kind.design is not None and kind.design.shop}
+    return {label: kind.design for label, kind in design_forms().items() if kind.design.shop}
 
 
 def _lists(where: str, form: DesignForm, given: Mapping[str, Sequence[float]]) -> dict[str, tuple[float, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 from rrr_oc.codesign.series_elastic import SeriesElastic
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Clutched, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.optimal_control.problem import Guess, Link, Phase, Problem
@@ -64,7 +64,7 @@ class CoDesign:
             raise UserError(f"cost {self.cost!r} needs the actuators of {', '.join(self.task.joints)}")
         if self.cost == "energy" and self.actuators is not None:
             self.actuators.check_resistance()
-        clutched = [s.effect.name for s in self.springs if s.effect.acts_in]
+        clutched = [s.effect.name for s in self.springs if isinstance(s.effect, Clutched)]
         if clutched and not self.task.at_rest:
             raise UserError(f"{clutched[0]} needs an arm that is at rest between the phases, where its clutch opens and closes")
         self._check_series()
@@ -102,7 +102,7 @@ class CoDesign:
     def engaged(self, phase: int, parameters):
         """The parameters (np,), numbers or casadi's, as they act in a phase: springs that a clutch has let go have no amplitude."""
         acting = [
-            p.name not in s.effect.amplitudes or s.effect.acts_in in ("", PHASES[phase])
+            p.name not in s.effect.amplitudes or not isinstance(s.effect, Clutched) or s.effect.phase == PHASES[phase]
             for s in self.springs
             for p in s.effect.parameters
         ]

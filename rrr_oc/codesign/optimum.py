@@ -11,7 +11,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import transcribed
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.task import PHASES, Task
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Clutched, DesignSpring, Effect
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.motion import Motion
 from rrr_oc.optimal_control.problem import Guess
@@ -112,13 +112,13 @@ def mounted(design: CoDesign) -> dict[str, dict[str, Any]]:
 
 
 def profiles(task: Task, springs: Sequence[tuple[Effect, Mapping[str, float]]]) -> dict[str, dict[str, np.ndarray]]:
-    """Tables by which springs with given parameters are made (`Effect.profile`), by label, over one turn from the least angle of the
-    joint."""
+    """Tables by which springs with given parameters are made (`DesignSpring.profile`), by label, over one turn from the joint's
+    least angle."""
     low, tables = np.full(task.robot.n, -np.pi), {}
     low[list(task.moving)] = np.where(np.isfinite(task.lower), task.lower, -np.pi)
     for effect, theta in springs:
-        columns = effect.profile(low[effect.joints[0]] + np.radians(np.arange(361.0)), theta)
-        if columns:
+        angles = low[effect.joints[0]] + np.radians(np.arange(361.0))
+        if isinstance(effect, DesignSpring) and (columns := effect.profile(angles, theta)):
             tables[task.model().label(effect)] = columns
     return tables
 
@@ -136,7 +136,7 @@ def idle_springs(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
         torques = [
             model.inverse(p.q, p.dq, p.ddq, p.payload[0], theta, exact)[1]
             for name, p in zip(PHASES, motion.by_phase(design.task), strict=True)
-            if effect.acts_in in ("", name)
+            if not isinstance(effect, Clutched) or effect.phase == name
         ]
         largest = max(float(np.max(np.abs(np.array(tau)))) for tau in torques)
         if spring.known or effect.moves_link or largest > IDLE * needed:
@@ -151,6 +151,8 @@ def beyond_known(design: CoDesign, motion: SampledMotion, parameters: np.ndarray
     """How far a motion goes beyond the angles for which the law of a spring is known, by its label, for each that it goes beyond."""
     said, values, q = {}, design.model.values(parameters), np.degrees(design.task.full(motion.q))
     for effect in (spring.effect for spring in design.springs if not spring.known):
+        if not isinstance(effect, DesignSpring):
+            continue
         label, moved = design.model.label(effect), q[effect.joints[0]]
         low, high = np.degrees(effect.known_range(values[label]))
         if moved.min() < low - 1e-6 or moved.max() > high + 1e-6:

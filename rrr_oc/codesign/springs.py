@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from rrr_oc.codesign.task import Task
-from rrr_oc.effects import Effect, design_forms
+from rrr_oc.effects import Clutched, DesignSpring, Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
 from rrr_oc.schema import Interval, Schema, check_interval, check_names, read_json, validated
@@ -58,7 +58,7 @@ class SpringBounds:
     @property
     def form(self) -> DesignForm:
         """The spring's form in a co-design; raises `UserError` where it has none."""
-        if self.effect.design is None:
+        if not isinstance(self.effect, DesignSpring):
             raise UserError(f"{self.effect.name} has no form in a co-design")
         return self.effect.design
 
@@ -122,8 +122,10 @@ def _with_energy(task: Task, ways: list[SpringBounds]) -> list[SpringBounds]:
     ends, kept, refused = (task.full(task.start), task.full(task.release)), [], []
     for way in ways:
         try:
-            lower, upper = way.effect.kept_energy(way.lower, way.upper, ends)
-            kept.append(replace(way, lower=lower, upper=upper))
+            if isinstance(way.effect, Clutched):
+                lower, upper = way.effect.kept_energy(way.lower, way.upper, ends)
+                way = replace(way, lower=lower, upper=upper)
+            kept.append(way)
         except UserError as error:
             refused.append(error)
     if not kept:
@@ -231,10 +233,9 @@ def from_drawn(springs: Sequence[SpringBounds], drawn: np.ndarray) -> np.ndarray
     return np.concatenate(rows)
 
 
-def spring_schema(kind: type[Effect]) -> Any:
+def spring_schema(kind: type[DesignSpring]) -> Any:
     """The structure of a spring's entry in a task."""
     form, pair = kind.design, kind.placement == "pair"
-    assert form is not None
     keys: list[Any] = [("effect", Literal[kind.name]), ("joints", tuple[str, str]) if pair else ("joint", str)]
     keys += [(key, Interval) for key in dict.fromkeys(q.key for q in form.quantities)]
     keys += [(key, list[tuple[(float,) * len(columns)]]) for key, columns in form.tables.items()]
@@ -245,9 +246,8 @@ def spring_schema(kind: type[Effect]) -> Any:
     return msgspec.defstruct(f"{kind.__name__}Bounds", keys, bases=(Schema,))
 
 
-def _spring(task: Task, kind: type[Effect], given: Any) -> SpringBounds:
+def _spring(task: Task, kind: type[DesignSpring], given: Any) -> SpringBounds:
     where, form = f"task {task.name!r}: {kind.name}", kind.design
-    assert form is not None
     names = given.joints if kind.placement == "pair" else (given.joint,)
     if len(set(names)) < len(names):
         raise UserError(f"{where}: joints: found {', '.join(names)}; two different joints are required")

@@ -269,7 +269,7 @@ def _with_tables(
 
     Raises `UserError` where a file is missing, lacks a column or has a cell that is no number.
     """
-    tables = {kind.name: kind.design.tables for kind in design_forms().values() if kind.design is not None}
+    tables = {kind.name: kind.design.tables for kind in design_forms().values()}
     read, files = [], []
     for i, entry in enumerate(springs):
         rows = {}

@@ -10,7 +10,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion, describe, start_of
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.effects import Body
+from rrr_oc.effects import Body, BodyChange
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.recorded_physics import Physics
@@ -63,7 +63,7 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
         holds = [term.recordings == "all" or group in term.groups for group in groups]
         if all(holds) or (effect.alters == "position" and holds[0]):  # in the return phase there is no payload to be displaced
             known.append((effect, term.values))
-        elif effect.alters == "payload" and holds[0]:
+        elif isinstance(effect, BodyChange) and effect.alters == "payload" and holds[0]:
             payload = effect.change(Body(None, None, payload, None), term.named).payload
         elif any(holds):
             raise UserError(f"{effect.name} holds for {' and '.join(term.groups)}, but not in every phase of the task")

@@ -144,7 +144,6 @@ def _plain(name: str) -> str:
 def _springs(joint: str) -> str:
     """How a spring of one joint is listed."""
     kind = next(kind for kind in listed_springs().values() if kind.placement != "pair")
-    assert kind.listing is not None
     entry = ", ".join(f'"{key}": 1.0' for key in kind.listing.quantities)
     return f'{{"{kind.listing.key}": {{{joint}: {{{entry}}}}}}}'
 
@@ -291,8 +290,7 @@ def _task(name: str, robot: Robot, joints: tuple, ends: tuple[str, str]) -> str:
 
 def _spring_bounds(robot: Robot, j: int, limit: tuple[float, float, float]) -> str:
     """A spring of one joint: adjustable quantities over the joint's range, others up to what the arm's weight asks for."""
-    kind = next(k for k in design_forms().values() if k.placement != "pair" and k.design is not None and not k.design.derived)
-    assert kind.design is not None
+    kind = next(k for k in design_forms().values() if k.placement != "pair" and not k.design.derived)
     mass = float(robot.inertial[0, j:].sum()) + PAYLOAD
     lever = float(np.linalg.norm(robot.placements[j + 1 :, :3, 3], axis=1).sum() + np.linalg.norm(robot.tool.position)) / 2
     most = float(f"{np.linalg.norm(robot.gravity) * mass * max(lever, 0.05):.2g}")

@@ -12,7 +12,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import REST_SPEED, Prepared
-from rrr_oc.effects import CATALOGUE, Signals, Trial, View
+from rrr_oc.effects import CATALOGUE, BlackBox, Signals, Trial, View
 from rrr_oc.effects.base import SOUGHT
 from rrr_oc.robot.rigid_body import rigid_body
 
@@ -78,7 +78,7 @@ def trials(seen: View, torque: str) -> list[Trial]:
 def black_box_trials(prepared: Sequence[Prepared], seen: View, model: CalibratedModel, j: int) -> list[Trial]:
     """All black-box terms that joint j might lack, over the ranges that the recordings cover."""
     ranges = _ranges(prepared, model)
-    kinds = [kind for kind in CATALOGUE.values() if kind.role == "black_box"]
+    kinds = [kind for kind in CATALOGUE.values() if issubclass(kind, BlackBox)]
     return [trial for kind in kinds for trial in kind.black_box_trials(seen, j, ranges, model.torque)]
 
 

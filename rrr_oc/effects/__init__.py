@@ -10,7 +10,19 @@ from collections.abc import Iterator
 from importlib.metadata import entry_points
 from typing import TypeVar
 
-from rrr_oc.effects.base import Body, Effect, Prior, Signals, Trial, View
+from rrr_oc.effects.base import Effect, Prior, Signals, Trial, View
+from rrr_oc.effects.capabilities import (
+    BlackBox,
+    Body,
+    BodyChange,
+    Delay,
+    FollowsLoad,
+    MotionShift,
+    MovesLink,
+    NativeTwin,
+    WithStates,
+)
+from rrr_oc.effects.springs import Clutched, DesignSpring, LinkSpring, ListedSpring
 from rrr_oc.errors import UserError
 
 CATALOGUE: dict[str, type[Effect]] = {}
@@ -35,14 +47,14 @@ def plain_effects() -> tuple[type[Effect], ...]:
     return tuple(sorted((k for k in CATALOGUE.values() if k.role == "plain"), key=lambda k: (k.provides != "friction", k.name)))
 
 
-def listed_springs() -> dict[str, type[Effect]]:
+def listed_springs() -> dict[str, type[ListedSpring]]:
     """The springs that a recording set may list, by their key in its header, those of one joint first."""
-    return {kind.listing.key: kind for kind in _one_joint_first() if kind.listing is not None}
+    return {kind.listing.key: kind for kind in _one_joint_first() if issubclass(kind, ListedSpring)}
 
 
-def design_forms() -> dict[str, type[Effect]]:
+def design_forms() -> dict[str, type[DesignSpring]]:
     """The springs that a co-design may use, by the label of the configuration that has them alone, those of one joint first."""
-    return {kind.design.label: kind for kind in _one_joint_first() if kind.design is not None}
+    return {kind.design.label: kind for kind in _one_joint_first() if issubclass(kind, DesignSpring)}
 
 
 def _one_joint_first() -> list[type[Effect]]:
@@ -67,12 +79,24 @@ for _kind in _concrete(Effect):
 
 __all__ = [
     "CATALOGUE",
+    "BlackBox",
     "Body",
+    "BodyChange",
+    "Clutched",
+    "Delay",
+    "DesignSpring",
     "Effect",
+    "FollowsLoad",
+    "LinkSpring",
+    "ListedSpring",
+    "MotionShift",
+    "MovesLink",
+    "NativeTwin",
     "Prior",
     "Signals",
     "Trial",
     "View",
+    "WithStates",
     "design_forms",
     "listed_springs",
     "plain_effects",

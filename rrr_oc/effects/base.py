@@ -1,6 +1,7 @@
 """What every effect is: one piece of physics beside the rigid body, written once as a CasADi expression.
 
-An effect declares what it can do, so that no other folder asks for one by its name or class.
+An effect declares what it is, and derives from a class for each thing that it can do beside (`effects/capabilities.py`,
+`effects/springs.py`), so that no other folder asks for one by its name or its own class.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,8 +10,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from rrr_oc.effects.design_form import DesignForm
-from rrr_oc.effects.listing import Listing
 from rrr_oc.effects.words import default_sentence, listed
 from rrr_oc.robot.parameters import Parameter
 
@@ -35,7 +34,6 @@ Scope = Literal["everywhere", "set_up", "some", "mounted"]
 # Probability that an effect that is present is so in some recordings only, by `Effect.scope`
 PARTLY: dict[Scope, float] = {"everywhere": 0.0, "set_up": 0.1, "mounted": 0.5, "some": 1.0}
 SECANTS = (-4.0, -1.0, 1.0, 4.0)  # of the typical size of a parameter, at which effects that are not linear in it are tried
-Dynamics = Literal["instantaneous", "states", "load_states", "link", "impact", "delay"]
 SIGN_WIDTH = Parameter(
     "width", "rad/s", 0.05, lower=0.0
 )  # of friction that changes sign with a speed; fits and solvers replace it
@@ -64,23 +62,6 @@ class Signals:
     states: Any = None
     friction: Any = None
     springs: Any = None
-
-
-@dataclass(frozen=True)
-class Body:
-    """The rigid body as an effect of the side "body" may change it; casadi or numpy.
-
-    Attributes:
-        inertial: Inertial parameters of the links without payload, as `Robot.inertial`, (10, n).
-        gravity: Gravity in the base frame [m/s²], (3,).
-        payload: Mass at the tool [kg].
-        position: The payload's point in the frame of the joint that carries it [m], (3,).
-    """
-
-    inertial: Any
-    gravity: Any
-    payload: Any
-    position: Any
 
 
 @dataclass(frozen=True)
@@ -200,7 +181,7 @@ class Effect:
         step: Amplitude at which trials compute the change of the prediction: 1, or the step of a finite difference where the
             prediction is not linear in the amplitudes.
         width: Smoothing width of what is not smooth in it; None where all is smooth.
-        states: Internal states, nominal = initial value.
+        states: Internal states of a `WithStates`, nominal = initial value.
         side: Where on the way from links to motor it acts, see `SIDES`.
         inputs: Which of the signals beside the motion its torque depends on: "load", so that forward dynamics must solve for the
             load; "friction", the plain friction of its joint; "springs", those that a recording lists.
@@ -211,21 +192,16 @@ class Effect:
             "some": never all, where it would be what every model has. "mounted": as "set_up", and it is put on and taken off between
             recordings, so that it is more probable where only some have it.
         placement: See `PLACEMENTS`.
-        dynamics: "instantaneous": its torque follows from the signals of the instant. "states": its internal states follow from the
-            motion by `rate`. "load_states": they follow from the recorded load by `course`. "link": the link moves relative to
-            its drive, by `motion`. "impact": as "link", and it strikes stops, so that predictions are no smooth function of the
-            parameters. "delay": it shifts what is recorded in time, by `delay`.
         resembles: What other description its torque may be taken for. "friction_over_speed": another course of plain dry friction
             over the speed. "position_harmonic", "constant": a harmonic and the mean of a series over the joint's position. Or "".
-        alters: The field of `Body` that it changes, for the side "body".
+        alters: The field of `Body` that a `BodyChange` changes.
+        moves_link: Whether it is a `MovesLink`, so that the link moves relative to its drive.
         options: Dataclass fields beside the parameters that users choose and reports show, with the values allowed; of a field that
             is a tuple, the values of each element.
         composed: Where parameters are the components of vectors or matrices: shown name to parameters' names, nested.
         plain: What was found, in a sentence for people: a format with "joints", the parameters' names (`words.Number`) and options;
             "" for one that is made of the name, the joints and the parameters.
         prior: What is believed of it before any recording is seen.
-        listing: How it stands in the header of a recording set; None where recordings cannot list it.
-        design: Its form in a co-design; None where it is no part of one.
         joints: Indices of the joints it acts on.
     """
 
@@ -242,15 +218,13 @@ class Effect:
     role: ClassVar[Role] = "law"
     scope: ClassVar[Scope] = "everywhere"
     placement: ClassVar[Literal["joint", "many", "pair", "spring", "arm"]] = "joint"
-    dynamics: ClassVar[Dynamics] = "instantaneous"
     resembles: ClassVar[Literal["", "friction_over_speed", "position_harmonic", "constant"]] = ""
     alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
+    moves_link: ClassVar[bool] = False
     options: ClassVar[Mapping[str, tuple[Any, ...]]] = {}
     composed: ClassVar[Mapping[str, Any]] = {}
     plain: ClassVar[str] = ""
     prior: ClassVar[Prior] = Prior()
-    listing: ClassVar[Listing | None] = None
-    design: ClassVar[DesignForm | None] = None
 
     joints: tuple[int, ...]
 
@@ -258,146 +232,15 @@ class Effect:
         """Torque on each of `joints` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`.
 
         Without `Signals.states` the arm has been at rest. For the side "sensor": the error of the recorded torque; the true one is
-        `signals.load`. By default none, for an effect that changes the motion, the body or the time of the signals.
+        `signals.load`. By default none, for an effect that changes the motion or the body.
         """
-        if self.side not in ("motion", "body") and self.dynamics != "delay":
+        if self.side not in ("motion", "body"):
             raise NotImplementedError(f"{self.name} acts on the side {self.side!r} and needs a torque")
         return tuple(0 * signals.q[j] for j in self.joints)
 
     def energy(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> Any:
         """Energy stored [J], with torque = −d energy / d q; 0 where nothing is stored."""
         return 0.0
-
-    def change(self, body: Body, theta: Mapping[str, Any]) -> Body:
-        """The rigid body with the effect, for the side "body"."""
-        return body
-
-    def shift(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """True less recorded position of each of `joints` [rad], constant, for the side "motion" if the link does not move by itself."""
-        return ()
-
-    def delay(self, theta: Mapping[str, float]) -> float:
-        """By how much what is recorded lags what is true [s]."""
-        return 0.0
-
-    def check_options(self) -> None:
-        """Raise `UserError` for options, as read from a file, with which there is no such law."""
-
-    # internal states
-
-    def rate(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """Time derivative of each internal state, affine in the states."""
-        return ()
-
-    def rest(self, load: np.ndarray) -> tuple[float, ...]:
-        """Internal states of an arm that has been at rest under a load torque (n,) [Nm]."""
-        return tuple(state.nominal for state in self.states)
-
-    def course(self, t: np.ndarray, load: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
-        """Internal states (number, K) at times t (K,) [s] under the joint's load torque (K,) [Nm], for `dynamics` "load_states"."""
-        raise NotImplementedError
-
-    # a link that moves relative to its drive
-
-    @property
-    def moves_link(self) -> bool:
-        """Whether the link moves relative to its drive, by `motion`."""
-        return self.dynamics in ("link", "impact")
-
-    def motion(
-        self, t: np.ndarray, load: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]
-    ) -> np.ndarray:
-        """True less recorded position, speed and acceleration of the joint along a segment, (3, K).
-
-        Args:
-            t: Times [s], (K,).
-            load: Torque that the recorded motion would need if it were the link's [Nm], (K,).
-            stiffness, inertia: Derivatives of that torque by the joint's position [Nm/rad] and acceleration [kg m²], (K,).
-        """
-        raise NotImplementedError
-
-    @property
-    def window(self) -> float:
-        """Window over which the load is smoothed that `motion` is given [s]; 0 for none."""
-        return 0.0
-
-    def sharper(self) -> "Effect | None":
-        """The effect with the next sharper form of its law, tried while it lowers the residual; None beyond the last."""
-        return None
-
-    def free(self, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
-        """Change of `motion` by an initial deviation of 1 rad and of 1 rad/s, (2, 3, K), to first order; empty where it is known."""
-        return np.zeros((0, 3, len(t)))
-
-    # in MuJoCo
-
-    def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> bool:
-        """Put the exact law into a `mujoco.MjSpec` whose joints have these names; False where MuJoCo has no form of it."""
-        return False
-
-    def gear(self, twist: Any, theta: Mapping[str, float], stiffest: float) -> None:
-        """Set up the `mujoco.MjsJoint` by which the link moves relative to its drive; the engine's step can follow `stiffest` [Nm/rad]."""
-        raise NotImplementedError
-
-    # as a part that is made for a design
-
-    def profile(self, q: np.ndarray, theta: Mapping[str, float]) -> dict[str, np.ndarray]:
-        """Columns of the table by which the spring is made, over angles q (K,) of its joint [rad]; empty where there is no such table.
-
-        The ending of a column's name is its unit. "outline_x_mm" and "outline_y_mm" are a closed outline, which is drawn as well.
-        """
-        return {}
-
-    def known_range(self, theta: Mapping[str, float]) -> tuple[float, float]:
-        """Least and greatest angle of its joint between which its law is known [rad]; beyond, it is continued."""
-        return -np.inf, np.inf
-
-    # as a spring that a clutch connects in one phase
-
-    @property
-    def acts_in(self) -> str:
-        """The phase of a task in which alone it acts; "" for all. Models know no phases: in the others its amplitudes are zero."""
-        return ""
-
-    def kept_energy(
-        self, lower: np.ndarray, upper: np.ndarray, ends: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of its parameters, narrowed to springs that leave the phase in which they act with the energy with which they enter it.
-
-        Args:
-            lower, upper: Bounds of its parameters, in their order.
-            ends: Angles of all joints at the start and at the release [rad], (n,) each.
-
-        Raises `UserError` where there are none.
-        """
-        return lower, upper
-
-    # as a spring that a recording lists
-
-    def lever(self, theta: Mapping[str, Any]) -> tuple[Any, ...]:
-        """Derivative of the spring's stretch by the position of each of `joints`, up to a common sign."""
-        return (1.0,) * len(self.joints)
-
-    def moved(self, theta: Mapping[str, Any], offset: Any) -> dict[str, Any]:
-        """Parameters of the spring with its equilibrium moved by an offset [rad]."""
-        raise NotImplementedError
-
-    @classmethod
-    def from_entry(cls, joints: tuple[int, ...], entry: Mapping[str, Any]) -> tuple["Effect", dict[str, float]]:
-        """The spring on its joints, and its parameters, from the quantities of its `listing` and its options.
-
-        By default the quantities are the parameters in their order.
-        """
-        assert cls.listing is not None
-        names = (parameter.name for parameter in cls.parameters)
-        options = {key: entry[key] for key in cls.options if key in entry}
-        return cls(joints, **options), dict(zip(names, (entry[key] for key in cls.listing.quantities), strict=True))
-
-    def entry(self, theta: Mapping[str, float]) -> dict[str, Any]:
-        """The inverse of `from_entry`: quantities and options of the spring with these parameters."""
-        assert self.listing is not None
-        values = (theta[parameter.name] for parameter in self.parameters)
-        return dict(zip(self.listing.quantities, values, strict=True)) | {key: getattr(self, key) for key in self.options}
 
     # in fits
 
@@ -413,10 +256,6 @@ class Effect:
     def canonical(self, theta: Mapping[str, float]) -> dict[str, float]:
         """The parameters in their usual range, where several sets of values give the same law."""
         return dict(theta)
-
-    def starts(self, theta: dict[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
-        """Forms of the effect on the same joints, and parameters, from which a fit begins, if `dynamics` is "impact"."""
-        yield self, theta
 
     @property
     def sign_forms(self) -> tuple["Effect", ...]:
@@ -439,7 +278,7 @@ class Effect:
         """Effects, with parameters, of the same law over part of the range, more probable where only some recordings have it."""
         yield from ()
 
-    # black-box terms, which represent a torque that no law explains
+    # of black-box terms, see `BlackBox`
 
     @property
     def black_box(self) -> bool:
@@ -447,26 +286,15 @@ class Effect:
         return self.role == "black_box"
 
     @property
-    def depends_on(self) -> tuple[tuple[str, int], ...]:
-        """What a black-box term depends on: ("q", joint), ("load", joint), ("sign", joint), ("time", −1), …"""
-        return ()
-
-    @property
     def validity(self) -> tuple[tuple[tuple[str, int], float, float], ...]:
-        """What it depends on, with the range of validity (least, greatest)."""
+        """What a term depends on, with the range of validity (least, greatest)."""
         return ()
 
     def without_range(self) -> "Effect":
         """The effect without the range that recordings gave it, for comparisons."""
         return self
 
-    def basis(self, signals: Signals, width: Any) -> list | None:
-        """Torque on its joint for each amplitude being 1 [Nm], where the law is linear in all parameters and this is quicker; else None."""
-        return None
-
-    def words(self, theta: Mapping[str, float]) -> str:
-        """What a black-box term has found, in words."""
-        raise NotImplementedError
+    # in words
 
     @classmethod
     def sentence(cls, joints: Sequence[str], values: Mapping[str, Any]) -> str:
@@ -484,7 +312,7 @@ class Effect:
         """The ways in which recordings might hold the effect; none for what a diagnosis does not look for.
 
         By default one for each of `shapes` on every joint, every listed spring or the arm, as `placement` says; none for black-box
-        terms, which are tried by `black_box_trials` on what the catalogue does not explain.
+        terms, which have `BlackBox.black_box_trials`.
         """
         if cls.amplitudes and cls.role != "black_box":
             for joints in {"arm": [()], "spring": view.springs}.get(cls.placement, [(j,) for j in range(view.n)]):
@@ -496,27 +324,6 @@ class Effect:
     def shapes(cls, view: View, joints: tuple[int, ...]) -> Sequence[Mapping[str, float]]:
         """Values of the parameters that are no amplitudes, one mapping for each of the default `trials`."""
         return ({},)
-
-    @classmethod
-    def sparse_trials(cls, view: View, j: int) -> Iterator[Trial]:
-        """Further ways for a joint, tried after smooth functions as the recordings show too little of them."""
-        yield from ()
-
-    def is_sparse(self, view: View, theta: Mapping[str, float]) -> bool:
-        """Whether the recordings show so little of it that any smooth function may explain it as well."""
-        return False
-
-    @classmethod
-    def black_box_trials(
-        cls, view: View, j: int, ranges: Mapping[tuple[str, int], tuple[float, float]], torque: str
-    ) -> Iterator[Trial]:
-        """The ways in which a joint might have a black-box term.
-
-        Args:
-            ranges: (least, greatest) of everything that a torque may depend on, by kind and joint as in `depends_on`.
-            torque: What is recorded: "motor", "load" or "current".
-        """
-        yield from ()
 
     def trial(self, view: View, **shape: float) -> Trial:
         """A trial with these values of the parameters in which the effect is not linear."""

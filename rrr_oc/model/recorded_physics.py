@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects import Effect, Signals
+from rrr_oc.effects import Delay, Effect, FollowsLoad, MotionShift, MovesLink, Signals, WithStates
 from rrr_oc.model.motion import Motion
 from rrr_oc.model.shared_model import KEPT
 from rrr_oc.model.symbolic_model import Model
@@ -119,11 +119,12 @@ class Physics:
         """Displacements of the links by effect, and the reactions of the links behind elastic gears."""
         found: Shifts = {}
         reactions: Reactions = {}
-        displacing = [(i, *one) for i, one in enumerate(self.named()) if one[0].side == "motion"]
-        rigid, elastic = ([one for one in displacing if one[1].moves_link == by_itself] for by_itself in (False, True))
-        for i, effect, theta, width in rigid:
-            shift = partial(moved, motion, effect, width=width)
-            found[i] = shift, shift(theta)
+        named = [(i, *one) for i, one in enumerate(self.named())]
+        for i, effect, theta, width in named:
+            if isinstance(effect, MotionShift):
+                shift = partial(moved, motion, effect, width=width)
+                found[i] = shift, shift(theta)
+        elastic = [(i, effect, theta, width) for i, effect, theta, width in named if isinstance(effect, MovesLink)]
         for _ in range(SWEEPS if elastic else 0):  # a link's motion behind its gear follows from that of all other links
             joints = tuple(one[1].joints[0] for one in elastic)
             react = partial(self._reactions, motion, _summed(found, motion), joints)
@@ -133,9 +134,8 @@ class Physics:
                 needed = load[j].copy()  # load torque of a link that moves with its drive
                 if i in found:
                     needed -= np.sum(np.array(reactions[j]) * found[i][1][[j, 2 * len(load) + j]], axis=0)
-                shift = partial(
-                    moved, motion, effect, width=width, felt=felt_load(motion, effect, needed), reaction=reactions[j]
-                )
+                felt = felt_load(motion, effect, needed)
+                shift = partial(moved, motion, effect, width=width, felt=felt, reaction=reactions[j])
                 found[i] = shift, shift(theta)
         return found, reactions
 
@@ -213,12 +213,15 @@ class Physics:
             for row in np.flatnonzero(np.any(change, axis=1)).tolist():
                 result += partials["shift", row] * change[row]
         before = sum(len(one.states) for one in self.model.effects[:i])
-        for k, course in enumerate(self._courses(motion, effect, theta, width) if effect.states else ()):
+        for k, course in enumerate(self._courses(motion, effect, theta, width)):
             result += partials["states", before + k] * (course - self.states(motion)[before + k])
         return result
 
     def _courses(self, motion: Motion, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
-        return states_along(motion, effect, theta, width, self._load(motion) if effect.dynamics == "load_states" else None)
+        """Internal states of an effect along the motion, (number, K)."""
+        if not isinstance(effect, WithStates):
+            return np.zeros((0, len(motion.t)))
+        return states_along(motion, effect, theta, width, self._load(motion) if isinstance(effect, FollowsLoad) else None)
 
     def starts(self, motion: Motion, load: bool) -> np.ndarray:
         """Change of the recorded torque with the unknown initial states of links behind elastic gears, (number, n, K) [Nm].
@@ -227,7 +230,9 @@ class Physics:
         torque is recorded, not the motor torque.
         """
         (shifts, reactions), n, named, found = self._moved(motion), len(motion.q), self.named(), []
-        for i, (effect, theta, _) in ((i, named[i]) for i in shifts if named[i][0].moves_link):
+        for i, (effect, theta, _) in enumerate(named):
+            if not isinstance(effect, MovesLink):
+                continue
             (j,) = effect.joints
             stiffness, inertia = reactions[j]
             parts = [effect.free(motion.t[s], stiffness[s], inertia[s], theta) for s in motion.segments]
@@ -244,7 +249,7 @@ class Physics:
         result, delay = np.array(torque), 0.0
         for effect, theta, width in self.named():
             if effect.side == "sensor":
-                delay += effect.delay(theta)
+                delay += effect.delay(theta) if isinstance(effect, Delay) else 0.0
                 for j, more in zip(effect.joints, effect.torque(Signals(motion.q, load=torque), theta, width), strict=True):
                     result[j] += more
         return later(motion, result, delay) if delay else result
@@ -263,7 +268,7 @@ class Physics:
     @_kept
     def states(self, motion: Motion) -> np.ndarray:
         """Internal states of the effects along the motion, (number of states, K)."""
-        found = [self._courses(motion, *one) for one in self.named() if one[0].states]
+        found = [self._courses(motion, *one) for one in self.named()]
         return np.concatenate([*found, np.zeros((0, len(motion.t)))])
 
     def named(self) -> list[tuple[Effect, dict[str, float], float | None]]:
@@ -298,8 +303,8 @@ def _summed(shifts: Shifts, motion: Motion) -> np.ndarray:
     return sum((shift for _, shift in shifts.values()), np.zeros((3 * len(motion.q), len(motion.t))))
 
 
-def felt_load(motion: Motion, effect: Effect, load: np.ndarray) -> np.ndarray:
-    """The load torque (K,) [Nm] that `Effect.motion` is given: smoothed where the effect says so."""
+def felt_load(motion: Motion, effect: MovesLink, load: np.ndarray) -> np.ndarray:
+    """The load torque (K,) [Nm] that `MovesLink.motion` is given: smoothed where the effect says so."""
     return motion.smoothing(effect.window) @ load if effect.window else load
 
 
@@ -319,15 +324,15 @@ def moved(
     """
     n = len(motion.q)
     result = np.zeros((3 * n, len(motion.t)))
-    if effect.moves_link:
+    if isinstance(effect, MovesLink):
         assert felt is not None
         assert reaction is not None
         (j,), (stiffness, inertia) = effect.joints, reaction
         for s in motion.segments:
             result[[j, n + j, 2 * n + j], s] = effect.motion(motion.t[s], felt[s], stiffness[s], inertia[s], theta)
-        return result
-    for j, shift in zip(effect.joints, effect.shift(Signals(motion.q), theta, width), strict=True):
-        result[j] = np.array(shift).reshape(-1)
+    if isinstance(effect, MotionShift):
+        for j, shift in zip(effect.joints, effect.shift(Signals(motion.q), theta, width), strict=True):
+            result[j] = np.array(shift).reshape(-1)
     return result
 
 
@@ -344,16 +349,16 @@ def later(motion: Motion, x: np.ndarray, delay: float) -> np.ndarray:
 
 
 def states_along(
-    motion: Motion, effect: Effect, theta: Mapping[str, float], width: Any, load: np.ndarray | None = None
+    motion: Motion, effect: WithStates, theta: Mapping[str, float], width: Any, load: np.ndarray | None = None
 ) -> np.ndarray:
     """Internal states (number, K) of an effect along a motion.
 
-    By the load torque (n, K) [Nm] if `dynamics` is "load_states"; else from rates that are affine, each in its own state: the motion
-    is linear between samples and the rates constant over each of `PARTS` substeps, so that reversals between samples count.
+    By the load torque (n, K) [Nm] if it `FollowsLoad`; else from rates that are affine, each in its own state: the motion is linear
+    between samples and the rates constant over each of `PARTS` substeps, so that reversals between samples count.
     """
     states = np.zeros((len(effect.states), len(motion.t)))
     for s in motion.segments:
-        if effect.dynamics == "load_states":
+        if isinstance(effect, FollowsLoad):
             assert load is not None
             states[:, s] = effect.course(motion.t[s], load[effect.joints[0], s], theta)
             continue

@@ -8,7 +8,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects import Body, Effect, Signals
+from rrr_oc.effects import Body, BodyChange, Effect, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, with_payload
@@ -187,7 +187,7 @@ class Model:
         """Inertial parameters with payload (10, n) and gravity (3,), with the changes by effects of the side "body"."""
         body = Body(ca.SX(inertial), ca.SX(self.robot.gravity), payload, list(self.tool.position))
         for effect, named, _ in self._unpacked(theta, widths):
-            body = effect.change(body, named)
+            body = effect.change(body, named) if isinstance(effect, BodyChange) else body
         gravity = ca.vertcat(*body.gravity) if isinstance(body.gravity, list) else body.gravity
         return with_payload(body.inertial, self.tool.joint, body.payload, body.position), gravity
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from rrr_oc.effects import Effect, listed_springs
+from rrr_oc.effects import ListedSpring, listed_springs
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Header, Spring
 from rrr_oc.schema import NonNegative, Schema, check_names, validated
@@ -42,10 +42,9 @@ def springs_schema() -> Any:
     return msgspec.defstruct("Springs", keys, bases=(Schema,))
 
 
-def _entries(kind: type[Effect]) -> Any:
+def _entries(kind: type[ListedSpring]) -> Any:
     """The type of the springs of one kind in a recording, from the listing."""
     listing = kind.listing
-    assert listing is not None
     keys: list[Any] = [(key, _quantity(key, key in listing.zero)) for key in listing.quantities]
     if kind.placement == "pair":
         keys.append(("joints", tuple[str, str] | None, None))
@@ -64,7 +63,7 @@ def _quantity(key: str, zero: bool) -> Any:
     return Angle if key.endswith("_rad") and not key.endswith("_per_rad") else NonNegative
 
 
-def _of_kind(where: str, kind: type[Effect], given: Any, joints: tuple[str, ...]) -> Iterator[Spring]:
+def _of_kind(where: str, kind: type[ListedSpring], given: Any, joints: tuple[str, ...]) -> Iterator[Spring]:
     """Springs of one kind: those on one joint stand under its name, those across two joints alone or in a list."""
     by_joint: dict[Any, Any] = {} if given is None else {None: given} if kind.placement == "pair" else given
     if None not in by_joint:
@@ -77,7 +76,7 @@ def _of_kind(where: str, kind: type[Effect], given: Any, joints: tuple[str, ...]
             yield _spring(place, kind, tuple(map(joints.index, pair)), entry)
 
 
-def _spring(where: str, kind: type[Effect], joints: tuple[int, ...], entry: dict[str, Any]) -> Spring:
+def _spring(where: str, kind: type[ListedSpring], joints: tuple[int, ...], entry: dict[str, Any]) -> Spring:
     for key, allowed in kind.options.items():
         values = entry.get(key)
         if isinstance(values, tuple) and not set(values) <= set(allowed):
@@ -105,7 +104,7 @@ def spring_json(springs: Sequence[Spring], joints: Sequence[str]) -> dict[str, A
     result: dict[str, Any] = {}
     for effect, theta in springs:
         names = [joints[j] for j in effect.joints]
-        if effect.listing is None:
+        if not isinstance(effect, ListedSpring):
             allowed = " and ".join(kind.name for kind in listed_springs().values())
             raise UserError(f"a recording cannot list {effect.name!r}; allowed are {allowed}")
         key, spring = effect.listing.key, effect.entry(theta)

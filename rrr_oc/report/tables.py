@@ -106,7 +106,7 @@ def _numbers(ours: Sequence[float | None], digits: int, paper: float | None, for
 
 def spring_unit(spring: str) -> tuple[str, float, str]:
     """Suffix of a spring's name in the published tables, factor from SI, and the unit to print."""
-    quantities = {q.symbol: q for kind in design_forms().values() for q in (kind.design.quantities if kind.design else ())}
+    quantities = {q.symbol: q for kind in design_forms().values() for q in kind.design.quantities}
     found = quantities.get(spring) or quantities.get(spring.rstrip("0123456789"))
     if found is None:
         return "", 1.0, "SI"

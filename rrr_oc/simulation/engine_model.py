@@ -13,7 +13,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from rrr_oc.effects import Body
+from rrr_oc.effects import Body, BodyChange, MovesLink, NativeTwin
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
@@ -220,7 +220,8 @@ def _body(model: Model, theta: np.ndarray) -> Body:
     robot, numbers = model.robot, iter(theta.tolist())
     body = Body(robot.inertial, robot.gravity, 0.0, model.tool.position.tolist())
     for effect in model.effects:
-        body = effect.change(body, {p.name: next(numbers) for p in effect.parameters})
+        named = {p.name: next(numbers) for p in effect.parameters}
+        body = effect.change(body, named) if isinstance(effect, BodyChange) else body
     inertial = body.inertial if isinstance(body.inertial, np.ndarray) else np.array(ca.evalf(body.inertial))
     return Body(inertial, np.array(body.gravity, float), float(body.payload), np.array(body.position, float))
 
@@ -319,7 +320,9 @@ def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: 
         named = {p.name: next(numbers) for p in effect.parameters}
         known = len(spec.tendons)
         wanted = effect.side == "drive" or (effect.side == "link" and tendons)
-        own = wanted and effect.native(spec, model.robot.joints, named)
+        own = wanted and isinstance(effect, NativeTwin)
+        if own:
+            effect.native(spec, model.robot.joints, named)
         for tendon in spec.tendons[known:]:
             tendon.name = f"{i}_{tendon.name}"  # two springs on one joint would get the same name
         generated.append(effect.side in ("link", "drive") and not own)
@@ -333,7 +336,7 @@ def _add_gears(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, inertial: n
     robot, numbers, seen, least = model.robot, iter(theta.tolist()), set(), model.body.free_inertia(inertial)
     for effect in model.effects:
         named = {p.name: next(numbers) for p in effect.parameters}
-        if not effect.moves_link:
+        if not isinstance(effect, MovesLink):
             continue
         (j,) = effect.joints
         if j in seen:

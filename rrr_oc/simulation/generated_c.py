@@ -27,7 +27,7 @@ import mujoco
 import numpy as np
 
 from rrr_oc.compiler import digest, library
-from rrr_oc.effects import Signals
+from rrr_oc.effects import MotionShift, Signals, WithStates
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 
@@ -207,9 +207,8 @@ def law(model: Model, inside: Sequence[bool]) -> ca.Function:
         return sum((t for e, yes, t in torques if yes and e.side == side), ca.SX.zeros(n))
 
     link, drive = total("link", links, inside), total("drive", signals, inside)
-    rates = ca.vertcat(
-        *(r for e, s, named, width in model.with_signals(signals, theta, widths) for r in e.rate(s, named, width))
-    )
+    stateful = (one for one in model.with_signals(signals, theta, widths) if isinstance(one[0], WithStates))
+    rates = ca.vertcat(*(r for e, s, named, width in stateful for r in e.rate(s, named, width)))
     if model.states:
         fading = ca.fmax(-step * ca.diag(ca.jacobian(rates, states)), 1e-9)
         rates = ca.if_else(fading > STIFF, rates * (1 - ca.exp(-fading)) / fading, rates)
@@ -245,7 +244,7 @@ def shift(model: Model, theta) -> ca.SX:
     for effect in model.effects:
         named = {p.name: theta[i + k] for k, p in enumerate(effect.parameters)}
         i += len(effect.parameters)
-        if effect.side == "motion" and not effect.moves_link:
+        if isinstance(effect, MotionShift):
             for j, value in zip(effect.joints, effect.shift(Signals(ca.SX.zeros(model.robot.n)), named, None), strict=True):
                 result[j] += value
     return result

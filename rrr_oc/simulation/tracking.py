@@ -11,6 +11,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from rrr_oc.effects import WithStates
 from rrr_oc.errors import UserError
 from rrr_oc.model import metrics
 from rrr_oc.model.metrics import Metrics
@@ -176,7 +177,8 @@ def _follow(engine: Twin, phase: Reference, following: Following, start: State |
     """One phase from a state, or from its own first point, and the state at its end."""
     t, h = following.grid(phase)
     if start is None:
-        rest = [x for effect in engine.model.effects for x in effect.rest(phase.feed_forward[:, 0])]
+        stateful = (effect for effect in engine.model.effects if isinstance(effect, WithStates))
+        rest = [x for effect in stateful for x in effect.rest(phase.feed_forward[:, 0])]
         twist = None if phase.twist is None else phase.twist[:2, :, 0]
         start = State(*engine.coordinates(phase.drives.q[:, 0], phase.drives.dq[:, 0], twist), np.array(rest))
     engine.set_payload(float(phase.payload[0]))

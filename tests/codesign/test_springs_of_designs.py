@@ -27,7 +27,7 @@ from rrr_oc.codesign.task_sets.set_study import prepared_set
 from rrr_oc.commands.moving.sources import designed
 from rrr_oc.commands.output import Output
 from rrr_oc.diagnosis.signatures import trials, view
-from rrr_oc.effects import CATALOGUE, Signals
+from rrr_oc.effects import CATALOGUE, Clutched, Signals
 from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
 from rrr_oc.effects.elastic.clutched_biarticular_spring import ClutchedBiarticularSpring
 from rrr_oc.effects.elastic.clutched_spring import ClutchedSpring
@@ -397,7 +397,7 @@ def test_a_clutched_spring_leaves_its_phase_with_the_energy_with_which_it_enters
 def test_only_windings_that_keep_the_energy_are_tried():
     """Joint 3 moves against joint 2 and twice as far, so both windings have the same sign and the lever is half."""
     ways = arrangements(replace(PAPER, springs=({k: v for k, v in CBPEA[0].items() if k != "winding"},)), "CBPEA")
-    assert {(way[0].effect.winding, way[0].effect.acts_in) for way in ways} == {
+    assert {(way[0].effect.winding, way[0].effect.phase) for way in ways} == {
         (winding, phase) for winding in ((1, 1), (-1, -1)) for phase in ("go", "return")
     }
     assert all(way[0].lower[1] == way[0].upper[1] == pytest.approx(0.5) for way in ways)
@@ -431,7 +431,7 @@ def test_a_clutched_spring_acts_in_its_phase_only(clutched):
             for j, torque in zip(
                 effect.joints, effect.torque(Signals(q), values[design.model.label(effect)], 0.003), strict=True
             ):
-                acting = not effect.acts_in or phase == 0
+                acting = not isinstance(effect, Clutched) or phase == 0
                 tau[j] -= torque * acting
                 seen += np.abs(torque).max() * (not acting)
         total += np.trapezoid(np.sum(tau[1:] ** 2, axis=0), motion.t[k])
@@ -458,7 +458,7 @@ def test_the_bound_on_the_motion_knows_where_a_clutched_spring_acts(clutched):
             drawn = np.clip(centre * (1 + size * rng.normal(size=centre.size)), spring.lower, spring.upper)
             theta = {p.name: value for p, value in zip(spring.effect.parameters, drawn, strict=True)}
             for j, torque in zip(spring.effect.joints, spring.effect.torque(Signals(needed.q), theta, 0.0), strict=True):
-                tau[needed.moving.index(j)] -= torque * (acting if spring.effect.acts_in else 1)
+                tau[needed.moving.index(j)] -= torque * (acting if isinstance(spring.effect, Clutched) else 1)
         best = min(best, needed.product(tau, tau))
     assert bound.lower <= best <= 1.1 * own
 

@@ -19,7 +19,18 @@ from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.diagnosis.signatures import SignatureCache, table, trials, view
-from rrr_oc.effects import CATALOGUE, Effect, Signals, Trial
+from rrr_oc.effects import (
+    CATALOGUE,
+    BlackBox,
+    BodyChange,
+    Effect,
+    LinkSpring,
+    MotionShift,
+    MovesLink,
+    Signals,
+    Trial,
+    WithStates,
+)
 from rrr_oc.effects.black_box.echo import Echo
 from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.black_box.friction_change import FrictionChange
@@ -375,11 +386,16 @@ def random_signals(rng) -> dict[str, np.ndarray]:
     return found | {"states": rng.uniform(-1, 1, (2, SAMPLES)), "friction": -np.sign(found["dq"]) * rng.uniform(1, 2, (3, 1))}
 
 
+def parts_of(effect: Effect, signals: Signals, theta, width) -> list[tuple]:
+    """Torque on the effect's joints, the rate of its states, and the shift."""
+    rate = effect.rate(signals, theta, width) if isinstance(effect, WithStates) else ()
+    shift = effect.shift(signals, theta, width) if isinstance(effect, MotionShift) else ()
+    return [effect.torque(signals, theta, width), rate, shift]
+
+
 def law(effect: Effect, arrays: dict[str, np.ndarray], theta: dict[str, float], width: float | None = 0.05) -> np.ndarray:
-    """Torque on the effect's joints, the shift and the rate of its states, by numpy, one below the other."""
-    signals = Signals(**arrays, springs=LISTED)
-    parts = [effect.torque(signals, theta, width), effect.rate(signals, theta, width)]
-    parts += [] if effect.moves_link else [effect.shift(signals, theta, width)]
+    """These by numpy, one below the other."""
+    parts = parts_of(effect, Signals(**arrays, springs=LISTED), theta, width)
     rows = [np.broadcast_to(np.asarray(x, float), (SAMPLES,)) for part in parts for x in part]
     return np.array(rows).reshape(-1, SAMPLES)
 
@@ -390,9 +406,7 @@ def symbolic(effect: Effect, width: float | None = 0.05) -> tuple[ca.Function, l
     inputs = {k: ca.SX.sym(k, rows) for k, rows in shapes.items()}
     theta = ca.SX.sym("theta", len(effect.parameters))
     named = {p.name: theta[i] for i, p in enumerate(effect.parameters)}
-    signals = Signals(**inputs, springs=LISTED)
-    parts = [effect.torque(signals, named, width), effect.rate(signals, named, width)]
-    parts += [] if effect.moves_link else [effect.shift(signals, named, width)]
+    parts = parts_of(effect, Signals(**inputs, springs=LISTED), named, width)
     out = ca.vertcat(*(ca.SX(x) for part in parts for x in part))
     return ca.Function("law", [*inputs.values(), theta], [out], [*inputs, "theta"], ["torque"]), list(inputs)
 
@@ -610,6 +624,17 @@ def test_bristles_between_samples_follow_the_motion():
     assert np.abs(exact).max() > 0.99  # it slips
     assert np.mean(np.abs(exact) < 0.9) > 0.1  # and turns around
     assert np.abs(found - exact).max() < 0.03  # 0.020; with half as many steps 0.072
+
+
+@each_effect
+def test_an_effect_derives_from_what_it_says_that_it_is(name):
+    """Models ask for the class; an effect that only declares the side, states or role would do nothing there."""
+    kind = CATALOGUE[name]
+    assert (kind.side == "body") == issubclass(kind, BodyChange) == bool(kind.alters)
+    assert (kind.side == "motion") == issubclass(kind, MotionShift | MovesLink)
+    assert bool(kind.states) == issubclass(kind, WithStates)
+    assert (kind.provides == "springs") == issubclass(kind, LinkSpring)
+    assert (kind.role == "black_box") == issubclass(kind, BlackBox)
 
 
 @each_effect

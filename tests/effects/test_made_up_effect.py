@@ -45,22 +45,20 @@ BAND = '''
 
 import numpy as np
 
-from rrr_oc.effects import Effect, register
+from rrr_oc.effects import DesignSpring, ListedSpring, register
 from rrr_oc.effects.design_form import DesignForm, Quantity
-from rrr_oc.effects.listing import Listing
+from rrr_oc.effects.springs import Listing
 from rrr_oc.robot.parameters import Parameter
 
 
 @register
-class RubberBand(Effect):
+class RubberBand(ListedSpring, DesignSpring):
     """tau = -stiffness (q - rest)^3."""
 
     name = "rubber_band"
     equation = "tau = -stiffness (q - rest)^3"
     parameters = (Parameter("stiffness", "Nm/rad³", 0.0, lower=0.0), Parameter("rest", "rad", 0.0))
     amplitudes = ("stiffness",)
-    provides = "springs"
-    scope = "mounted"
     listing = Listing("bands", ("stiffness_Nm_per_rad3", "rest_rad"))
     design = DesignForm(
         "BAND",

@@ -9,7 +9,7 @@ from recorded import Plant, as_set, multisine, record
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
-from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects import CATALOGUE, Delay
 from rrr_oc.effects.black_box.echo import Echo
 from rrr_oc.model.motion import Motion
 from rrr_oc.model.recorded_physics import later
@@ -128,7 +128,7 @@ def test_what_is_kept_of_the_links_holds_for_other_models(arm):
         np.testing.assert_allclose(found, model.output_torque(replace(recording)), rtol=1e-12, atol=1e-12)  # rounding
         physics = model.physics(recording)
         loads.append(physics.torques(recording)[1])
-        if all(effect.dynamics == "instantaneous" and effect.side != "motion" for effect in physics.model.effects):
+        if not any(e.states or e.side == "motion" or isinstance(e, Delay) for e in physics.model.effects):
             values = physics.theta, physics.widths, physics.inertial
             whole = along(physics.model.motor_inverse, *physics.inputs(recording), *values)
             np.testing.assert_allclose(physics.torques(recording), whole, rtol=1e-12, atol=1e-12)

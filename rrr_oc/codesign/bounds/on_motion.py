@@ -23,7 +23,7 @@ from scipy.optimize import nnls
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.effects import Signals
+from rrr_oc.effects import Clutched, Signals
 from rrr_oc.numerics.enclosure import NotEnclosed, enclosed, enclosures
 from rrr_oc.optimal_control.solver import Solution
 
@@ -123,9 +123,9 @@ class Place:
         effect = self.spring.effect
         theta = {effect.parameters[i].name: values for i, values in zip(self.others, others, strict=True)}
         torque = effect.torque(Signals(self.needed.q if q is None else q), theta | dict.fromkeys(effect.amplitudes, 1.0), 0.0)
-        if q is not None or not effect.acts_in:
+        if q is not None or not isinstance(effect, Clutched):
             return torque
-        acting = (self.needed.phase == effect.acts_in).astype(float)
+        acting = (self.needed.phase == effect.phase).astype(float)
         return tuple(part * acting for part in torque)
 
     def shapes(self, others: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from rrr_oc.codesign.bounds.on_motion import Needed, Place
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import SpringBounds
 from rrr_oc.codesign.task import Task
+from rrr_oc.effects import Clutched
 from rrr_oc.numerics.enclosure import NotEnclosed, enclosed, enclosures, evaluated
 
 BOXES = 20_000  # of a spring's parameters, in each of which its stiffness is bounded; doubled, that is closer
@@ -35,7 +36,7 @@ def task_bound(design: CoDesign) -> float | None:
     task, springs = design.task, [spring for spring in design.springs if not spring.known]
     if design.cost != "load" or not task.at_rest or not np.all(np.isfinite(task.acceleration)):
         return None
-    clutched = {j for spring in springs if spring.effect.acts_in for j in spring.effect.joints}
+    clutched = {j for spring in springs if isinstance(spring.effect, Clutched) for j in spring.effect.joints}
     lasting = [row for row, j in enumerate(task.moving) if j not in clutched]
     if not lasting:
         return None

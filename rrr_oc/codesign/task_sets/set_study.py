@@ -40,6 +40,7 @@ from rrr_oc.codesign.task_sets.set_search import SetResult, front, solve_chosen,
 from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_task_set, with_uncertainty
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
+from rrr_oc.effects import Clutched
 from rrr_oc.errors import UserError
 from rrr_oc.kept import Listener, kept_motion, once, save, taken
 from rrr_oc.model.metrics import measure
@@ -145,7 +146,8 @@ def _check_price(price: float | None, tasks: TaskSet) -> None:
 def _check_clutches(tasks: TaskSet, name: str) -> None:
     """Raise `UserError` where a spring with a clutch cannot keep its energy in all tasks."""
     first, *others = (
-        [np.r_[s.lower, s.upper] for way in arrangements(task, name) for s in way if s.effect.acts_in] for task in tasks.tasks
+        [np.r_[s.lower, s.upper] for way in arrangements(task, name) for s in way if isinstance(s.effect, Clutched)]
+        for task in tasks.tasks
     )
     for task, other in zip(tasks.tasks[1:], others, strict=True):
         if len(other) != len(first) or not all(map(np.allclose, first, other)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from rrr_oc.codesign.springs import saved_springs
 from rrr_oc.codesign.task import PHASES, Task, load_task
-from rrr_oc.effects import Signals
+from rrr_oc.effects import Clutched, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Spring
 from rrr_oc.recordings.recording import Recording, RecordingSet
@@ -47,7 +47,7 @@ def _of_design(source: Path, task: Task, q: np.ndarray, own: np.ndarray) -> tupl
     if (source.parent / SUMMARY).is_file():
         springs = saved_springs(source.parent / SUMMARY, source.stem, task).mounted
         phase = read_npz(source).get("phase", np.zeros(0))
-        acting = [phase == PHASES.index(effect.acts_in) if effect.acts_in else 1.0 for effect, _ in springs]
+        acting = [phase == PHASES.index(effect.phase) if isinstance(effect, Clutched) else 1.0 for effect, _ in springs]
         shown = zip(shown_springs(springs, q), acting, strict=True)
         return tuple(replace(spring, tension=spring.tension * share) for spring, share in shown)
     return tuple(ShownSpring((j,), np.abs(row)) for j, row in zip(task.moving, own, strict=True) if np.any(row))

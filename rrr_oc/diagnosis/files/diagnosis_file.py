@@ -10,6 +10,7 @@ from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.findings import Finding, named
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.effects import BlackBox
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
@@ -349,7 +350,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of `diagnosis.json`."""
     model, joints = diagnosis.model, diagnosis.model.joints
-    black_box = [f.term.effect.black_box for f in diagnosis.findings]
+    effects = [f.term.effect for f in diagnosis.findings]
 
     def by_joint(pair: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
         before, after = (dict(zip(joints, map(number, values), strict=True)) for values in pair)
@@ -361,13 +362,13 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
-        "effects": [_effect(diagnosis, i) for i, empirical in enumerate(black_box) if not empirical],
+        "effects": [_effect(diagnosis, i) for i, effect in enumerate(effects) if not effect.black_box],
         "possible": [
             {**named(p.key, joints), "recordings": _files(diagnosis.recordings, p.groups), "probability": p.probability}
             for p in diagnosis.possible
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
-        "unexplained": [_unexplained(diagnosis, i) for i, empirical in enumerate(black_box) if empirical],
+        "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
         "priors_file": diagnosis.priors,
         "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [
@@ -413,9 +414,8 @@ def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
     }
 
 
-def _unexplained(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
+def _unexplained(diagnosis: Diagnosis, i: int, effect: BlackBox) -> dict[str, Any]:
     finding, joints = diagnosis.findings[i], diagnosis.model.joints
-    effect = finding.term.effect
     named = [_variable(kind, j, joints) for kind, j in effect.depends_on]
     validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in effect.validity]
     joint, files = joints[effect.joints[0]], files_of(finding.term, diagnosis.recordings)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior, Trial
+from rrr_oc.effects.base import Prior, Trial
+from rrr_oc.effects.capabilities import BlackBox, FollowsLoad
 from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
@@ -10,7 +11,7 @@ FREQUENCIES = (1.5, 2.0, 2.7, 3.7, 5.0, 6.7, 9.0, 12.0, 16.0, 22.0, 30.0)  # [ra
 DAMPINGS = (0.1, 0.6)  # damping ratios of the trials
 
 
-class Echo(Effect):
+class Echo(BlackBox, FollowsLoad):
     """tau = lag (x − tau_l) + swing x'/frequency, x'' + 2 damping frequency x' + frequency² x = frequency² tau_l.
 
     Any linear second-order response to the load torque that vanishes at rest: a part of the load that moves by itself, such as a
@@ -29,8 +30,6 @@ class Echo(Effect):
     states = (Parameter("x", "Nm", 0.0), Parameter("v", "Nm/s", 0.0))
     side = "drive"
     inputs = ("load",)
-    role = "black_box"
-    dynamics = "load_states"
     prior = Prior(
         0.001,
         {"lag": (0.2, ""), "swing": (0.2, "")},

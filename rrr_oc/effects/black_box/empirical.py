@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
+from rrr_oc.effects.base import SIGN_WIDTH, Prior
+from rrr_oc.effects.capabilities import BlackBox
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import cos, fmax, fmin, sign
 from rrr_oc.robot.parameters import Parameter
@@ -23,7 +24,7 @@ ONE_WAY: tuple[Direction, ...] = ("upwards", "downwards")
 
 
 @dataclass(frozen=True)
-class Empirical(Effect):
+class Empirical(BlackBox):
     """tau = d Σ c_kl cos(k π x) cos(l π y) of one or two variables x, y, scaled from their range to [0, 1].
 
     Or, of one variable, a torque that begins at an edge, as of an end stop or saturation: tau = d Σ c (±(x − edge))₊^p; two edges
@@ -46,7 +47,6 @@ class Empirical(Effect):
     equation = "tau = sum of c_kl cos(k pi x) cos(l pi y)"
     width = SIGN_WIDTH
     side = "drive"
-    role = "black_box"
     prior = Prior(
         0.005,
         {"coefficient": (0.2, "torque")},
@@ -66,7 +66,7 @@ class Empirical(Effect):
         if self.on_link:
             object.__setattr__(self, "side", "link")
 
-    def check_options(self):
+    def check_options(self, n):
         ranges = [*zip(self.low, self.high, strict=False)]
         of_one = len(self.variables) == 1 and all(s in (-1, 1) and 0 <= e <= 1 and 0 <= p <= 9 for s, e, p in self.edges)
         known = all(kind in KINDS and j >= -(kind == "time") for kind, j in self.variables)
@@ -79,6 +79,7 @@ class Empirical(Effect):
             raise UserError(
                 f"found orders {self.orders} and edges {self.edges} for {len(self.variables)} variables, which do not fit"
             )
+        super().check_options(n)
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:

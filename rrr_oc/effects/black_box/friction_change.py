@@ -1,11 +1,12 @@
 """Plain friction that differs in some recordings from the rest, as after a cold start or new grease."""
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
+from rrr_oc.effects.base import SIGN_WIDTH, Prior
+from rrr_oc.effects.capabilities import BlackBox
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.robot.parameters import Parameter
 
 
-class FrictionChange(Effect):
+class FrictionChange(BlackBox):
     """tau = −dry sgn(dq) − viscous dq, in some recordings only; in all of them it would be the plain friction itself.
 
     The recordings show that friction changed; no law of the catalogue says why.
@@ -17,7 +18,6 @@ class FrictionChange(Effect):
     amplitudes = ("dry", "viscous")
     width = SIGN_WIDTH
     side = "drive"
-    role = "black_box"
     scope = "some"
     prior = Prior(
         0.003,

@@ -3,12 +3,13 @@
 import math
 from dataclasses import replace
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import BodyChange
 from rrr_oc.numerics.smooth import cos, sin
 from rrr_oc.robot.parameters import Parameter
 
 
-class GravityTilt(Effect):
+class GravityTilt(BodyChange):
     """gravity in the base frame = (R_y(about_y) R_x(about_x))ᵀ g."""
 
     name = "gravity_tilt"
@@ -16,7 +17,6 @@ class GravityTilt(Effect):
     plain = "The arm's base is not level: turned by {about_x:deg} about x and {about_y:deg} about y of the base frame."
     parameters = tuple(Parameter(name, "rad", 0.0, -math.pi / 2, math.pi / 2) for name in ("about_x", "about_y"))
     amplitudes = ("about_x", "about_y")
-    side = "body"
     scope = "set_up"
     placement = "arm"
     alters = "gravity"

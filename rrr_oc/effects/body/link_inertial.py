@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import casadi as ca
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import BodyChange
 from rrr_oc.robot.parameters import Parameter
 
 
-class LinkInertial(Effect):
+class LinkInertial(BodyChange):
     """The link's ten inertial parameters are the URDF's plus these, which stand as in `Robot.inertial`."""
 
     name = "link_inertial"
@@ -23,7 +24,6 @@ class LinkInertial(Effect):
         *(Parameter(f"inertia_{k}", "kg m²") for k in ("xx", "xy", "yy", "xz", "yz", "zz")),
     )
     amplitudes = tuple(p.name for p in parameters)
-    side = "body"
     alters = "inertial"
     prior = Prior(
         0.01,

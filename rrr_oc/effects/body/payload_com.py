@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import BodyChange
 from rrr_oc.robot.parameters import Parameter
 
 
-class PayloadCom(Effect):
+class PayloadCom(BodyChange):
     """centre of the payload = tool point + (x, y, z), in the frame of the link that carries it."""
 
     name = "payload_com"
@@ -17,7 +18,6 @@ class PayloadCom(Effect):
     )
     parameters = (Parameter("x", "m", 0.0), Parameter("y", "m", 0.0), Parameter("z", "m", 0.0))
     amplitudes = ("x", "y", "z")
-    side = "body"
     scope = "set_up"
     placement = "arm"
     alters = "position"

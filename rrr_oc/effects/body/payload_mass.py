@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import BodyChange
 from rrr_oc.robot.parameters import Parameter
 
 # Share of the listed payload by which the total may be negative, as an unmounted payload is estimated with errors
 TOLERANCE = 0.05
 
 
-class PayloadMass(Effect):
+class PayloadMass(BodyChange):
     """mass at the tool = listed + mass."""
 
     name = "payload_mass"
@@ -17,7 +18,6 @@ class PayloadMass(Effect):
     plain = "The model has {mass:abs} {mass:less|more} at the tool than the arm."
     parameters = (Parameter("mass", "kg", 0.0),)
     amplitudes = ("mass",)
-    side = "body"
     scope = "mounted"
     placement = "arm"
     alters = "payload"

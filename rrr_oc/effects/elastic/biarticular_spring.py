@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior, Signals
+from rrr_oc.effects.base import Prior, Signals
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.effects.design_form import DesignForm, Quantity
-from rrr_oc.effects.listing import Listing
+from rrr_oc.effects.springs import DesignSpring, LinkSpring, ListedSpring, Listing
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
@@ -110,45 +111,22 @@ class BiarticularForm(DesignForm):
 
 
 @dataclass(frozen=True)
-class BiarticularSpring(Effect):
-    """Unilateral spring and cable over pulleys at two joints (Eq. 5, Figure 3).
+class Biarticular(LinkSpring, DesignSpring, NativeTwin):
+    """The law of `BiarticularSpring`, which others with the same cable have.
 
-    Eq. 5 has five hardware parameters (k_b, q_0, r_1, r_2, r_3) but three degrees of freedom:
-    kappa = k_b (r_2/r_1)², rho = r_3/r_2, phi = r_1 q_0 / r_2 give, with s = −w_a q_a − w_b rho q_b − phi,
-    tau_a = w_a kappa s₊ and tau_b = w_b rho kappa s₊. The windings w = ±1 are the four arrangements of the cable;
-    (1, 1) is the one that Eq. 5 prints.
+    Attributes:
+        winding: w_a and w_b, each 1 or −1.
+        pulleys: r_1/r_2, by which phi follows the spring's own equilibrium q_0.
     """
 
-    name = "biarticular_spring"
-    equation = "tau_a = kappa max(-q_a - rho q_b - phi, 0), tau_b = rho tau_a"
-    plain = (
-        "A spring that no recording lists acts across {joints}: {kappa} at {own}, with a lever of {rho} times that at "
-        "{other}; its phase is {phi:deg}."
-    )
     parameters = (Parameter("kappa", "Nm/rad", 10.0, lower=0.0), Parameter("rho", "1", 1.0, lower=0.0), Parameter("phi", "rad"))
     amplitudes = ("kappa",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
-    provides = "springs"
-    scope = "mounted"
     placement = "pair"
     options = {"winding": (1, -1)}  # noqa: RUF012
-    prior = Prior(
-        0.0005, {"kappa": (1.0, "torque")}, "as springs across one joint; across two they are rarer", where_springs=10.0
-    )
-    listing = Listing("bpea", ("stiffness_Nm_per_rad", "equilibrium_rad", *RADII), zero=RADII[2:])
-    design = BiarticularForm(
-        "BPEA",
-        "a spring across two joints",
-        (
-            Quantity("k_b", "k_b_Nm_per_rad", "Nm/rad"),
-            Quantity("q_0", "q_0_deg", "rad", np.pi / 180, free=True),
-            *(Quantity(r, f"{r}_mm", "m", 1e-3) for r in ("r_1", "r_2", "r_3")),
-        ),
-        shop="biarticular_spring",
-    )
 
     winding: tuple[int, int] = (1, 1)
-    pulleys: float = 1.0  # r_1/r_2, by which phi follows the spring's own equilibrium q_0
+    pulleys: float = 1.0
 
     def __post_init__(self) -> None:
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
@@ -172,6 +150,45 @@ class BiarticularSpring(Effect):
 
     def moved(self, theta, offset):
         return {**theta, "phi": theta["phi"] + self.pulleys * offset}
+
+    def native(self, spec, joints, theta):
+        """A fixed tendon of length w_a q_a + w_b rho q_b that is slack above −phi."""
+        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}_{joints[self.joints[1]]}")
+        tendon.wrap_joint(joints[self.joints[0]], self.winding[0])
+        tendon.wrap_joint(joints[self.joints[1]], self.winding[1] * theta["rho"])
+        tendon.stiffness[0] = theta["kappa"]
+        tendon.springlength = [-theta["phi"], 1e6]
+
+
+class BiarticularSpring(Biarticular, ListedSpring):
+    """Unilateral spring and cable over pulleys at two joints (Eq. 5, Figure 3).
+
+    Eq. 5 has five hardware parameters (k_b, q_0, r_1, r_2, r_3) but three degrees of freedom:
+    kappa = k_b (r_2/r_1)², rho = r_3/r_2, phi = r_1 q_0 / r_2 give, with s = −w_a q_a − w_b rho q_b − phi,
+    tau_a = w_a kappa s₊ and tau_b = w_b rho kappa s₊. The windings w = ±1 are the four arrangements of the cable;
+    (1, 1) is the one that Eq. 5 prints.
+    """
+
+    name = "biarticular_spring"
+    equation = "tau_a = kappa max(-q_a - rho q_b - phi, 0), tau_b = rho tau_a"
+    plain = (
+        "A spring that no recording lists acts across {joints}: {kappa} at {own}, with a lever of {rho} times that at "
+        "{other}; its phase is {phi:deg}."
+    )
+    prior = Prior(
+        0.0005, {"kappa": (1.0, "torque")}, "as springs across one joint; across two they are rarer", where_springs=10.0
+    )
+    listing = Listing("bpea", ("stiffness_Nm_per_rad", "equilibrium_rad", *RADII), zero=RADII[2:])
+    design = BiarticularForm(
+        "BPEA",
+        "a spring across two joints",
+        (
+            Quantity("k_b", "k_b_Nm_per_rad", "Nm/rad"),
+            Quantity("q_0", "q_0_deg", "rad", np.pi / 180, free=True),
+            *(Quantity(r, f"{r}_mm", "m", 1e-3) for r in ("r_1", "r_2", "r_3")),
+        ),
+        shop="biarticular_spring",
+    )
 
     @classmethod
     def from_entry(cls, joints, entry):
@@ -207,15 +224,6 @@ class BiarticularSpring(Effect):
                     for share in (0.05, 0.25, 0.45, 0.65):
                         phi = float(np.quantile(stretch, share))
                         yield cls((a, a + 1), winding).trial(view, rho=rho, phi=phi)
-
-    def native(self, spec, joints, theta):
-        """A fixed tendon of length w_a q_a + w_b rho q_b that is slack above −phi."""
-        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}_{joints[self.joints[1]]}")
-        tendon.wrap_joint(joints[self.joints[0]], self.winding[0])
-        tendon.wrap_joint(joints[self.joints[1]], self.winding[1] * theta["rho"])
-        tendon.stiffness[0] = theta["kappa"]
-        tendon.springlength = [-theta["phi"], 1e6]
-        return True
 
 
 def hardware_exists(kappa, rho, phi, bounds):

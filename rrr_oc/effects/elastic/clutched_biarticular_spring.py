@@ -1,19 +1,17 @@
 """Spring across two joints that a clutch connects in one phase of a task only, for co-designs."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import Prior
 from rrr_oc.effects.design_form import Quantity
-from rrr_oc.effects.elastic.biarticular_spring import WIDER, BiarticularForm, BiarticularSpring
-from rrr_oc.effects.elastic.clutched_spring import PHASES, check_phase
+from rrr_oc.effects.elastic.biarticular_spring import WIDER, Biarticular, BiarticularForm
+from rrr_oc.effects.springs import Clutched
 from rrr_oc.errors import UserError
 
 
 @dataclass(frozen=True)
-class ClutchedBiarticularSpring(BiarticularSpring):
+class ClutchedBiarticularSpring(Clutched, Biarticular):
     """Biarticular spring with a clutch and a lock: the law of `BiarticularSpring` in one phase of a task, no torque in the other.
 
     The clutch opens and closes where the arm stands still, between the phases. While it is open, the lock holds the cable, so that the
@@ -29,9 +27,7 @@ class ClutchedBiarticularSpring(BiarticularSpring):
         "phase is {phi:deg}."
     )
     role = "design"
-    prior = Prior()
-    listing = None
-    options = {**BiarticularSpring.options, "phase": PHASES}  # noqa: RUF012
+    options = {**Biarticular.options, **Clutched.options}  # noqa: RUF012
     design = BiarticularForm(
         "CBPEA",
         "a spring across two joints that a clutch connects in one phase",
@@ -42,15 +38,9 @@ class ClutchedBiarticularSpring(BiarticularSpring):
         ),
     )
 
-    phase: Literal["go", "return"] = "go"
-
     def __post_init__(self) -> None:
-        super().__post_init__()
-        check_phase(self.phase)
-
-    @property
-    def acts_in(self):
-        return self.phase
+        Biarticular.__post_init__(self)
+        Clutched.__post_init__(self)
 
     def kept_energy(self, lower, upper, ends):
         """The ratio of the levers is that with which the cable is as long at one end as at the other."""

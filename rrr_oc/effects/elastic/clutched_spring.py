@@ -1,19 +1,14 @@
 """Spring across one joint that a clutch connects in one phase of a task only, for co-designs."""
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 
 from rrr_oc.effects.design_form import DesignForm, Quantity
 from rrr_oc.effects.elastic.two_sided_spring import TwoSidedSpring
+from rrr_oc.effects.springs import Clutched
 from rrr_oc.errors import UserError
 
-PHASES = ("go", "return")
 
-
-@dataclass(frozen=True)
-class ClutchedSpring(TwoSidedSpring):
+class ClutchedSpring(Clutched, TwoSidedSpring):
     """Two-sided spring with a clutch to the link and a lock: tau = −stiffness (q − equilibrium) in one phase, 0 in the other.
 
     The clutch opens and closes where the arm stands still, between the phases. While it is open, the lock holds the spring as it is, so
@@ -30,7 +25,6 @@ class ClutchedSpring(TwoSidedSpring):
     name = "clutched_spring"
     equation = "tau = -stiffness (q - equilibrium) in one phase of a task, else 0"
     plain = "In one phase ({phase}) a spring pulls {joints} towards {equilibrium:deg} from both sides: {stiffness}."
-    options = {"phase": PHASES}  # noqa: RUF012
     design = DesignForm(
         "CPEA",
         "springs across one joint that a clutch connects in one phase",
@@ -39,15 +33,6 @@ class ClutchedSpring(TwoSidedSpring):
             Quantity("q_c", "equilibrium_deg", "rad", np.pi / 180, free=True),
         ),
     )
-
-    phase: Literal["go", "return"] = "go"
-
-    def __post_init__(self) -> None:
-        check_phase(self.phase)
-
-    @property
-    def acts_in(self):
-        return self.phase
 
     def kept_energy(self, lower, upper, ends):
         """The equilibrium is the middle between the ends."""
@@ -59,9 +44,3 @@ class ClutchedSpring(TwoSidedSpring):
                 "release, where the spring keeps its energy while the clutch is open"
             )
         return np.array([lower[0], middle]), np.array([upper[0], middle])
-
-
-def check_phase(phase: str) -> None:
-    """Raise `UserError` unless it is a phase of a task."""
-    if phase not in PHASES:
-        raise UserError(f"a clutched spring works in the phase {' or '.join(map(repr, PHASES))}, got {phase!r}")

@@ -5,9 +5,10 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.effects.design_form import DesignForm, Quantity
-from rrr_oc.effects.listing import Listing
+from rrr_oc.effects.springs import DesignSpring, ListedSpring, Listing
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import ramp, ramp_integral
 from rrr_oc.robot.parameters import Parameter
@@ -17,7 +18,7 @@ SIDES = ("below", "above")
 
 
 @dataclass(frozen=True)
-class ParallelSpring(Effect):
+class ParallelSpring(ListedSpring, DesignSpring, NativeTwin):
     """Unilateral spiral torsion spring across one joint (Eq. 3).
 
     tau_p = −k (q − q_eq) where q ≥ q_eq (`active="above"`, as Eq. 3 is printed), or where q ≤ q_eq (`active="below"`, the
@@ -30,8 +31,6 @@ class ParallelSpring(Effect):
     parameters = (Parameter("stiffness", "Nm/rad", 5.0, lower=0.0), Parameter("equilibrium", "rad"))
     amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
-    provides = "springs"
-    scope = "mounted"
     options = {"active": SIDES}  # noqa: RUF012
     prior = Prior(
         0.002,
@@ -75,13 +74,9 @@ class ParallelSpring(Effect):
         tendon.wrap_joint(joints[self.joints[0]], -self._sign)
         tendon.stiffness[0] = theta["stiffness"]
         tendon.springlength = [-1e6, -self._sign * theta["equilibrium"]]
-        return True
 
     def possible(self, theta, payload):
         return super().possible(theta, payload) and abs(theta["equilibrium"]) < FURTHEST
-
-    def moved(self, theta, offset):
-        return {**theta, "equilibrium": theta["equilibrium"] + offset}
 
     def scales(self, view, trial, prior=None):
         """The typical torque is that at the recorded position that stretches the spring most."""

@@ -5,9 +5,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Signals
+from rrr_oc.effects.base import Signals
 from rrr_oc.effects.design_form import DesignForm, Quantity
 from rrr_oc.effects.elastic.parallel_spring import SIDES
+from rrr_oc.effects.springs import DesignSpring, LinkSpring
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import cos, ramp, ramp_integral, sin
 from rrr_oc.robot.parameters import Parameter
@@ -17,7 +18,7 @@ PLACES = 2 * np.pi / len(RADII) * np.arange(len(RADII))  # [rad], of the bumps
 
 
 @dataclass(frozen=True)
-class PulleySpring(Effect):
+class PulleySpring(LinkSpring, DesignSpring):
     """Unilateral tension spring whose cable winds over a pulley of changing radius (Schmit and Okada 2012).
 
     With the length l(q) = ∫ r dq that is wound off, and the tension T = stiffness max(l(equilibrium) − l(q), 0), the torque is T r(q)
@@ -49,9 +50,7 @@ class PulleySpring(Effect):
     )
     amplitudes = ("stiffness",)
     width = Parameter("width", "rad", 1e-3, lower=0.0)
-    provides = "springs"
     role = "design"
-    scope = "mounted"
     options = {"active": SIDES}  # noqa: RUF012
     design = DesignForm(
         "VPEA",
@@ -95,9 +94,6 @@ class PulleySpring(Effect):
 
     def energy(self, signals, theta, width):
         return theta["stiffness"] * ramp_integral(self._stretch(signals, theta), self._width(theta, width))
-
-    def moved(self, theta, offset):
-        return {**theta, "equilibrium": theta["equilibrium"] + offset}
 
     def profile(self, q, theta):
         """The cable's lever, its length from the equilibrium, the torque, and the outline in the frame of the pulley, whose axis is 0.

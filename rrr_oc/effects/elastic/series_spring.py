@@ -1,12 +1,13 @@
 """Spring between a drive and its link, for co-designs: series elastic actuation."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.capabilities import MovesLink
 from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.springs import DesignSpring
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.robot.parameters import Parameter
 
 
-class SeriesSpring(Effect):
+class SeriesSpring(DesignSpring, MovesLink):
     """The whole load torque passes through the spring: q_motor − q = compliance · tau_load (Spong 1987).
 
     It adds no torque to the links. What it changes is how the drive moves: q_motor' = q' + compliance tau_load', and the drive's
@@ -19,8 +20,6 @@ class SeriesSpring(Effect):
     parameters = (Parameter("compliance", "rad/Nm", 0.001, lower=1e-9),)
     amplitudes = ("compliance",)
     role = "design"
-    side = "motion"
-    dynamics = "link"
     design = DesignForm(
         "SEA",
         "springs between drives and links",

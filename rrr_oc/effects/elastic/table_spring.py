@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect
 from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.springs import DesignSpring, LinkSpring
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.cubic_spline import natural_spline
 from rrr_oc.robot.parameters import Parameter
@@ -17,7 +17,7 @@ MOUNTINGS = ("as listed", "mirrored")
 
 
 @dataclass(frozen=True)
-class TableSpring(Effect):
+class TableSpring(LinkSpring, DesignSpring):
     """A spring as its maker or a test bench describes it: the torque f(x) that holds it at an angle x from its equilibrium.
 
     tau = −number f(q − equilibrium), or number f(equilibrium − q) where it is mounted the other way round. `number` is how many springs
@@ -33,9 +33,7 @@ class TableSpring(Effect):
     plain = "{number} springs as listed in a table pull {joints} towards {equilibrium:deg}."
     parameters = (Parameter("number", "1", 1.0, lower=0.0), Parameter("equilibrium", "rad"))
     amplitudes = ("number",)
-    provides = "springs"
     role = "design"
-    scope = "mounted"
     options = {"mounting": MOUNTINGS}  # noqa: RUF012
     design = DesignForm(
         "NPEA",
@@ -89,9 +87,6 @@ class TableSpring(Effect):
     def known_range(self, theta):
         ends = sorted(theta["equilibrium"] + self._sign * np.radians(self.table_deg_Nm[i][0]) for i in (0, -1))
         return ends[0], ends[1]
-
-    def moved(self, theta, offset):
-        return {**theta, "equilibrium": theta["equilibrium"] + offset}
 
 
 def _first(wrong: np.ndarray) -> int:

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.effects.design_form import DesignForm, Quantity
+from rrr_oc.effects.springs import DesignSpring, LinkSpring
 from rrr_oc.robot.parameters import Parameter
 
 
-class TwoSidedSpring(Effect):
+class TwoSidedSpring(LinkSpring, DesignSpring, NativeTwin):
     """Torsion spring with both ends fixed: tau = −stiffness (q − equilibrium), on both sides of the equilibrium."""
 
     name = "two_sided_spring"
@@ -15,9 +16,7 @@ class TwoSidedSpring(Effect):
     plain = "A spring pulls {joints} towards {equilibrium:deg} from both sides: {stiffness}."
     parameters = (Parameter("stiffness", "Nm/rad", 5.0, lower=0.0), Parameter("equilibrium", "rad"))
     amplitudes = ("stiffness",)
-    provides = "springs"
     role = "design"
-    scope = "mounted"
     design = DesignForm(
         "TPEA",
         "springs in parallel with joints that pull both ways",
@@ -42,7 +41,3 @@ class TwoSidedSpring(Effect):
         tendon.wrap_joint(joints[self.joints[0]], 1.0)
         tendon.stiffness[0] = theta["stiffness"]
         tendon.springlength = [theta["equilibrium"], theta["equilibrium"]]
-        return True
-
-    def moved(self, theta, offset):
-        return {**theta, "equilibrium": theta["equilibrium"] + offset}

@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect
+from rrr_oc.effects.base import SIGN_WIDTH
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import TURNS, sign
 from rrr_oc.robot.parameters import Parameter
 
 
 @dataclass(frozen=True)
-class DryFriction(Effect):
+class DryFriction(NativeTwin):
     """tau = −level sgn(dq): Coulomb's law, c_0 of Eq. 9, whose authors take tanh(20 dq) for the sign.
 
     `turn` is the function by which the sign changes over its width, one of `smooth.TURNS`. At rest the friction may have any value
@@ -41,4 +42,3 @@ class DryFriction(Effect):
     def native(self, spec, joints, theta):
         """The joint's `frictionloss`: the exact law, which holds a joint at rest."""
         spec.joint(joints[self.joints[0]]).frictionloss += theta["level"]
-        return True

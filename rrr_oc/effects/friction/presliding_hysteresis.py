@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import WithStates
 from rrr_oc.numerics.smooth import fabs, fmax, sign
 from rrr_oc.robot.parameters import Parameter
 
 
-class PreslidingHysteresis(Effect):
+class PreslidingHysteresis(WithStates):
     """tau = −level z with dz/dt = |dq| (sgn(dq) − z) stiffness/level (Dahl 1968), beside the plain level.
 
     With a width the sign is tanh(dq / width). For a large stiffness the law tends to the plain one.
@@ -21,7 +22,6 @@ class PreslidingHysteresis(Effect):
     states = (Parameter("z", "1", 0.0),)
     width = Parameter("width", "rad/s", 0.0, lower=0.0)
     side = "drive"
-    dynamics = "states"
     resembles = "friction_over_speed"
     prior = Prior(
         0.03, {"level": (1.0, "dry")}, "Swevers et al. 2000: all dry friction builds up over a travel; slow reversals show it"

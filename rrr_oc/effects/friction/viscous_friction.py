@@ -1,10 +1,10 @@
 """Viscous friction of one joint's drive: grease, and losses of the motor in proportion to speed."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.robot.parameters import Parameter
 
 
-class ViscousFriction(Effect):
+class ViscousFriction(NativeTwin):
     """tau = −coefficient dq: nu of Eq. 9."""
 
     name = "viscous_friction"
@@ -21,4 +21,3 @@ class ViscousFriction(Effect):
     def native(self, spec, joints, theta):
         """The joint's `damping`."""
         spec.joint(joints[self.joints[0]]).damping[0] += theta["coefficient"]
-        return True

@@ -1,10 +1,11 @@
 """An encoder with a wrong zero."""
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import MotionShift
 from rrr_oc.robot.parameters import Parameter
 
 
-class EncoderOffset(Effect):
+class EncoderOffset(MotionShift):
     """recorded position = true + offset."""
 
     name = "encoder_offset"
@@ -12,7 +13,6 @@ class EncoderOffset(Effect):
     plain = "The encoder of {joints} reads {offset:abs deg} too {offset:much|little}."
     parameters = (Parameter("offset", "rad", 0.0),)
     amplitudes = ("offset",)
-    side = "motion"
     scope = "set_up"
     prior = Prior(
         0.01,

@@ -1,10 +1,11 @@
 """A torque channel that lags the position channel."""
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import Delay
 from rrr_oc.robot.parameters import Parameter
 
 
-class TimeDelay(Effect):
+class TimeDelay(Delay):
     """recorded torque(t) = true torque(t − delay), for all joints."""
 
     name = "time_delay"
@@ -12,10 +13,7 @@ class TimeDelay(Effect):
     plain = "The recorded torque lags the recorded motion by {delay:ms}."
     parameters = (Parameter("delay", "s", 0.0, lower=0.0),)
     amplitudes = ("delay",)
-    side = "sensor"
     scope = "set_up"
-    placement = "arm"
-    dynamics = "delay"
     step = 1e-3
     prior = Prior(0.03, {"delay": (0.005, "")}, "cycles of field buses and filters of currents: 1 to 10 ms")
 

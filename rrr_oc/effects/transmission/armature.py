@@ -1,10 +1,10 @@
 """Inertia of one joint's motor and gear, reflected to the joint."""
 
-from rrr_oc.effects.base import Effect
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.robot.parameters import Parameter
 
 
-class Armature(Effect):
+class Armature(NativeTwin):
     """tau = −inertia ddq: J_m of Eq. 7, the rotor's inertia times the gear ratio squared.
 
     The rotor's spin about its own axis is all that counts; its mass is part of the link that carries it.
@@ -23,4 +23,3 @@ class Armature(Effect):
     def native(self, spec, joints, theta):
         """The joint's `armature`."""
         spec.joint(joints[self.joints[0]]).armature += theta["inertia"]
-        return True

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior, Trial
+from rrr_oc.effects.base import Prior, Trial
+from rrr_oc.effects.capabilities import MovesLink
 from rrr_oc.numerics.gap import across_gap
 from rrr_oc.robot.parameters import Parameter
 
@@ -13,7 +14,7 @@ SLOWER = (0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True)
-class Backlash(Effect):
+class Backlash(MovesLink):
     """The link is free within ±gap/2 of the motor; positions are the motor's.
 
     Pressed to an end of the gap, q_link = theta − (gap/2) sgn(tau_l). Between the ends the drive transmits viscous friction only, and
@@ -30,8 +31,6 @@ class Backlash(Effect):
     plain = "The gear of {joints} has a play of {gap:mrad} in all; within it the link is damped by {damping}."
     parameters = (Parameter("gap", "rad", 0.0, lower=0.0), Parameter("damping", "Nm s/rad", 0.0, lower=0.0, factor=3.0))
     amplitudes = ("gap",)
-    side = "motion"
-    dynamics = "impact"
     prior = Prior(0.01, {"gap": (0.01, "")}, "data sheets of gears: 1 to 30 arc minutes, 0.3 to 9 mrad; more when worn")
 
     impacts: bool = True

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior, Trial
+from rrr_oc.effects.base import Prior, Trial
+from rrr_oc.effects.capabilities import MovesLink
 from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
@@ -20,7 +21,7 @@ STABLE = 0.05  # least total stiffness of a link over its gear's, so that gravit
 
 
 @dataclass(frozen=True)
-class JointElasticity(Effect):
+class JointElasticity(MovesLink):
     """tau_l = stiffness (twist + damping_time · rate of twist), twist = theta − q_link; positions are the motor's (Spong 1987).
 
     The link moves by itself behind its spring: with x = q_link − theta, and M, K by how much the torque that the rigid motion needs
@@ -38,8 +39,6 @@ class JointElasticity(Effect):
         Parameter("damping_time", "s", TIME, lower=0.0, upper=0.05),
     )
     amplitudes = ("stiffness",)
-    side = "motion"
-    dynamics = "link"
     prior = Prior(
         0.02, {"twist": (0.01, "")}, "Spong 1987; data sheets of harmonic drives: a twist of some mrad at the rated torque"
     )

@@ -27,7 +27,7 @@ def best_of(found: Mapping[str, Any], bought: bool = False) -> str | None:
 def kinds_of_springs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Of each kind of springs in some configurations its label and what it is, as a phrase."""
     labels = {label for name in names for label in name.rstrip("*").split("+")}
-    return [(label, kind.design.words) for label, kind in design_forms().items() if kind.design is not None and label in labels]
+    return [(label, kind.design.words) for label, kind in design_forms().items() if label in labels]
 
 
 def verdict(summary: Summary) -> str:

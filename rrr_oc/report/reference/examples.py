@@ -16,7 +16,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term,
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.diagnosis.signatures import black_box_trials, trials, view
-from rrr_oc.effects import CATALOGUE, Effect, Trial, View, listed_springs
+from rrr_oc.effects import CATALOGUE, BlackBox, Effect, Trial, View, listed_springs
 from rrr_oc.effects.base import SOUGHT
 from rrr_oc.effects.words import Number, Several
 from rrr_oc.model.motion import Motion
@@ -158,8 +158,8 @@ def _alone(arm: _Arm, kind: type[Effect]) -> tuple[Term, Sequence[Term]]:
 
 def _chosen(of: Sequence[Trial]) -> Trial:
     """A usual shape; of a black-box term one over the joint's position."""
-    if of[0].effect.black_box:
-        return next((t for t in of if t.effect.depends_on[:1] == (("q", J),)), of[0])
+    if isinstance(of[0].effect, BlackBox):
+        return next((t for t in of if isinstance(t.effect, BlackBox) and t.effect.depends_on[:1] == (("q", J),)), of[0])
     return of[int(SHAPE * (len(of) - 1))]
 
 

@@ -20,7 +20,7 @@ from rrr_oc.codesign.catalogue import catalogue_schema
 from rrr_oc.codesign.task import TaskFile
 from rrr_oc.codesign.task_sets.task_set import TaskSetFile
 from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
-from rrr_oc.effects import design_forms
+from rrr_oc.effects import ListedSpring, design_forms
 from rrr_oc.effects.priors import Context, Given
 from rrr_oc.effects.words import words
 from rrr_oc.recordings.header import Header
@@ -168,7 +168,6 @@ def _of_tasks(json: str) -> Page:
 def _spring_notes() -> str:
     lines = ["Each of `springs` has the keys of its effect; bounds are `[least, greatest]`:", ""]
     for kind in design_forms().values():
-        assert kind.design is not None
         place = "`joints`: the two joints" if kind.placement == "pair" else "`joint`: the joint"
         options = [f"`{key}`: {_values(allowed)}; tried in every way if left out" for key, allowed in kind.options.items()]
         bounds = [f"`{key}`: bounds [{_unit(key, '')}]" for key in dict.fromkeys(q.key for q in kind.design.quantities)]
@@ -181,7 +180,7 @@ def _spring_notes() -> str:
 def _shop_notes() -> str:
     lines = []
     for form in (kind.design for kind in design_forms().values()):
-        if form is not None and form.shop:
+        if form.shop:
             one = len(form.bought) == 1
             keys = "joints" if one else ", ".join(f"`{q.key}`" for q in form.bought)
             lines.append(f"- The keys in `{form.shop}` are {keys}; each holds a list of sizes{', all are needed' * (not one)}.")
@@ -259,9 +258,9 @@ def _made(key: str) -> str:
     }
     ending = next((e for e in ENDINGS if key.endswith(e)), "")
     for kind in design_forms().values():
-        if kind.listing is not None and key == kind.listing.key:
+        if issubclass(kind, ListedSpring) and key == kind.listing.key:
             return f"Springs of the kind `{kind.name}`{', by joint' * (kind.placement != 'pair')}; several in a list."
-        if kind.design is not None and key == kind.design.shop:
+        if key == kind.design.shop:
             return f"What can be bought for a `{kind.name}`."
         if key in kind.options:
             return f"How it is mounted: each is {_values(kind.options[key])}."

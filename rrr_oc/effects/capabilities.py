@@ -1,0 +1,171 @@
+"""What an effect can do beside giving a torque, a small base class for each.
+
+An effect's file derives from those that it needs and overrides what it is about. Other folders ask by `isinstance`. What springs
+can do is in `effects/springs.py`.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.effects.base import Effect, Signals, Trial, View
+from rrr_oc.errors import UserError
+
+
+@dataclass(frozen=True)
+class Body:
+    """The rigid body as a `BodyChange` may change it; casadi or numpy.
+
+    Attributes:
+        inertial: Inertial parameters of the links without payload, as `Robot.inertial`, (10, n).
+        gravity: Gravity in the base frame [m/s²], (3,).
+        payload: Mass at the tool [kg].
+        position: The payload's point in the frame of the joint that carries it [m], (3,).
+    """
+
+    inertial: Any
+    gravity: Any
+    payload: Any
+    position: Any
+
+
+class BodyChange(Effect):
+    """The rigid body is not what the URDF and the labels say; `alters` names the field of `Body`."""
+
+    side = "body"
+
+    def change(self, body: Body, theta: Mapping[str, Any]) -> Body:
+        """The rigid body with the effect."""
+        raise NotImplementedError
+
+
+class MotionShift(Effect):
+    """The recorded positions are shifted by a constant."""
+
+    side = "motion"
+
+    def shift(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
+        """True less recorded position of each of `joints` [rad], constant."""
+        raise NotImplementedError
+
+
+class Delay(Effect):
+    """The recorded torque lags the recorded motion, for all joints alike."""
+
+    side = "sensor"
+    placement = "arm"
+
+    def delay(self, theta: Mapping[str, float]) -> float:
+        """By how much what is recorded lags what is true [s]."""
+        raise NotImplementedError
+
+    def torque(self, signals, theta, width):
+        """None on any joint; the recorded torque is later."""
+        return ()
+
+
+class WithStates(Effect):
+    """The torque depends on internal states, the `states`, which follow from the motion."""
+
+    def rate(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
+        """Time derivative of each internal state, affine in the states."""
+        raise NotImplementedError
+
+    def rest(self, load: np.ndarray) -> tuple[float, ...]:
+        """Internal states of an arm that has been at rest under a load torque (n,) [Nm]."""
+        return tuple(state.nominal for state in self.states)
+
+
+class FollowsLoad(WithStates):
+    """The internal states follow from the load torque."""
+
+    def course(self, t: np.ndarray, load: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
+        """Internal states (number, K) at times t (K,) [s] under the joint's recorded load torque (K,) [Nm]."""
+        raise NotImplementedError
+
+
+class MovesLink(Effect):
+    """The link moves relative to its drive."""
+
+    side = "motion"
+    moves_link = True
+
+    def motion(
+        self, t: np.ndarray, load: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]
+    ) -> np.ndarray:
+        """True less recorded position, speed and acceleration of the joint along a segment, (3, K).
+
+        Args:
+            t: Times [s], (K,).
+            load: Torque that the recorded motion would need if it were the link's [Nm], (K,).
+            stiffness, inertia: Derivatives of that torque by the joint's position [Nm/rad] and acceleration [kg m²], (K,).
+        """
+        raise NotImplementedError
+
+    def gear(self, twist: Any, theta: Mapping[str, float], stiffest: float) -> None:
+        """Set up the `mujoco.MjsJoint` by which the link moves relative to its drive; the engine's step can follow `stiffest` [Nm/rad]."""
+        raise NotImplementedError
+
+    @property
+    def window(self) -> float:
+        """Window over which the load is smoothed that `motion` is given [s]; 0 for none."""
+        return 0.0
+
+    def free(self, t: np.ndarray, stiffness: np.ndarray, inertia: np.ndarray, theta: Mapping[str, float]) -> np.ndarray:
+        """Change of `motion` by an initial deviation of 1 rad and of 1 rad/s, (2, 3, K), to first order; empty where it is known."""
+        return np.zeros((0, 3, len(t)))
+
+    def sharper(self) -> "MovesLink | None":
+        """The effect with the next sharper form of its law, tried while it lowers the residual; None beyond the last."""
+        return None
+
+    def starts(self, theta: dict[str, float]) -> Iterator[tuple["MovesLink", dict[str, float]]]:
+        """Forms of the effect on the same joints, and parameters, from which a fit begins."""
+        yield self, theta
+
+
+class NativeTwin(Effect):
+    """MuJoCo has the exact law as an element of its own."""
+
+    def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> None:
+        """Put the law into a `mujoco.MjSpec` whose joints have these names."""
+        raise NotImplementedError
+
+
+class BlackBox(Effect):
+    """A term for a torque that no law of the catalogue explains."""
+
+    role = "black_box"
+
+    @property
+    def depends_on(self) -> tuple[tuple[str, int], ...]:
+        """What it depends on: ("q", joint), ("load", joint), ("sign", joint), ("time", −1), …"""
+        raise NotImplementedError
+
+    def words(self, theta: Mapping[str, float]) -> str:
+        """What it has found, in words."""
+        raise NotImplementedError
+
+    def basis(self, signals: Signals, width: Any) -> list | None:
+        """Torque on its joint for each amplitude being 1 [Nm], where the law is linear in all parameters and this is quicker; else None."""
+        return None
+
+    def check_options(self, n: int) -> None:
+        """Raise `UserError` for options, as read from the file of an arm with n joints, with which there is no such term."""
+        beyond = [j for _, j in self.depends_on if j >= n]
+        if beyond:
+            raise UserError(f"found joint {beyond[0]}; 0 to {n - 1} are allowed")
+
+    @classmethod
+    def black_box_trials(
+        cls, view: View, j: int, ranges: Mapping[tuple[str, int], tuple[float, float]], torque: str
+    ) -> Iterator[Trial]:
+        """The ways in which a joint might have such a term, tried on what the catalogue does not explain.
+
+        Args:
+            ranges: (least, greatest) of everything that a torque may depend on, by kind and joint as in `depends_on`.
+            torque: What is recorded: "motor", "load" or "current".
+        """
+        yield from ()
