@@ -38,11 +38,12 @@ from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.commands.shared import Jobs, Workers
-from rrr_oc.diagnosis.candidates import Screen, signatures
 from rrr_oc.diagnosis.evidence import solve
 from rrr_oc.diagnosis.files.diagnosis_file import to_json
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.procedure import diagnose, ready
+from rrr_oc.diagnosis.structures.candidates import Screen
+from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects import CATALOGUE, Effect, Trial
 from rrr_oc.effects.base import Prior
 from rrr_oc.effects.priors import Priors
@@ -288,15 +289,16 @@ def with_effect(fitter: Fitter, fitted: Fitted, ways: Sequence[Trial], recording
     """
     if not ways:
         return None
-    screen = Screen.of(fitter, fitted, signatures(fitter.data, fitted.model, ways), fitted.posterior)
-    found = screen.candidates()
+    near = Search.of(fitter, ways).neighbours(fitted)
+    here = near.at(near.linear.own, fitted.posterior.sizes, fixed=True)
+    found = Screen.of(near.level, near.tables(None), here.structure, near.blocks, here.solution).candidates()
     starts = [next((c for c in found if (c.scope is None) is whole), None) for whole in (True, False)]
     fits = []
     for start in starts:
         if start is not None:
             term = replace(start.term, recordings="all" if recordings == "all" else tuple(recordings), groups=())
             model = replace(fitted.model, terms=(*fitted.model.terms, term))
-            fits.append(fitter.with_signs(fitter.drawn(model, fitted.links, fitted.posterior)))
+            fits.append(fitter.with_signs(fitter.fit(model, fitted.links, fitted.posterior)))
     return max(fits, key=lambda f: f.log_evidence, default=None)
 
 
@@ -311,7 +313,7 @@ def weighted_square(fitter: Fitter, fitted: Fitted, other: Fitted) -> float:
     size = len(fitted.model.values)
     links = slice(size, size + len(fitted.links))
     off = (post.step - post.prior.mean)[links]
-    return post.foreseen(post.step) - post.prior_cost(post.step) + float(post.prior.precision[links] @ off**2)
+    return post.predicted(post.step) - post.prior_cost(post.step) + float(post.prior.precision[links] @ off**2)
 
 
 def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapping[str, Any] | None = None) -> dict[str, Any]:

@@ -13,7 +13,8 @@ priority and without compiled C from earlier runs. A row that needs more process
 
 `--tree` names the checkout whose code diagnoses; inputs are made by this one. A row that is there is not run again: delete its file
 in OUT/rows to have it done anew. OUT/work has the whole result of each diagnosis and what it said, OUT/times.md the table, and
-OUT/times.json all rows. `--against` puts the folder of another run beside this one (OUT/against.md).
+OUT/times.json all rows. `--against` puts another run, its folder or its times.json, beside this one (OUT/against.md). That of an
+earlier version is validation/diagnosis_times.json.
 """
 
 import json
@@ -466,9 +467,12 @@ def run_all(rows: Sequence[Row], run: Run) -> list[dict[str, Any]]:
 
 
 def stored(out: Path) -> dict[str, dict[str, Any]]:
-    """The rows in a folder of results by name."""
-    found = [json.loads(file.read_text(encoding="utf-8")) for file in sorted((out / "rows").rglob("*.json"))]
-    return {r["row"]: r for r in found}
+    """The rows in a folder of results, or in a file as times.json, by name."""
+    if out.is_file():
+        found = json.loads(out.read_text(encoding="utf-8"))
+    else:
+        found = [json.loads(file.read_text(encoding="utf-8")) for file in sorted((out / "rows").rglob("*.json"))]
+    return {r["row"]: r for r in found if "skipped" not in r}
 
 
 def check_tree(tree: Path) -> None:
@@ -493,14 +497,14 @@ def main(
         typer.Option(envvar="RRR_OC_SHARED", help="folder with cases and recordings; rows that need what it lacks are skipped"),
     ] = ROOT.parent / "shared",
     limit: Annotated[int, typer.Option(min=1, help="processor time [s] at which a row is ended")] = 600,
-    against: Annotated[Path | None, typer.Option(help="folder of another run to compare with")] = None,
+    against: Annotated[Path | None, typer.Option(help="folder, or times.json, of another run to compare with")] = None,
 ) -> None:
     """Time diagnoses; writes times.md, times.json, rows/ and work/, with --against also against.md."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that a diagnosis ends with this process
     check_folder(out)
     others = {} if against is None else stored(against)
     if against is not None and not others:
-        raise UserError(f"--against is {against}; a folder with the rows of another run is required")
+        raise UserError(f"--against is {against}; the folder of another run, or its times.json, is required")
     check_tree(tree.resolve())
     run = Run(tree.resolve(), out.resolve(), (cases or out / "cases").resolve(), shared.resolve(), limit)
     warm(run)

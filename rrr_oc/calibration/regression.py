@@ -13,7 +13,8 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.jacobian import Columns, Prediction
 from rrr_oc.calibration.samples import Prepared, kept_rows, residuals
-from rrr_oc.model.recorded_physics import Physics
+from rrr_oc.effects import MovesLink
+from rrr_oc.model.recorded_physics import DIFFERENCE, Physics
 from rrr_oc.model.symbolic_model import CHAIN
 from rrr_oc.recordings.recording import Recording
 
@@ -52,13 +53,15 @@ class Rows:
         return float(weights @ np.sum(self.residual**2, axis=1))
 
 
-def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False) -> Rows:
+def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False, starts: bool = False) -> Rows:
     """The rows of a model: derivatives by the parameters of its terms in their order.
 
     Args:
         inertial: Whether derivatives by the inertial parameters (10, n) follow, link by link in the order of `Robot.inertial`.
+        starts: Whether derivatives by elastic gears hold that the shape of unknown starts changes too. Without, a fit is drawn from
+            farther away (Kaufman 1975), but ends slowly, if at all.
     """
-    parts = [_rows(p, model, inertial) for p in prepared]
+    parts = [_rows(p, model, inertial, starts) for p in prepared]
     stretches, start = [], 0
     for part in parts:
         stretches += [slice(start + s.start, start + s.stop) for s in part.stretches]
@@ -143,19 +146,41 @@ def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarra
     return _cleared(prepared.passed(residual, range(len(residual))), _starts(prepared, model, physics))
 
 
-def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
+def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, exact: bool) -> Rows:
     at = Prediction(model, prepared.recording)
     residual = residuals(prepared, model, at.physics)
     jacobian = _derivatives(prepared, at, inertial)
     _, stretches, durations = kept_rows(prepared.recording)
     starts = _starts(prepared, model, at.physics)
+    cleared = _cleared(prepared.passed(residual, range(len(residual))), starts)
+    jacobian = _cleared(jacobian, starts)
+    if exact and any(basis.size for basis in starts):
+        _with_moved_starts(prepared, model, cleared, jacobian)
     return Rows(
-        residual=_cleared(prepared.passed(residual, range(len(residual))), starts),
-        jacobian=_cleared(jacobian, starts),
+        residual=cleared,
+        jacobian=jacobian,
         moving=prepared.counted,
         stretches=stretches,
         durations=durations,
     )
+
+
+def _with_moved_starts(prepared: Prepared, model: CalibratedModel, residual: np.ndarray, jacobian: np.ndarray) -> None:
+    """Put into the Jacobian the derivatives by parameters of elastic gears, by which the shape of unknown starts changes too.
+
+    A residual without what starts explain is a variable projection (Golub & Pereyra 1973), whose derivative has a part that is due to
+    the change of the projection; for a gear that swings it is as large as the other.
+    """
+    at = 0
+    for i, term in enumerate(model.terms):
+        for k, value in enumerate(term.values):
+            if isinstance(term.effect, MovesLink) and term.holds_for(prepared.recording):
+                step = DIFFERENCE * max(abs(value), DIFFERENCE)
+                there = term.with_values(term.values + step * (np.arange(len(term.values)) == k))
+                terms = (*model.terms[:i], there, *model.terms[i + 1 :])
+                change = residual - _filtered_residuals(prepared, replace(model, terms=terms))
+                jacobian[:, :, at + k] = change / step
+        at += len(term.values)
 
 
 def _derivatives(prepared: Prepared, at: Prediction, inertial: bool) -> np.ndarray:

@@ -11,7 +11,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import Rows, filtered, rows, width_columns, with_residuals
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
 from rrr_oc.diagnosis.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY
-from rrr_oc.diagnosis.signatures import SignatureCache, dry_friction
+from rrr_oc.diagnosis.signatures import dry_friction
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.recordings.recording import Recording
@@ -41,7 +41,6 @@ class Data:
     start: CalibratedModel
     links: LinkErrors
     free: bool
-    signatures: SignatureCache
     whole: tuple[Prepared, ...] = ()
     _friction: dict[tuple[Effect, float], np.ndarray] = field(default_factory=dict, repr=False)
 
@@ -52,7 +51,6 @@ class Data:
             self.start,
             self.links,
             self.free,
-            self.signatures,
             self.whole or self.prepared,
         )
 
@@ -91,7 +89,7 @@ class Data:
 
     def rows(self, model: CalibratedModel) -> Rows:
         """Residuals and derivatives of a model at the rows that are used."""
-        found = rows(self.prepared, model, inertial=True)
+        found = rows(self.prepared, model, inertial=True, starts=True)
         return replace(found, residual=found.residual[:, self.at], jacobian=found.jacobian[:, self.at], moving=self.counted)
 
     def residual(self, found: Rows, model: CalibratedModel) -> np.ndarray:

@@ -5,17 +5,19 @@ N(0, s_j²), and e_j the noise, which the matrix W_j of an autoregressive proces
 normal. So all integrals are in closed form; the sizes σ_j, s_j and that of the links' errors maximise the evidence (MacKay 1992).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import eigh
 from scipy.sparse import diags
-from scipy.stats import t as student
+from scipy.special import gammaln
 
-from rrr_oc.calibration.least_squares import box_step
+import rrr_oc.diagnosis._evidence as extension
 from rrr_oc.diagnosis.data import Data, Noise
 
+ROUNDING = 1e-12  # share of the largest squared length of a combination of features below which one is 0
 LEAST = 1e-5  # of a size over its unit, against a singular precision
 FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
@@ -45,6 +47,10 @@ class Prior:
     upper: np.ndarray
     flat: np.ndarray
 
+    def some(self, which: np.ndarray) -> "Prior":
+        """Of these parameters, by their numbers."""
+        return Prior(*(getattr(self, f.name)[which] for f in fields(self)))
+
 
 def joined(base: Prior, scales: np.ndarray) -> Prior:
     """A prior with further parameters about 0, of standard deviations (m,)."""
@@ -71,32 +77,42 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Joint:
+class Spectrum:
+    """What the evidence needs of a whitened joint beside products of its columns.
+
+    Attributes:
+        values: Squared lengths of the orthogonal features of its discrepancy, (F,).
+        log_det: Of W.
+        count: Rows that count.
+    """
+
+    values: np.ndarray
+    log_det: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Joint(Spectrum):
     """One joint, whitened and with its discrepancy diagonalised.
 
     Attributes:
+        noise: The filters of W.
         white: W, (M, M).
-        turn: From whitened features to orthogonal ones, (F, F).
-        values: Squared lengths of these, (F,).
-        features: The whitened features, (M, F).
-        log_det: Of W.
-        count: Rows that count.
+        turn: From whitened features to the orthogonal ones, (F, F').
+        features: The whitened features, (M, F').
     """
 
     noise: Noise
     white: Any
     turn: np.ndarray
-    values: np.ndarray
     features: np.ndarray
-    log_det: float
-    count: int
 
     @classmethod
     def of(cls, data: Data, j: int, noise: Noise) -> "Joint":
         """A joint with normal noise."""
         white, log_det = noise.whitening(data.place[j], data.turning[j])
         none = np.zeros((0, 0))
-        return cls(noise, white, none, np.zeros(0), none, log_det, int(data.counted[j].sum())).with_features(data.features[j])
+        return cls(np.zeros(0), log_det, int(data.counted[j].sum()), noise, white, none, none).with_features(data.features[j])
 
     @classmethod
     def estimated(cls, data: Data, j: int, left: np.ndarray) -> tuple["Joint", float]:
@@ -112,14 +128,14 @@ class Joint:
         scale[place >= 0] = np.sqrt(weights)
         log_det += log + count * np.log(sigma) + 0.5 * float(np.sum(weights * error**2)) / sigma**2
         none = np.zeros((0, 0))
-        return cls(noise, diags(scale) @ white, none, np.zeros(0), none, float(log_det), count), sigma
+        return cls(np.zeros(0), float(log_det), count, noise, diags(scale) @ white, none, none), sigma
 
     @classmethod
     def weighted(cls, data: Data, j: int, noise: Noise, weights: np.ndarray, log_det: float) -> "Joint":
         """A joint whose rows have these weights (M,) in the noise, W with this logarithm of its determinant; see `weights`."""
         white, _ = noise.whitening(data.place[j], data.turning[j])
         none = np.zeros((0, 0))
-        one = cls(noise, diags(weights) @ white, none, np.zeros(0), none, log_det, int(data.counted[j].sum()))
+        one = cls(np.zeros(0), log_det, int(data.counted[j].sum()), noise, diags(weights) @ white, none, none)
         return one.with_features(data.features[j])
 
     def weights(self, data: Data, j: int) -> np.ndarray:
@@ -130,8 +146,8 @@ class Joint:
     def with_features(self, features: np.ndarray) -> "Joint":
         """The joint with the features of its discrepancy (M, F)."""
         x = self.white @ features
-        values, turn = eigh(x.T @ x)
-        return replace(self, turn=turn, values=np.maximum(values, 0.0), features=x)
+        values, turn = orthogonal(x.T @ x)
+        return replace(self, turn=turn, values=values, features=x)
 
     def along(self, x: np.ndarray) -> np.ndarray:
         """Products of the orthogonal features with whitened columns, (F, …)."""
@@ -140,6 +156,16 @@ class Joint:
     def beyond_discrepancy(self, x: np.ndarray, rho: float) -> np.ndarray:
         """Whitened columns (M, …) with the discrepancy integrated out, rho = (σ / its size)²: W⁻ᵀ P W⁻¹ x of `docs/discovery.md`."""
         return x - self.features @ (self.turn @ (self.along(x).T / (self.values + rho)).T)
+
+
+def orthogonal(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared lengths (F',) of orthogonal combinations of features with these products (F, F), and the combinations (F, F').
+
+    Those that are 0 but for rounding are left out, as where rows are fewer than features.
+    """
+    values, turn = eigh(products, check_finite=False)
+    some = values > ROUNDING * values.max(initial=0.0)
+    return values[some], turn[:, some]
 
 
 def _tail(error: np.ndarray, freedom: float) -> tuple[float, float, np.ndarray]:
@@ -151,13 +177,15 @@ def _tail(error: np.ndarray, freedom: float) -> tuple[float, float, np.ndarray]:
     for _ in range(TAIL_STEPS):
         weights = (freedom + 1) / (freedom + (error / sigma) ** 2)
         sigma = max(float(np.sqrt(np.mean(weights * error**2))), 1e-9)
-    log = np.sum(student.logpdf(error / sigma, freedom)) + 0.5 * len(error) * np.log(2 * np.pi) - len(error) * np.log(sigma)
+    # of Student's density, times √(2 π) as that of the normal distribution is
+    constant = gammaln((freedom + 1) / 2) - gammaln(freedom / 2) + 0.5 * np.log(2 / freedom) - np.log(sigma)
+    log = len(error) * constant - 0.5 * (freedom + 1) * float(np.sum(np.log1p((error / sigma) ** 2 / freedom)))
     return float(log) - TAILED, sigma, (freedom + 1) / (freedom + (error / sigma) ** 2)
 
 
 @dataclass(frozen=True)
-class Posterior:
-    """A linear problem solved.
+class Solution:
+    """A linear problem solved at its best hyperparameters.
 
     Attributes:
         log_evidence: Logarithm of the evidence, without the prior probability of the structure.
@@ -167,8 +195,6 @@ class Posterior:
         right: Weighted residual by parameters at the start, (p,).
         misfit: Weighted square of the residual at the start.
         sizes: Estimated sizes.
-        joints: The joints whitened.
-        data: The data.
         base: The prior, the links' errors of size 1.
     """
 
@@ -179,16 +205,47 @@ class Posterior:
     right: np.ndarray
     misfit: float
     sizes: Sizes
-    joints: tuple[Joint, ...]
-    data: Data
     base: Prior
-    residual: np.ndarray
-    columns: np.ndarray
 
     @property
     def prior(self) -> Prior:
         """The prior at the estimated sizes."""
         return at_size(self.base, self.sizes.links)
+
+    def damped(self, damping: float) -> np.ndarray:
+        """The step of Levenberg and Marquardt, with this share of the precision's diagonal added to it, (p,)."""
+        if not damping:
+            return self.step
+        diagonal, prior = np.diag(self.matrix), self.prior
+        target = self.right + prior.precision * prior.mean
+        step = np.linalg.solve(self.matrix + np.diag(damping * np.maximum(diagonal, 1e-12)), target)
+        return np.clip(step, prior.lower, prior.upper)
+
+    def predicted(self, step: np.ndarray) -> float:
+        """Cost after a change of the parameters, as linearity has it."""
+        return self.misfit - 2 * float(self.right @ step) + float(step @ self.likelihood @ step) + self.prior_cost(step)
+
+    def prior_cost(self, step: np.ndarray) -> float:
+        """Weighted square of a change of the parameters from the prior's mean."""
+        off = step - self.prior.mean
+        return float(off @ (self.prior.precision * off))
+
+
+@dataclass(frozen=True)
+class Posterior(Solution):
+    """The posterior of the parameters of a model about its fit.
+
+    Attributes:
+        joints: The joints whitened.
+        data: The data.
+        residual: (n, M).
+        columns: Derivatives of the prediction, (n, M, p).
+    """
+
+    joints: tuple[Joint, ...]
+    data: Data
+    residual: np.ndarray
+    columns: np.ndarray
 
     def cost(self, residual: np.ndarray) -> float:
         """Weighted square of another residual (n, M), under this noise."""
@@ -199,15 +256,6 @@ class Posterior:
             rho = (self.sizes.sigma[j] / self.sizes.discrepancy[j]) ** 2
             total += (y @ y - t @ (t / (one.values + rho))) / self.sizes.sigma[j] ** 2
         return float(total)
-
-    def foreseen(self, step: np.ndarray) -> float:
-        """Cost after a change of the parameters, as linearity has it."""
-        return self.misfit - 2 * float(self.right @ step) + float(step @ self.likelihood @ step) + self.prior_cost(step)
-
-    def prior_cost(self, step: np.ndarray) -> float:
-        """Weighted square of a change of the parameters from the prior's mean."""
-        off = step - self.prior.mean
-        return float(off @ (self.prior.precision * off))
 
 
 @dataclass(frozen=True)
@@ -241,12 +289,11 @@ def solve(
     """
     start = start or Start.of(data, _first(data, residual))
     sizes, joints = start.sizes, start.joints
-    grams = [_gram(one, residual[j], columns[j]) for j, one in enumerate(joints)]
+    grams = [Gram.of(one, residual[j], columns[j]) for j, one in enumerate(joints)]
     best = None
     for _ in range(ROUNDS):
-        if not fixed:
-            sizes = _converged(grams, joints, sizes, prior)
-        found = _posterior(data, grams, joints, sizes, prior, (residual, columns))
+        solution = estimated(grams, joints, sizes, prior, fixed)
+        found = Posterior(**vars(solution), joints=joints, data=data, residual=residual, columns=columns)
         if fixed:
             return found
         if best is not None and found.log_evidence < best.log_evidence + SMALL_GAIN:
@@ -256,11 +303,12 @@ def solve(
         if all(one is old for (one, _), old in zip(renewed, joints, strict=True)):
             break
         grams = [
-            g if one is old else _gram(one, residual[j], columns[j])
+            g if one is old else Gram.of(one, residual[j], columns[j])
             for j, (g, (one, _), old) in enumerate(zip(grams, renewed, joints, strict=True))
         ]
         joints = tuple(one for one, _ in renewed)
-        sizes = Sizes(tuple(one.noise for one in joints), np.array([s for _, s in renewed]), sizes.discrepancy, sizes.links)
+        noise, sigma = tuple(one.noise for one in joints), np.array([s for _, s in renewed])
+        sizes = Sizes(noise, sigma, found.sizes.discrepancy, found.sizes.links)
     assert best is not None
     return best
 
@@ -278,17 +326,6 @@ def _renewed(data: Data, found: Posterior, j: int) -> tuple[Joint, float]:
     return new.with_features(data.features[j]), size
 
 
-def _converged(grams, joints, sizes: Sizes, prior: Prior) -> Sizes:
-    """The sizes of the largest evidence for this noise."""
-    for _ in range(UPDATES):
-        step, matrix = _minimum(grams, joints, sizes, prior)
-        before, sizes = sizes, _updated(grams, joints, sizes, prior, step, matrix)
-        change = np.log(sizes.sigma / before.sigma) * [one.count for one in joints]
-        if np.max(np.abs(change)) < SETTLED and abs(np.log(sizes.links / before.links)) < 0.1:
-            break
-    return sizes
-
-
 @dataclass(frozen=True)
 class Gram:
     """Products of one whitened joint: of its columns x, its residual y and its orthogonal features t; `live` are the columns not 0."""
@@ -300,19 +337,12 @@ class Gram:
     ty: np.ndarray
     live: np.ndarray
 
-
-def _gram(one: Joint, residual: np.ndarray, columns: np.ndarray) -> Gram:
-    live = np.flatnonzero(np.any(columns != 0, axis=0))
-    y, x = one.white @ residual, one.white @ columns[:, live]
-    return Gram(x.T @ x, x.T @ y, float(y @ y), one.along(x), one.along(y), live)
-
-
-def _reduced(g: Gram, one: Joint, sigma: float, discrepancy: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Normal equations of a joint with its discrepancy integrated out."""
-    d = 1 / (one.values + (sigma / discrepancy) ** 2)
-    scaled = g.tx * d[:, None]
-    misfit = float(g.yy - g.ty @ (d * g.ty)) / sigma**2
-    return (g.xx - g.tx.T @ scaled) / sigma**2, (g.xy - scaled.T @ g.ty) / sigma**2, misfit
+    @classmethod
+    def of(cls, one: Joint, residual: np.ndarray, columns: np.ndarray) -> "Gram":
+        """Of a joint's residual (M,) and columns (M, p)."""
+        live = np.flatnonzero(np.any(columns != 0, axis=0))
+        y, x = one.white @ residual, one.white @ columns[:, live]
+        return cls(x.T @ x, x.T @ y, float(y @ y), one.along(x), one.along(y), live)
 
 
 def at_size(prior: Prior, links: float) -> Prior:
@@ -320,84 +350,35 @@ def at_size(prior: Prior, links: float) -> Prior:
     return replace(prior, precision=np.where(prior.links, prior.precision / links**2, prior.precision))
 
 
-def _normal(grams, joints, sizes, prior):
-    p = len(prior.mean)
-    matrix, right, misfit = np.zeros((p, p)), np.zeros(p), 0.0
-    for j, (g, one) in enumerate(zip(grams, joints, strict=True)):
-        xx, xy, yy = _reduced(g, one, sizes.sigma[j], sizes.discrepancy[j])
-        matrix[np.ix_(g.live, g.live)] += xx
-        right[g.live] += xy
-        misfit += yy
-    return matrix, right, misfit
+def estimated(grams: Sequence[Gram], joints: Sequence[Spectrum], sizes: Sizes, prior: Prior, fixed: bool = False) -> Solution:
+    """The posterior of a linear problem, from the products of its columns.
+
+    Hyperparameters are those of the largest evidence for this noise, by MacKay's fixed point from `sizes` on, or these if `fixed`.
+    """
+    p, n = len(prior.mean), len(grams)
+    arrays = [np.ascontiguousarray(getattr(prior, f.name), float) for f in fields(prior)]
+    size = np.concatenate([sizes.sigma, sizes.discrepancy, [sizes.links]])
+    step, matrix, likelihood, right = np.empty(p), np.empty((p, p)), np.empty((p, p)), np.empty(p)
+    every = tuple(
+        (
+            len(g.live),
+            len(one.values),
+            *map(_contiguous, (g.xx, g.xy, g.tx, g.ty, one.values)),
+            g.live,
+            g.yy,
+            one.log_det,
+            one.count,
+        )
+        for g, one in zip(grams, joints, strict=True)
+    )
+    updates = 0 if fixed else UPDATES
+    log, misfit = extension.estimate(p, every, *arrays, size, updates, SETTLED, LEAST, step, matrix, likelihood, right)
+    found = Sizes(sizes.noise, size[:n], size[n : 2 * n], float(size[-1]))
+    return Solution(log, step, matrix, likelihood, right, misfit, found, prior)
 
 
-def _minimum(grams, joints, sizes, prior):
-    likelihood, right, _ = _normal(grams, joints, sizes, prior)
-    at = at_size(prior, sizes.links)
-    matrix = likelihood + np.diag(at.precision)
-    target = right + at.precision * at.mean
-    step = _solved(matrix, target)
-    if np.any(step < prior.lower) or np.any(step > prior.upper):
-        step = box_step(matrix, target, prior.lower, prior.upper)
-    return step, matrix
-
-
-def _solved(matrix: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The solution of linear equations with a precision, scaled to a diagonal of 1; a matrix of targets gives one each."""
-    scale = np.sqrt(np.diag(matrix))
-    scale = np.where(scale > 0, scale, 1.0)
-    factor = cho_factor(matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(matrix)))
-    return (cho_solve(factor, (target.T / scale).T).T / scale).T
-
-
-def _updated(grams, joints, sizes: Sizes, prior: Prior, step: np.ndarray, matrix: np.ndarray) -> Sizes:
-    """The sizes after one step towards those of the largest evidence (MacKay's fixed point)."""
-    sigma, discrepancy = sizes.sigma.copy(), sizes.discrepancy.copy()
-    inverse = _solved(matrix, np.eye(len(matrix)))
-    for j, (g, one) in enumerate(zip(grams, joints, strict=True)):
-        rho = (sigma[j] / discrepancy[j]) ** 2
-        d, own = step[g.live], inverse[np.ix_(g.live, g.live)]
-        t, weights = g.ty - g.tx @ d, 1 / (one.values + rho)
-        c, through = weights * t, weights[:, None] * g.tx
-        spread = float(np.sum((through @ own) * through)) / discrepancy[j] ** 2  # of c, as that of the parameters has it
-        used = max(float(np.sum(one.values * weights)) - spread, 0.0)
-        xx, _, _ = _reduced(g, one, sigma[j], discrepancy[j])
-        taken = float(np.sum(xx * own))
-        squares = g.yy - 2 * g.xy @ d + d @ g.xx @ d - 2 * c @ t + c @ (one.values * c)
-        sigma[j] = np.sqrt(max(squares, 1e-18) / max(one.count - used - taken, one.count / 2, 1.0))
-        discrepancy[j] = _size(float(c @ c), used, 1.0)
-    links, which = sizes.links, prior.links
-    if which.any():
-        weights = prior.precision[which]
-        known = np.count_nonzero(which) - float(np.sum(weights / links**2 * np.diag(inverse)[which]))
-        links = _size(float(weights @ (step - prior.mean)[which] ** 2), max(known, 0.0), 1.0)
-    return Sizes(sizes.noise, np.maximum(sigma, 1e-9), discrepancy, links)
-
-
-def _size(squares: float, known: float, scale: float) -> float:
-    """The size x that maximises −squares / 2 x² − known log x − x² / 2 scale²."""
-    a = scale**2
-    return max(float(np.sqrt(a * (np.sqrt(known**2 + 4 * squares / a) - known) / 2)), LEAST)
-
-
-def _posterior(data, grams, joints, sizes: Sizes, prior: Prior, problem) -> Posterior:
-    likelihood, right, misfit = _normal(grams, joints, sizes, prior)
-    at = at_size(prior, sizes.links)
-    step, matrix = _minimum(grams, joints, sizes, prior)
-    off = step - at.mean
-    cost = misfit - 2 * right @ step + step @ likelihood @ step + off @ (at.precision * off)
-    volume = matrix + np.diag(at.flat)
-    scale = np.sqrt(np.maximum(np.diag(volume), 1e-30))
-    log_det = np.linalg.slogdet(volume / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))[1] + 2 * np.sum(np.log(scale))
-    widths = (at.precision + at.flat)[at.proper]
-    log = -0.5 * cost - 0.5 * log_det + 0.5 * np.sum(np.log(widths))
-    for j, one in enumerate(joints):
-        share = one.values * (sizes.discrepancy[j] / sizes.sigma[j]) ** 2
-        log += one.log_det - one.count * np.log(sizes.sigma[j]) - 0.5 * np.sum(np.log1p(share))
-        log -= 0.5 * sizes.discrepancy[j] ** 2
-    if prior.links.any():
-        log -= 0.5 * sizes.links**2
-    return Posterior(float(log), step, matrix, likelihood, right, misfit, sizes, joints, data, prior, *problem)
+def _contiguous(x: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(x, float)
 
 
 def _left(data: Data, found: Posterior, j: int) -> np.ndarray:

@@ -10,7 +10,8 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.fitting import Fitted
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
-from rrr_oc.diagnosis.search import Identity, Search, State, identity, kind
+from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
+from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.effects import Effect
 from rrr_oc.effects.base import Prior
 
@@ -69,14 +70,14 @@ class Possible:
 
 def probabilities(search: Search) -> list[tuple[frozenset, float]]:
     """Structures that were visited, by their effects, with their posterior probabilities."""
-    scores = {**search.foreseen, **search.visited}
+    scores = {**search.predicted, **search.visited}
     total = np.logaddexp.reduce(list(scores.values()))
     return [(key, float(np.exp(score - total))) for key, score in scores.items()]
 
 
 def identities(structure: frozenset) -> set[Identity]:
     """Those of a structure's effects."""
-    return {identity(effect) for effect, _ in structure}
+    return {identity(effect) for effect, *_ in structure}
 
 
 def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:

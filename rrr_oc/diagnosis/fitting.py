@@ -12,15 +12,16 @@ from rrr_oc.calibration.friction_width import WIDTHS, widened
 from rrr_oc.calibration.regression import Rows
 from rrr_oc.calibration.term_fit import bounds, with_parameter_values
 from rrr_oc.diagnosis.data import Data
-from rrr_oc.diagnosis.evidence import Posterior, Prior, Start, joined, solve
+from rrr_oc.diagnosis.evidence import Posterior, Prior, Sizes, Start, solve
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.effects import Effect, Trial, View
 from rrr_oc.effects.priors import Priors
 
 STEPS = 10  # most steps of Gauss–Newton
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
+IDLE = 0.5  # nats: after two steps that raise the evidence by less, with hardly less to gain, no further one follows
 BEND = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
-FRACTIONS = (1.0, 0.4, 0.1, 0.02)  # of a step, tried until the cost falls
+DAMPINGS = (0.0, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
 BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 MIXTURES = 2  # directions in which ways of changing sign are mixed
@@ -41,6 +42,11 @@ class Span:
     low: float = -np.inf
     high: float = np.inf
     log: bool = False
+
+    def of_change(self, value: float, wide: float) -> tuple[float, float, float]:
+        """Mean, precision and flat precision (see `evidence.Prior`) of a change from a value; a normal prior is `wide` times as wide."""
+        std = max(self.std * (abs(value) if self.log else wide if self.normal else 1.0), 1e-12)
+        return (self.centre - value, std**-2, 0.0) if self.normal else (0.0, 0.0, std**-2)
 
 
 def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -> list[Span]:
@@ -66,6 +72,14 @@ def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -
         low, high = (float(np.exp(low)), float(np.exp(high))) if log else (low, high)
         result.append(Span(reach / np.sqrt(12), False, 0.0, low, high, log))
     return result
+
+
+def exact(sizes: Sizes, free: bool) -> Sizes | None:
+    """Sizes of an exact arm, where errors of the links are of unknown size (`free`); None where they are as small."""
+    if sizes.links < EXACT_LINKS and np.all(sizes.discrepancy < EXACT_LAWS):
+        return None
+    links = min(EXACT_LINKS, sizes.links) if free else sizes.links
+    return replace(sizes, links=links, discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS))
 
 
 @dataclass(frozen=True)
@@ -127,17 +141,19 @@ class Fitter:
         data = self.data
         found = data.rows(model)
         columns, residual = self.columns(model, links, found), found.residual
-        best = None
+        best, highest, last, idle = None, -np.inf, np.inf, 0
         for _ in range(STEPS):
             post = solve(data, residual, columns, self.prior(model, links), start, fixed)
             start = post
             before = post.misfit + post.prior_cost(0 * post.step)
-            expected = before - post.foreseen(post.step)
+            expected = before - post.predicted(post.step)
             best = Fitted(model, links, post, residual, len(data.start.terms))
-            if expected < GAIN:
+            idle = idle + 1 if post.log_evidence < highest + IDLE and expected > last / 2 else 0
+            highest, last = max(highest, post.log_evidence), expected
+            if expected < GAIN or idle == 2:
                 break
-            for fraction in FRACTIONS:
-                step = fraction * post.step
+            for damping in DAMPINGS:
+                step = post.damped(damping)
                 there, errors = self.moved(model, links, step)
                 after = data.residual(found, there)
                 cost = post.cost(after) + post.prior_cost(step)
@@ -148,7 +164,7 @@ class Fitter:
             missed = np.sum((after - (residual - columns @ step)) ** 2)
             linear = missed <= BEND**2 * np.sum((after - residual) ** 2)
             model, links, residual = there, errors, after
-            if linear and fraction == 1.0:
+            if linear and not damping:
                 best = Fitted(model, links, post, residual, len(data.start.terms))
                 break
             if missed > BEND * np.sum((found.residual - after) ** 2):
@@ -156,27 +172,6 @@ class Fitter:
                 columns = self.columns(model, links, found)
         assert best is not None
         return best
-
-    def exact(self, post: Posterior) -> Posterior | None:
-        """A posterior with sizes of an exact arm; None where they are as small."""
-        sizes = post.sizes
-        if sizes.links < EXACT_LINKS and np.all(sizes.discrepancy < EXACT_LAWS):
-            return None
-        links = min(EXACT_LINKS, sizes.links) if self.data.free else sizes.links
-        return replace(post, sizes=replace(sizes, links=links, discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS)))
-
-    def drawn(self, model: CalibratedModel, links: np.ndarray, start: Posterior, bent: bool = True) -> Fitted:
-        """The fit of a model; with shapes that may be far from their best (`bent`), the best of two.
-
-        The second begins with a fit under the sizes of an exact arm, where a discrepancy takes up nothing of what draws the shape.
-        """
-        first = self.fit(model, links, start)
-        exact = self.exact(first.posterior) if bent else None
-        if exact is None:
-            return first
-        near = self.fit(model, links, exact, fixed=True)
-        second = self.fit(near.model, near.links, start)
-        return max(first, second, key=lambda f: f.log_evidence)
 
     def with_signs(self, fitted: Fitted) -> Fitted:
         """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""
@@ -195,19 +190,17 @@ class Fitter:
             if new.log_evidence > fitted.log_evidence:
                 fitted = new
 
-    def freed(self, fitted: Fitted, sizes: Posterior) -> Posterior:
-        """The posterior at a fit, under the sizes of another, where dry friction may also change sign in any mixture of its ways."""
-        data, columns = self.data, [fitted.posterior.columns[:, :, : len(self.prior(fitted.model, fitted.links).mean)]]
-        for term in fitted.model.terms[: fitted.base]:
+    def mixtures(self, model: CalibratedModel) -> np.ndarray:
+        """Changes of the prediction with which dry friction changes sign in mixtures of its ways, (n, M, q), of size 1."""
+        data, columns = self.data, [np.zeros((self.data.n, len(self.data.label), 0))]
+        for term in model.terms[: len(data.start.terms)]:
             if others := [form for form in term.effect.sign_forms if form != term.effect and term.width]:
                 forms = np.array([data.friction(form, cast(float, term.width)) for form in (term.effect, *others)])
                 u, s, _ = np.linalg.svd(term.values[0] * (forms[1:] - forms[0]).T, full_matrices=False)
                 own = np.zeros((data.n, len(u), MIXTURES))
                 own[term.effect.joints[0]] = u[:, :MIXTURES] * s[:MIXTURES]
                 columns.append(own)
-        whole = np.concatenate(columns, axis=2)
-        prior = joined(self.prior(fitted.model, fitted.links), np.ones(whole.shape[2] - columns[0].shape[2]))
-        return solve(data, fitted.residual, whole, prior, sizes, fixed=True)
+        return np.concatenate(columns, axis=2)
 
     def _other_signs(self, fitted: Fitted) -> Iterator[tuple[int, float, Effect, float]]:
         """For each term of dry friction its number, the largest gain of another form and width, all else linear, and these two."""
@@ -271,10 +264,8 @@ class Fitter:
         for term in model.terms[base:]:
             wide = self.excess(term)[0]
             for span, value in zip(self.spans(term.effect), term.values, strict=True):
-                std = max(span.std * (abs(value) if span.log else wide if span.normal else 1.0), 1e-12)
-                precision.append(std**-2 if span.normal else 0.0)
-                flat.append(0.0 if span.normal else std**-2)
-                mean.append(span.centre - value if span.normal else 0.0)
+                for to, number in zip((mean, precision, flat), span.of_change(value, wide), strict=True):
+                    to.append(number)
                 proper.append(True)
                 low[at], high[at] = max(low[at], span.low), min(high[at], span.high)
                 at += 1

@@ -13,13 +13,16 @@ from scipy.stats import bootstrap
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, summary
+from rrr_oc.calibration.samples import Prepared
 from rrr_oc.diagnosis.data import Data
-from rrr_oc.diagnosis.evidence import Joint, Posterior
 from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.knobs import ABSORBED
-from rrr_oc.diagnosis.search import Search
+from rrr_oc.diagnosis.structures.linear import Structure
+from rrr_oc.diagnosis.structures.neighbours import Levels, Neighbours, Predicted
+from rrr_oc.diagnosis.structures.search import Search, terms_of
+from rrr_oc.effects import Effect
 from rrr_oc.errors import reason
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.storage import number
@@ -57,24 +60,20 @@ class Check:
     errors: np.ndarray
 
 
-def folds_of(data: Data) -> tuple[str, Data, list[list[int]]]:
-    """What is held out ("recordings", or "blocks" of a single one), the data, and the indices held out in each fold.
+def folds_of(data: Data) -> list[list[int]]:
+    """The indices held out in each fold.
 
     Recordings of one set-up (payload, number of springs, group) go to different folds.
     """
-    way = "recordings"
-    if len(data.prepared) == 1:
-        data, way = _blocks(data), "blocks"
     recordings = [p.recording for p in data.prepared]
     mounted = [(float(r.payload.max()), len(r.springs), data.labels.index(r.group)) for r in recordings]
     alike = sorted(range(len(recordings)), key=mounted.__getitem__)
     number = min(len(recordings), FOLDS_OF_MANY if data.n >= MANY_JOINTS else FOLDS)
-    return way, data, [sorted(alike[k::number]) for k in range(number)]
+    return [sorted(alike[k::number]) for k in range(number)]
 
 
-def _blocks(data: Data) -> Data:
-    """The data whose recordings are contiguous pieces of its only one."""
-    (only,) = data.prepared
+def pieces_of(only: Prepared) -> tuple[Prepared, ...]:
+    """Contiguous pieces of an only recording, as recordings."""
     r, pieces = only.recording, []
     began = r.t[0] if r.start is None else r.start
     for part in blocks_of(r):
@@ -84,7 +83,7 @@ def _blocks(data: Data) -> Data:
         segments = tuple(slice(first, end) for first, end in inside if end - first > SHORT)
         piece = replace(r, **arrays, segments=segments, start=float(began))
         pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
-    return Data(tuple(pieces), data.start, data.links, data.free, type(data.signatures)())
+    return tuple(pieces)
 
 
 def blocks_of(r: Recording) -> list[np.ndarray]:
@@ -93,18 +92,28 @@ def blocks_of(r: Recording) -> list[np.ndarray]:
     return np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS)
 
 
-def repeated(search: Search, begin: Fitted, found: bool, stages: Stages) -> tuple[str, list[Recording], list[Fold]]:
-    """The way of holding out, what is held out by number, and the folds, in which the search is repeated if it found anything."""
-    way, data, held = folds_of(search.fitter.data)
-    whole = replace(search.fitter, data=data)
+def repeated(search: Search, begin: Fitted, stages: Stages) -> list[Fold]:
+    """The folds, in which the search is repeated, in the linear problems about its fits, if it found anything."""
+    held, folds = folds_of(search.fitter.data), dict[int, Fold]()
     names = [f"search without part {k} of {len(held)}" for k in range(1, len(held) + 1)]
-    folds = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
-    missing = [(k, Search(whole, search.trials), begin, found, one) for k, one in enumerate(held) if k not in folds]
-    stages.progress.count("search without parts", len(folds), len(held), kind="parts")
-    for k, fold in parallel.unordered(_fold, missing) if found else (_fold(*one) for one in missing):
-        folds[k] = stages.keep(names[k], FoldData.of(fold))
-        stages.progress.count("search without parts", len(folds), len(held), kind="parts")
-    return way, [p.recording for p in data.prepared], [folds[k].fold(stages.start) for k in range(len(held))]
+    saved = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
+    missing = [k for k in range(len(held)) if k not in saved]
+    stages.progress.count("search without parts", len(saved), len(held), kind="parts")
+    levels = search.levels if missing and len(search.path) > 1 else None
+    calls = [(k, search.fitter, begin, () if levels is None else _found(levels, held[k]), held[k]) for k in missing]
+    for k, fold in parallel.unordered(_fold, calls) if levels else (_fold(*one) for one in calls):
+        saved[k] = stages.keep(names[k], FoldData.of(fold))
+        stages.progress.count("search without parts", len(saved), len(held), kind="parts")
+    folds = {k: one.fold(stages.start) for k, one in saved.items()}
+    return [folds[k] for k in range(len(held))]
+
+
+def _found(levels: Levels, held: Sequence[int]) -> tuple[Term, ...]:
+    """The effects that a search on all but some recordings finds."""
+    rest = tuple(k for k in levels.at(0).blocks if k not in held)
+    near, best = levels.best(rest)
+    fitted = near.linear.fitted
+    return terms_of(fitted, best.structure, near.linear.fitter.data.labels)[fitted.base :]
 
 
 def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, Data, Fitted]:
@@ -118,17 +127,19 @@ def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) ->
     return parallel.ordered(function, arguments) if long else [function(*a) for a in arguments]
 
 
-def _fold(number: int, search: Search, begin: Fitted, found: bool, held: list[int]) -> tuple[int, Fold]:
+def _fold(number: int, fitter: Fitter, begin: Fitted, extra: tuple[Term, ...], held: Sequence[int]) -> tuple[int, Fold]:
     """A fold and its number."""
-    train, test, plain = _parts(search.fitter, begin, held)
-    model = (replace(search, fitter=train).run(plain).fitted if found else plain).model
-    return number, Fold(tuple(held), plain.model, model, nrmse(test, plain.model), nrmse(test, model))
+    train, test, plain = _parts(fitter, begin, held)
+    model = plain.model
+    if extra:
+        model = train.fit(replace(plain.model, terms=(*plain.model.terms, *extra)), plain.links, plain.posterior).model
+    before = nrmse(test, plain.model)
+    return number, Fold(tuple(held), plain.model, model, before, nrmse(test, model) if extra else before)
 
 
 def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding]) -> list[Fold]:
     """The folds with those effects alone that were found in them and are claimed."""
-    _, data, _ = folds_of(fitter.data)
-    arguments = [(replace(fitter, data=data), begin, fold, tuple(findings)) for fold in folds]
+    arguments = [(fitter, begin, fold, tuple(findings)) for fold in folds]
     return _each(_claimed, arguments, any(fold.extra for fold in folds))
 
 
@@ -145,76 +156,86 @@ def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Findi
     return replace(fold, model=model, after=nrmse(test, model))
 
 
-def checked(fitter: Fitter, begin: Fitted, findings: Sequence[Finding]) -> list[Check]:
-    """One check of findings for each part of the recordings."""
-    _, data, held = folds_of(fitter.data)
-    arguments = [(replace(fitter, data=data), begin, tuple(f.term for f in findings), one) for one in held]
-    return _each(_check, arguments, bool(findings))
+def checked(near: Neighbours, findings: Sequence[Finding]) -> list[Check]:
+    """One check of findings for each part of the recordings, in the linear problem of a fit that has them."""
+    own = {id(a.source): a for a in near.linear.own}
+    effects = tuple(own[id(f.term)] for f in findings)
+    return [_check(near, effects, held) for held in folds_of(near.linear.fitter.data)]
 
 
-def _check(fitter: Fitter, begin: Fitted, terms: tuple[Term, ...], held: list[int]) -> Check:
-    train, test, plain = _parts(fitter, begin, held)
-    here = [[t.holds_for(p.recording) for p in train.data.prepared] for t in terms]
-    there = [[t.holds_for(p.recording) for p in test.prepared] for t in terms]
-    count, search = len(terms), Search(train, ())
-    fits: dict[tuple[int, ...], Fitted] = {(): plain}
-    every = tuple(k for k in range(count) if any(here[k]))
+def _check(near: Neighbours, effects: Structure, held: Sequence[int]) -> Check:
+    linear, data = near.linear, near.linear.fitter.data
+    rest = replace(near, blocks=tuple(k for k in near.level.whole if k not in held))
+    names = [set(a.scope or data.labels) for a in effects]
+    here, there = ([bool(name & {data.groups[k] for k in some}) for name in names] for some in (rest.blocks, held))
+    every, count = [k for k in range(len(effects)) if here[k]], len(effects)
+    rows = np.concatenate([np.arange(data.edges[k], data.edges[k + 1]) for k in held])
+    solved: dict[tuple[int, ...], Predicted] = {}
 
-    def fit(which: tuple[int, ...]) -> Fitted:
-        if which not in fits:
-            some = tuple(terms[k] for k in which)
-            fits[which] = train.fit(replace(plain.model, terms=(*plain.model.terms, *some)), plain.links, plain.posterior)
-        return fits[which]
+    def fit(which: Sequence[int]) -> Predicted:
+        key = tuple(which)
+        if key not in solved:
+            solved[key] = rest.at(tuple(effects[k] for k in which), near.level.posterior.sizes)
+        return solved[key]
 
-    nested = [fit(tuple(i for i in every if i < k)) for k in range(count + 1)]
+    def left(p: Predicted) -> np.ndarray:
+        columns = np.concatenate([linear.columns[:, rows], *(a.columns[:, rows] for a in p.structure)], axis=2)
+        return linear.residual[:, rows] - np.einsum("jkp,p->jk", columns, p.solution.step, optimize=True)
+
+    nested = [fit([i for i in every if i < k]) for k in range(count + 1)]
     full = nested[-1]
-    weights = 1 / np.maximum(_squares(test, full.model), 1e-12)
-    gains, again, falls = np.full(count, np.nan), np.full(count, np.nan), np.full((count, test.n), np.nan)
+    rest_of_full = left(full)
+    weights = 1 / np.maximum(np.sum(rest_of_full**2, axis=1), 1e-12)
+    gains, again, falls = np.full(count, np.nan), np.full(count, np.nan), np.full((count, data.n), np.nan)
+    at = near.level.p
     for k in every:
-        less = fit(tuple(i for i in every if i != k))
-        again[k] = search.scored(full).score > search.scored(less).score
-        own = acts_on(terms[k], test.n)
-        if any(there[k]) and not _absorbed(test, full, less, every.index(k), weights[:, None]):
-            gains[k] = density(test, full.model, full.posterior) - density(test, less.model, full.posterior)
-            falls[k, own] = (weights * (_squares(test, less.model) - _squares(test, full.model)))[own]
-    squares = np.array([weights * _squares(test, f.model) for f in nested])
-    return Check(gains, falls, again, squares, np.array([nrmse(test, f.model) for f in nested]))
+        at, mine = at + effects[k].size, full.solution.step[at : at + effects[k].size]
+        less = fit([i for i in every if i != k])
+        again[k] = full.score > less.score
+        own, without = acts_on(effects[k].effect, data.n), left(less)
+        whole = np.einsum("jkm,m->jk", effects[k].columns[:, rows], mine)
+        absorbed = np.sum(weights * np.sum((without - rest_of_full) ** 2, axis=1)) < ABSORBED * np.sum(
+            weights * np.sum(whole**2, axis=1)
+        )
+        if there[k] and not absorbed:
+            gains[k] = _density(near, held, rest_of_full, full) - _density(near, held, without, full)
+            falls[k, own] = (weights * (np.sum(without**2, axis=1) - np.sum(rest_of_full**2, axis=1)))[own]
+    residuals = [left(p) for p in nested]
+    squares = np.array([weights * np.sum(r**2, axis=1) for r in residuals])
+    return Check(gains, falls, again, squares, np.array([_errors(data, held, r) for r in residuals]))
 
 
-def _absorbed(test: Data, full: Fitted, less: Fitted, extra: int, weights: np.ndarray) -> bool:
-    """Whether the model without an extra effect, fitted anew, predicts nearly the same as the full one, as errors of the links can do
-    in the place of a payload. Then only the probabilities of both models can tell."""
-    terms = full.model.terms
-    bare = replace(full.model, terms=terms[: full.base + extra] + terms[full.base + extra + 1 :])
-    between, whole = (_residual(test, model) - _residual(test, full.model) for model in (less.model, bare))
-    return float(np.sum(weights * between**2)) < ABSORBED * float(np.sum(weights * whole**2))
+def _density(near: Neighbours, held: Sequence[int], residual: np.ndarray, full: Predicted) -> float:
+    """Log predictive density of recordings up to a constant, with the noise and discrepancy of a full model."""
+    level, sizes, total = near.level, full.solution.sizes, 0.0
+    edges = level.edges
+    rows = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in held])
+    for j, (joint, one) in enumerate(zip(level.posterior.joints, level.sums(tuple(held)), strict=True)):
+        white = joint.white[rows][:, rows]
+        y = white @ residual[j]
+        t = one.turn.T @ ((white @ near.linear.fitter.data.features[j][rows]).T @ y)
+        rho = (sizes.sigma[j] / sizes.discrepancy[j]) ** 2
+        total -= 0.5 * float(y @ y - t @ (t / (one.spectrum.values + rho))) / sizes.sigma[j] ** 2
+    return total
 
 
-def acts_on(term: Term, n: int) -> list[int]:
-    """Joints whose torque a term changes: all n where it changes the motion or the body, of which every joint feels a part."""
-    joints = term.effect.joints
-    return list(range(n)) if not joints or term.effect.side in ("motion", "body") else list(joints)
+def _errors(data: Data, held: Sequence[int], residual: np.ndarray) -> np.ndarray:
+    """Root mean square of filtered residuals over the standard deviation of the torque, by recording and joint; NaN at rest."""
+    result, first = np.full((len(held), data.n), np.nan), 0
+    for i, k in enumerate(held):
+        size = int(data.edges[k + 1] - data.edges[k])
+        counted = data.counted[:, data.edges[k] : data.edges[k + 1]]
+        mean = np.sum(residual[:, first : first + size] ** 2, axis=1) / np.maximum(counted.sum(axis=1), 1)
+        std = np.std(data.prepared[k].measured, axis=1)
+        moves = counted.any(axis=1) & (std > 0)
+        result[i, moves] = np.sqrt(mean[moves]) / std[moves]
+        first += size
+    return result
 
 
-def _residual(data: Data, model: CalibratedModel) -> np.ndarray:
-    return data.rows(model).residual
-
-
-def _squares(data: Data, model: CalibratedModel) -> np.ndarray:
-    """Sum of the squared residual of each joint, (n,)."""
-    return np.sum(_residual(data, model) ** 2, axis=1)
-
-
-def density(test: Data, model: CalibratedModel, post: Posterior) -> float:
-    """Log predictive density of recordings, at a model's estimates, with the noise and discrepancy of a posterior."""
-    residual, total = _residual(test, model), 0.0
-    for j, known in enumerate(post.joints):
-        one, sigma = Joint.of(test, j, known.noise), post.sizes.sigma[j]
-        y = one.white @ residual[j]
-        t, rho = one.along(y), (sigma / post.sizes.discrepancy[j]) ** 2
-        total += one.log_det - one.count * np.log(sigma) - 0.5 * (y @ y - t @ (t / (one.values + rho))) / sigma**2
-        total -= 0.5 * float(np.sum(np.log1p(one.values / rho)))
-    return float(total)
+def acts_on(effect: Effect, n: int) -> list[int]:
+    """Joints whose torque an effect changes: all n where it changes the motion or the body, of which every joint feels a part."""
+    return list(range(n)) if not effect.joints or effect.side in ("motion", "body") else list(effect.joints)
 
 
 def nrmse(data: Data, model: CalibratedModel) -> np.ndarray:

@@ -30,11 +30,12 @@ from rrr_oc.diagnosis.files.stages import (
 )
 from rrr_oc.diagnosis.findings import Finding, Possible, found
 from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, pieces_of, repeated, with_claims
 from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
-from rrr_oc.diagnosis.search import Kind, Search, State, beside, kind
-from rrr_oc.diagnosis.signatures import SignatureCache, trials, view
+from rrr_oc.diagnosis.signatures import trials, view
+from rrr_oc.diagnosis.structures.neighbours import Kind, beside, kind
+from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
 from rrr_oc.effects.priors import Priors
@@ -119,7 +120,7 @@ class Shares:
         """From checks in which the findings were added in their order."""
         total = np.sum([c.squares for c in checks], axis=(0, 2))
         errors = [mean_nrmse(np.concatenate([c.errors[k] for c in checks])) for k in range(len(findings) + 1)]
-        joints = [acts_on(f.term, n) for f in findings]
+        joints = [acts_on(f.term.effect, n) for f in findings]
         gains = np.array([c.gains for c in checks]).reshape(len(checks), -1)
         return cls(
             tuple(float((total[k] - total[k + 1]) / max(total[0], 1e-300)) for k in range(len(findings))),
@@ -155,7 +156,8 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
     search, at = _searched(fitter, every, begin, stages)
     findings, possible = found(search, at)
-    way, parts, searched = repeated(search, begin, bool(findings), stages)
+    parts = [p.recording for p in fitter.data.prepared]
+    searched = repeated(search, begin, stages)
     most, out = stable(findings, parts, searched)
     refuted: list[Finding] = []
     while True:
@@ -167,7 +169,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
             at = search.run(at.fitted)
             findings, possible = found(search, at)
         stages.progress.tell("held-out check", 0.2 + 0.5 * bool(refuted), f"effects checked: {len(findings)}")
-        checks = checked(fitter, begin, findings)
+        checks = checked(search.neighbours(at.fitted), findings)
         folds = with_claims(fitter, begin, searched, findings)
         predicted = [f for k, f in enumerate(findings) if any(np.isfinite(c.gains[k]) for c in checks)]
         out = unconfirmed(findings, checks) or worse(predicted, parts, folds)
@@ -180,6 +182,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     if kept and kept != at.fitted.extra:  # some are missing, or in another order
         model = replace(at.fitted.model, terms=(*at.fitted.model.terms[: at.fitted.base], *kept))
         final = fitter.fit(model, at.fitted.links, at.fitted.posterior)
+    way = "recordings" if len(recordings.recordings) > 1 else "blocks"
     return _assembled(recordings, whole, fitter, (begin, final), (findings, possible, tuple(refuted)), (way, checks, folds))
 
 
@@ -193,9 +196,15 @@ def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: S
         # how many moves there will be is not known before
         stages.progress.tell("search", number / (number + 3), said, structures, "structures")
 
-    search = Search(fitter, every, report)
-    data = stages.once("search", SearchData, lambda: SearchData.of(search, search.run(begin)))
-    return data.search(replace(search, report=lambda *_: None), stages.start)
+    search = Search.of(fitter, every, report)
+
+    def made() -> SearchData:
+        search.run(begin)
+        return SearchData.of(search)
+
+    data = stages.once("search", SearchData, made)
+    search = data.search(replace(search, report=lambda *_: None), stages.start)
+    return search, search.path[-1]
 
 
 def ready(
@@ -215,7 +224,9 @@ def ready(
     of_urdf = () if priors.exact_inertias else (MASS_ERROR, *[CENTRE_ERROR] * 3, *[INERTIA_ERROR] * 3)
     std = prior(stages.start.robot).std if unknown else np.tile(of_urdf, recordings.robot.n)
     links = LinkErrors(plain.robot.inertial, std)
-    data = Data(bench, plain, links, not unknown, SignatureCache())
+    if len(bench) == 1:
+        bench = pieces_of(bench[0])
+    data = Data(bench, plain, links, not unknown)
     seen = view(bench, plain)
     every = tuple(trials(seen, plain.torque))
     families: dict[tuple, list[Trial]] = {}
@@ -295,7 +306,7 @@ def worse(findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequen
         )
         most = np.sum(after < before, axis=0) > np.sum(after > before, axis=0)
         better = most & (mean_nrmse(after) < mean_nrmse(before))
-        if not np.any(better[acts_on(f.term, len(better))]):
+        if not np.any(better[acts_on(f.term.effect, len(better))]):
             out.append(f)
     return out
 

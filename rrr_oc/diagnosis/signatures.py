@@ -4,21 +4,25 @@ They are linear in the effects' coefficients (`effects.Trial`) and pass the same
 what is missing is found by linear algebra on few numbers.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
 
 import numpy as np
+from scipy.sparse import block_diag, csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import REST_SPEED, Prepared
-from rrr_oc.effects import CATALOGUE, BlackBox, Signals, Trial, View
+from rrr_oc.effects import CATALOGUE, BlackBox, Delay, Signals, Trial, View
 from rrr_oc.effects.base import SOUGHT
 from rrr_oc.robot.rigid_body import rigid_body
 
+FEW = 32  # columns that are filtered at once: as many as the processor's cache holds; doubled, it takes longer
 SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
 LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
-Signature = tuple[np.ndarray, np.ndarray]  # where columns are not 0 (m, n), and these, filtered (number of them, M)
+SAME = 0.01  # share of the load torque that may change before signatures that depend on it are made anew; doubled, no claim changes
 
 
 def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
@@ -101,46 +105,71 @@ def _ranges(prepared: Sequence[Prepared], model: CalibratedModel) -> dict[tuple[
 
 
 @dataclass(frozen=True)
-class SignatureCache:
-    """Filtered signatures that were computed before, shared by all models that are compared on the same recordings.
+class Along:
+    """What a model without sensors predicts along all recordings, one behind the other, to first order.
 
-    `Data` owns it, and data of some of its recordings share it; it lives as long as they do. The key is the recording, the
-    trial, and what else of the model the signature depends on: of the last, the first value and the newest are kept.
+    Attributes:
+        parts: The predictions for each.
     """
 
-    _found: dict[Prepared, dict[Hashable, dict[Hashable, Signature]]] = field(default_factory=dict, compare=False, repr=False)
+    parts: tuple[Prediction, ...]
 
-    def get(self, prepared: Prepared, trial: Hashable, depends_on: Hashable, find: Callable[[], Signature]) -> Signature:
-        """The signature of a trial; `find` computes it if it is not in the cache."""
-        known = self._found.setdefault(prepared, {}).setdefault(trial, {})
-        if depends_on not in known:
-            signature = find()
-            if len(known) > 1:
-                known.popitem()
-            known[depends_on] = signature
-        return known[depends_on]
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """First sample of each recording, and their number, (R + 1,)."""
+        return np.cumsum([0, *(len(at.recording.t) for at in self.parts)])
 
-    @property
-    def sizes(self) -> dict[Prepared, list[int]]:
-        """Number of signatures kept of each trial, by recording."""
-        return {prepared: [len(known) for known in by_trial.values()] for prepared, by_trial in self._found.items()}
+    @cached_property
+    def signals(self) -> Signals:
+        """The signals on which effects of the instant may depend, (n, K) of all recordings."""
+        names = ("q", "dq", "ddq", "load", "friction", "time", "payload")
+        return Signals(**{name: np.concatenate([getattr(at.signals, name) for at in self.parts], axis=-1) for name in names})
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all signatures."""
-        by_trial = [known for one in self._found.values() for known in one.values()]
-        return sum(x.nbytes for known in by_trial for signature in known.values() for x in signature)
+    @cached_property
+    def true(self) -> np.ndarray:
+        """The torque that a perfect sensor records, (n, K) [Nm]."""
+        return np.concatenate([at.model.true_torque(at.recording, at.physics) for at in self.parts], axis=1)
+
+    @cached_property
+    def through(self) -> np.ndarray:
+        """d (what is recorded) / d (load torque), (n, K)."""
+        return np.concatenate([at.through for at in self.parts], axis=1)
+
+    def by_trial(self, trial: Trial) -> dict[int, np.ndarray]:
+        """As `Prediction.before_sensors` for all recordings: by joint (m, K) [Nm], where it is not 0."""
+        effect = trial.effect
+        alone = effect.states or isinstance(effect, Delay) or "springs" in effect.inputs
+        if alone or effect.side not in ("link", "drive", "sensor"):
+            dense = np.concatenate([at.before_sensors(trial) for at in self.parts], axis=2)
+            return {j: dense[:, j] for j in np.flatnonzero(dense.any(axis=(0, 2))).tolist()}
+        if effect.side == "sensor":
+            return _torques(trial, replace(self.signals, load=self.true))
+        result = _torques(trial, self.signals)
+        through = {j: -self.through[j] if effect.side == "link" else -1.0 for j in result}
+        return {j: torque * (through[j] / trial.size) for j, torque in result.items() if torque.any()}
 
 
-@dataclass(frozen=True)
+def _torques(trial: Trial, signals: Signals) -> dict[int, np.ndarray]:
+    """Torque of an effect of the instant on each of its joints for each coefficient, (m, K) [Nm]."""
+    effect = trial.effect
+    basis = effect.basis(signals, trial.width) if isinstance(effect, BlackBox) else None
+    if basis is not None:
+        coefficients = np.array([[theta[a] for a in effect.amplitudes] for theta in trial.points])
+        series = np.array(basis)
+        return {effect.joints[0]: series if np.array_equal(coefficients, np.eye(len(series))) else coefficients @ series}
+    every = [effect.torque(signals, theta, trial.width) for theta in trial.points]
+    return {j: np.array([np.reshape(torques[i], -1) for torques in every]) for i, j in enumerate(effect.joints)}
+
+
+@dataclass(frozen=True, eq=False)
 class Table:
     """Signatures of many trials at the rows of all recordings.
 
     Attributes:
         trials: The trials, in order.
         start: First column of each trial, and the number of columns at the end, (trials + 1,).
-        values: For each joint (M, columns that are not 0 there) [Nm].
-        used: For each joint the numbers of those columns.
+        values: For each joint (M, columns of the trials that are not 0 there) [Nm].
+        used: For each joint the numbers of those columns; of a trial all or none.
     """
 
     trials: tuple[Trial, ...]
@@ -148,49 +177,138 @@ class Table:
     values: tuple[np.ndarray, ...]
     used: tuple[np.ndarray, ...]
 
+    def of(self, k: int) -> np.ndarray:
+        """The signature of a trial by its number, (n, M, m)."""
+        first, end = int(self.start[k]), int(self.start[k + 1])
+        result = np.zeros((len(self.values), len(self.values[0]), end - first))
+        for own, values, used in zip(result, self.values, self.used, strict=True):
+            at = slice(*np.searchsorted(used, [first, end]))
+            own[:, used[at] - first] = values[:, at]
+        return result
+
+    def recorded(self, gains: np.ndarray) -> "Table":
+        """The table as sensors record it, which change torques by these factors, (n, M)."""
+        of_sensors = np.repeat([t.effect.side == "sensor" for t in self.trials], np.diff(self.start))
+        factors = [np.where(of_sensors[u], 1.0, g[:, None]) for u, g in zip(self.used, gains, strict=True)]
+        return replace(self, values=tuple(v * f for v, f in zip(self.values, factors, strict=True)))
+
+    def renewed(self, which: Sequence[int], other: "Table") -> "Table":
+        """The table with the signatures of some trials, by their numbers, from another that has these alone."""
+        columns = np.concatenate([np.arange(self.start[k], self.start[k + 1]) for k in which] or [np.zeros(0, int)])
+        values, used = [], []
+        for own, at, new, where in zip(self.values, self.used, other.values, other.used, strict=True):
+            stay = ~np.isin(at, columns)
+            every = np.concatenate([at[stay], columns[where]])
+            order = np.argsort(every)
+            values.append(np.hstack([own[:, stay], new])[:, order])
+            used.append(every[order])
+        return replace(self, values=tuple(values), used=tuple(used))
+
 
 def table(
-    prepared: Sequence[Prepared], model: CalibratedModel, every: Iterable[Trial], cache: SignatureCache | None = None
+    prepared: Sequence[Prepared], model: CalibratedModel, every: Iterable[Trial], kept: Sequence[np.ndarray] | None = None
 ) -> Table:
-    """The signatures of trials at a model, filtered, at the rows of `regression.rows`; those in a cache are not computed again."""
-    every, cache = tuple(every), cache or SignatureCache()
+    """The signatures of trials at a model without its sensors, filtered, at the rows of `regression.rows`.
+
+    Args:
+        kept: Of each recording the rows that are wanted; all if None.
+    """
+    model = without_sensors(model)
+    every = tuple(every)
+    along = Along(tuple(Prediction(model, p.recording) for p in prepared))
     start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
-    found = [_signatures(p, model, every, cache) for p in prepared]
-    live = np.array([np.concatenate([where for where, _ in part]) for part in found])  # (R, columns, n)
-    edges = np.cumsum([0, *(p.counted.shape[1] for p in prepared)])
-    values, used = [], []
-    for j in range(live.shape[2]):
-        own = np.flatnonzero(live[:, :, j].any(axis=0))
-        whole = np.zeros((len(own), edges[-1]))
-        for part, first, end in zip(found, edges, edges[1:], strict=False):
-            for (where, passed), column in zip(part, start, strict=False):
-                if where[:, j].any():
-                    rows, here = np.cumsum(where).reshape(where.shape)[:, j] - 1, np.flatnonzero(where[:, j])
-                    whole[np.searchsorted(own, column + here), first:end] = passed[rows[here]]
-        values.append(whole.T)
-        used.append(own)
-    return Table(every, start, tuple(values), tuple(used))
+    rows = [np.arange(p.counted.shape[1]) for p in prepared] if kept is None else list(kept)
+    whole = csr_matrix(block_diag([p.matrix[k] for p, k in zip(prepared, rows, strict=True)], "csr"))
+    moving = np.concatenate([p.moving for p in prepared], axis=1)
+    counted = np.concatenate([p.counted[:, k] for p, k in zip(prepared, rows, strict=True)], axis=1)
+    filtered = [Filtered(whole, at) for at in counted]
+    numbers: list[list[int]] = [[] for _ in moving]
+    for first, trial in zip(start, every, strict=False):
+        for j, torques in along.by_trial(trial).items():
+            filtered[j].add(torques * moving[j])
+            numbers[j] += range(first, first + len(torques))
+    return Table(every, start, tuple(f.whole for f in filtered), tuple(np.array(n, int) for n in numbers))
 
 
-def _signatures(prepared: Prepared, model: CalibratedModel, every: Sequence[Trial], cache: SignatureCache) -> list[Signature]:
-    """The signatures of trials at a recording."""
-    at = Prediction(model, prepared.recording)
-    return [_signature(prepared, at, trial, cache) for trial in every]
+class Filtered:
+    """Columns that are filtered by a matrix (M, K) as they come, some at once, at the rows that count (M,)."""
+
+    def __init__(self, matrix: csr_matrix, counted: np.ndarray) -> None:
+        self.matrix, self.counted = matrix, counted
+        self._waiting: list[np.ndarray] = []
+        self._done = [np.zeros((len(counted), 0))]
+
+    def add(self, columns: np.ndarray) -> None:
+        """Add columns (m, K)."""
+        self._waiting += list(columns)
+        if len(self._waiting) >= FEW:
+            self._filter()
+
+    @property
+    def whole(self) -> np.ndarray:
+        """All columns, (M, number of them)."""
+        self._filter()
+        return np.hstack(self._done)
+
+    def _filter(self) -> None:
+        if self._waiting:
+            self._done.append((self.matrix @ np.array(self._waiting).T) * self.counted[:, None])
+            self._waiting = []
 
 
-def _signature(prepared: Prepared, at: Prediction, trial: Trial, cache: SignatureCache) -> Signature:
-    """A trial's signature at a recording; from the cache, except that series are too many to keep."""
-    effect, gain = trial.effect, at.gain
+def without_sensors(model: CalibratedModel) -> CalibratedModel:
+    """The model with perfect sensors."""
+    return replace(model, terms=tuple(t for t in model.terms if t.effect.side != "sensor"))
 
-    def find() -> Signature:
-        return prepared.nonzero_passed(at.by_trial(trial) if gain is None else at.before_sensors(trial), 1)
 
-    parts = None if effect.validity or gain is None else at.depends_on(effect)
-    if parts is None:
-        where, passed = find()
-    else:
-        key = (effect, trial.size, *(tuple(point.items()) for point in trial.points))
-        where, passed = cache.get(prepared, key, (trial.width, parts), find)
-    if gain is None or effect.side == "sensor" or np.all(gain == 1.0):
-        return where, passed
-    return where, passed * gain[np.nonzero(where)[1], None]
+class Tables:
+    """The signatures of the catalogue and of the black-box terms of each joint, at the models that are asked for.
+
+    They are made anew where the load torque, or what of it the motors feel, has changed by more than `SAME`; the newest and the
+    catalogue's first are kept. Sensors scale them; that sensors delay them, by much less than the common filter takes, is neglected.
+    """
+
+    def __init__(self, prepared: Sequence[Prepared], kept: Sequence[np.ndarray], trials: Sequence[Trial], seen: View) -> None:
+        self.prepared, self.kept, self.trials, self.seen = prepared, kept, tuple(trials), seen
+        self._known: dict[int | None, list[tuple[np.ndarray, Table]]] = {}
+
+    def at(self, model: CalibratedModel, joint: int | None) -> Table:
+        """The table of the catalogue (None) or of a joint's black-box terms."""
+        gains, bare = self._gains(model), without_sensors(model)
+        found = self._at(bare, joint)
+        return found if np.all(gains == 1.0) else found.recorded(gains)
+
+    def _at(self, model: CalibratedModel, joint: int | None) -> Table:
+        now, known = self._state(model), self._known.setdefault(joint, [])
+        for before, there in known:
+            if _alike(before, now):
+                return there
+        known.append((now, self._made(model, joint, known[0][1] if known else None)))
+        del known[joint is None : -1]
+        return known[-1][1]
+
+    def _made(self, model: CalibratedModel, joint: int | None, before: Table | None) -> Table:
+        if joint is not None:
+            return table(self.prepared, model, black_box_trials(self.prepared, self.seen, model, joint), self.kept)
+        if before is None:
+            return table(self.prepared, model, self.trials, self.kept)
+        at = [Prediction(model, p.recording) for p in self.prepared]
+        which = [k for k, trial in enumerate(self.trials) if any(one.depends_on(trial.effect) != () for one in at)]
+        return before.renewed(which, table(self.prepared, model, [self.trials[k] for k in which], self.kept))
+
+    def _state(self, model: CalibratedModel) -> np.ndarray:
+        """What signatures depend on, as torques by joint, (2, n, K): the load, and what of it the motors feel."""
+        at = Along(tuple(Prediction(model, p.recording) for p in self.prepared))
+        return np.array([at.signals.load, at.through * at.signals.load])
+
+    def _gains(self, model: CalibratedModel) -> np.ndarray:
+        """Recorded over true change of each joint's torque, (n, M)."""
+        there = replace(model, terms=tuple(t for t in model.terms if not isinstance(t.effect, Delay)))
+        gains = [cast(np.ndarray, Prediction(there, p.recording).gain) for p in self.prepared]
+        return np.repeat(np.array(gains).T, [len(k) for k in self.kept], axis=1)
+
+
+def _alike(before: np.ndarray, now: np.ndarray) -> bool:
+    """Whether torques by joint (…, n, K) differ by less than `SAME` of their size."""
+    size = np.sqrt(np.mean(before**2, axis=-1))
+    return bool(np.all(np.sqrt(np.mean((now - before) ** 2, axis=-1)) <= SAME * size))

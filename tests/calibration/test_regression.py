@@ -99,3 +99,19 @@ def test_derivatives_by_widths_of_friction_against_differences(arm, name):
         assert largest > 1e-3
         # of a gear, the width's part in how the link swings is neglected; else the error of the difference, of second order
         assert np.abs(found[:, :, j] - expected).max() < (0.05 if name == "gear" else 1e-4) * largest
+
+
+def test_derivatives_by_elastic_gears_have_the_change_of_unknown_starts(arm):
+    """How a link may swing at the start of a recording depends on the gear; against differences of the whole residual."""
+    plain, prepared = arm
+    gear = term("joint_elasticity", (1,), 300.0, 0.004)
+    model, size = replace(plain, terms=(*plain.terms, gear)), len(plain.values)
+    found = rows(prepared, model, starts=True)
+    for k, value in enumerate(gear.values):
+        ends = []
+        for change in (0.9995, 1.0005):
+            there = gear.with_values(np.where(np.arange(2) == k, change * value, gear.values))
+            ends.append(rows(prepared, replace(model, terms=(*plain.terms, there))).residual)
+        expected = (ends[0] - ends[1]) / (0.001 * value)
+        assert np.abs(expected).max() > 1e-6
+        assert np.abs(found.jacobian[:, :, size + k] - expected).max() < 0.01 * np.abs(expected).max()

@@ -1,4 +1,4 @@
-"""Gains of candidates by elimination against evidences of the extended problems, solved as a whole."""
+"""Gains of candidates from products by block against evidences of the extended problems, solved as a whole."""
 
 from dataclasses import replace
 
@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from recorded import Plant, as_set, real, record
 
-from rrr_oc.diagnosis.candidates import Screen, joined, signatures
-from rrr_oc.diagnosis.evidence import solve
+from rrr_oc.diagnosis.evidence import at_size, solve
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.procedure import ready
-from rrr_oc.diagnosis.search import Search
+from rrr_oc.diagnosis.structures.candidates import Screen
+from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects import Trial
 from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.friction.coulomb_asymmetry import CoulombAsymmetry
@@ -42,45 +42,99 @@ def laws(every: tuple[Trial, ...], *kinds: type) -> list[Trial]:
     return list(found.values())
 
 
+def screened(fitter, at, trials, sizes=None, structure=None):
+    """Neighbours of a fit among some trials, and the screen beside a structure (the fit's own by default)."""
+    near = Search.of(fitter, trials).neighbours(at)
+    here = near.at(near.linear.own if structure is None else structure, sizes or at.posterior.sizes, fixed=True)
+    return near, here, Screen.of(near.level, near.tables(None), here.structure, near.blocks, here.solution)
+
+
+def dense(near, structure, sizes):
+    """The posterior of a structure by `solve`, from all rows."""
+    columns = np.concatenate([near.linear.columns, *(a.columns for a in structure)], axis=2)
+    post = near.linear.fitted.posterior
+    return solve(
+        post.data, near.linear.residual, columns, near.linear.prior_with(structure), replace(post, sizes=sizes), fixed=True
+    )
+
+
 @pytest.mark.parametrize("exact", [False, True])
 def test_gains_are_differences_of_evidence(fitted, exact):
     """For the same sizes: those estimated, and those of an arm whose laws are exact; in all groups and in one."""
     fitter, at, every = fitted
-    data, post, chosen = fitter.data, at.posterior, laws(every, TorqueOffset, QuadraticDrag, CoulombAsymmetry)
+    sizes, chosen = at.posterior.sizes, laws(every, TorqueOffset, QuadraticDrag, CoulombAsymmetry)
     if exact:
-        post = replace(post, sizes=replace(post.sizes, links=0.01, discrepancy=np.full(2, 0.01)))
-    prior = fitter.prior(at.model, at.links)
-    post = solve(data, at.residual, post.columns, prior, post, fixed=True)
-    found = Screen.of(fitter, at, signatures(data, at.model, chosen), post).candidates()
+        sizes = replace(sizes, links=0.01, discrepancy=np.full(2, 0.01))
+    near, here, screen = screened(fitter, at, chosen, sizes)
+    found, base = screen.candidates(), dense(near, (), sizes)
+    assert here.solution.log_evidence == pytest.approx(base.log_evidence, abs=1e-6)
     assert {c.scope for c in found} >= {None, ("a",)}
     keys = {(t.effect.name, t.effect.joints) for t in chosen}
     assert {c.key for c in found} <= keys
-    assert len({c.key for c in found}) >= len(keys) - 1  # not what gains nothing
+    assert {("torque_offset", (0,)), ("quadratic_drag", (1,))} <= {c.key for c in found}  # not what gains nothing
     for c in found:
-        own = signatures(data, at.model, [c.trial])
-        columns = np.zeros((2, len(data.at), len(c.trial.points)))
-        for j in range(2):
-            columns[j][:, own.used[j]] = own.values[j]
-        inside = np.array([c.scope is None or data.labels[k] in c.scope for k in data.label])
-        columns = np.concatenate([post.columns, columns * inside[None, :, None]], axis=2)
-        scales = c.excess * fitter.priors.scales(fitter.view, c.trial)
-        whole = solve(data, at.residual, columns, joined(prior, scales), post, fixed=True)
-        gain = whole.log_evidence - post.log_evidence + np.log(EXCESS[c.excess])
+        added = near.linear.candidate(near.tables(None), c)
+        whole = dense(near, (added,), sizes)
+        gain = whole.log_evidence - base.log_evidence + np.log(EXCESS[c.excess])
         assert c.gain - c.log_prior == pytest.approx(gain, abs=1e-3 + 1e-5 * abs(gain)), (c.key, c.scope)
-        np.testing.assert_allclose(c.coefficients, whole.step[len(post.step) :], rtol=1e-4, atol=1e-7)
+        np.testing.assert_allclose(c.coefficients, whole.step[len(base.step) :], rtol=1e-4, atol=1e-7)
         assert c.log_prior == pytest.approx(fitter.log_prior(c.trial.effect, c.scope))
+
+
+def test_gains_in_the_place_of_others_are_differences_of_evidence(fitted):
+    """The screen beside two effects says what trials gain without one or both of them."""
+    fitter, at, every = fitted
+    offsets, drags = laws(every, TorqueOffset), laws(every, QuadraticDrag)
+    near, _, screen = screened(fitter, at, [*offsets, *drags])
+    best = {c.key: c for c in reversed(screen.candidates()) if c.scope is None}
+    two = tuple(
+        near.linear.candidate(near.tables(None), best[key]) for key in (("quadratic_drag", (1,)), ("torque_offset", (0,)))
+    )
+    near, _, screen = screened(fitter, at, [*offsets, *drags], structure=two)
+    sizes = at.posterior.sizes
+    for out in ((0,), (1,), (0, 1)):
+        less = tuple(a for i, a in enumerate(two) if i not in out)
+        base = dense(near, less, sizes)
+        found = screen.candidates([near.level.p + i for i in out])
+        assert found
+        for c in found:
+            whole = dense(near, (*less, near.linear.candidate(near.tables(None), c)), sizes)
+            gain = whole.log_evidence - base.log_evidence + np.log(EXCESS[c.excess])
+            assert c.gain - c.log_prior == pytest.approx(gain, abs=1e-3 + 1e-5 * abs(gain)), (out, c.key, c.scope)
+
+
+def test_a_structure_on_some_recordings_is_that_of_their_rows(fitted):
+    """Products of some blocks against the same problem with the other rows taken out."""
+    fitter, at, every = fitted
+    near, here, screen = screened(fitter, at, laws(every, TorqueOffset, QuadraticDrag))
+    added = tuple(near.linear.candidate(near.tables(None), c) for c in screen.candidates()[:2])
+    some, data = (0, 3), fitter.data
+    found = [near.level.solved(s, some, at.posterior.sizes, fixed=True) for s in ((), added)]
+    rows = np.concatenate([np.arange(data.edges[k], data.edges[k + 1]) for k in some])
+    expected = []
+    for structure in ((), added):
+        prior = at_size(near.linear.prior_with(structure), at.posterior.sizes.links)
+        columns = np.concatenate([near.linear.columns, *(a.columns for a in structure)], axis=2)
+        matrix, right = np.diag(prior.precision), prior.precision * prior.mean
+        for j, one in enumerate(at.posterior.joints):
+            white = one.white[rows][:, rows].toarray()
+            x, y, f = (white @ z[rows] for z in (columns[j], near.linear.residual[j], data.features[j]))
+            noise = at.posterior.sizes.sigma[j] ** 2 * np.eye(len(rows)) + at.posterior.sizes.discrepancy[j] ** 2 * f @ f.T
+            matrix, right = matrix + x.T @ np.linalg.solve(noise, x), right + x.T @ np.linalg.solve(noise, y)
+        expected.append(np.linalg.solve(matrix, right))
+    for one, step in zip(found, expected, strict=True):
+        if np.all((step > one.base.lower) & (step < one.base.upper)):
+            np.testing.assert_allclose(one.step, step, rtol=1e-5, atol=1e-7)
+    assert here.key == frozenset()
 
 
 def test_several_shapes_of_an_effect_share_its_prior(fitted):
     """Each has a part of it; what they gain is added up."""
     fitter, at, every = fitted
     (trial, *_) = laws(every, QuadraticDrag)
-    one, two = (
-        Screen.of(fitter, at, signatures(fitter.data, at.model, [trial] * k), at.posterior).candidates() for k in (1, 2)
-    )
+    one, two = (screened(fitter, at, [replace(trial) for _ in range(k)])[2].candidates() for k in (1, 2))
     assert len(one) == len(two)
     assert [c.gain for c in two] == pytest.approx([c.gain for c in one], abs=1e-9)
-    assert [c.log_prior for c in two] == pytest.approx([c.log_prior - np.log(2) for c in one])
 
 
 def test_a_harness_that_is_an_offset_is_none(fitted):
@@ -90,10 +144,7 @@ def test_a_harness_that_is_an_offset_is_none(fitted):
     low, high = fitter.view.low[1], fitter.view.high[1]
     for rest, believed in ((low, True), ((low + high) / 2, True), (high + 2 * (high - low), False), (-40.0, False)):
         assert fitter.believed(trial, {"stiffness": 1.0, "rest": rest}) is believed
-    columns = signatures(fitter.data, at.model, [trial])
-    offset = signatures(fitter.data, at.model, laws(every, TorqueOffset)[1:])
-    shifted = replace(at, residual=at.residual + np.array([0, 1])[:, None] * offset.values[1][:, 0])
-    for c in Screen.of(fitter, shifted, columns, at.posterior).candidates():
+    for c in screened(fitter, at, [trial])[2].candidates():
         assert fitter.believed(c.trial, c.trial.effect.combined(c.trial.points, c.coefficients))
 
 
@@ -101,10 +152,10 @@ def test_a_gas_spring_is_found_where_errors_of_the_links_explain_much_of_it():
     """Of an industrial arm, published: two-sided, some 7 kNm/rad about -96 degrees. The links' errors are ten times as large as
     declared without it, and a prediction far from linear in them."""
     _, fitter, every, plain = ready(load_recordings(real("kuka_kr300") / "train"), Priors())
-    search = Search(fitter, every)
-    begin = search.scored(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
     near = [t for t in every if t.effect.name in ("cable_harness", "parallel_spring", "link_inertial", "torque_offset")]
-    found = search._added(begin, [t for t in near if t.effect.joints == (1,)])
+    search = Search.of(fitter, [t for t in near if t.effect.joints == (1,)])
+    begin = search.scored(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
+    found = search._better(begin)
     assert begin.fitted.posterior.sizes.links > 5
     assert found is not None
     (spring,) = found.fitted.extra

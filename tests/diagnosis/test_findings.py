@@ -11,7 +11,7 @@ from rrr_oc.diagnosis import findings
 from rrr_oc.diagnosis.files.diagnosis_file import _prior
 from rrr_oc.diagnosis.findings import _rivals, contribution, found, identities, identity, probabilities
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
-from rrr_oc.diagnosis.search import Search
+from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects.base import Prior
 from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.effects.elastic.cable_harness import CableHarness
@@ -35,15 +35,15 @@ class Model:
     terms: tuple[Term, ...]
 
 
-def searched(visited: dict, foreseen: dict | None = None) -> Search:
-    return Search(None, (), visited=visited, foreseen=foreseen or {})  # pyright: ignore[reportArgumentType]
+def searched(visited: dict, predicted: dict | None = None) -> Search:
+    return Search(None, None, visited=visited, predicted=predicted or {})  # pyright: ignore[reportArgumentType]
 
 
 def test_probabilities_are_shares_of_all_structures():
     visited = {frozenset(): -1000.0, frozenset({SPRING}): -999.0, frozenset({SPRING, OFFSET}): -997.0}
     found = dict(probabilities(searched(visited, {frozenset({HARNESS}): -998.0, frozenset({SPRING}): -990.0})))
     assert sum(found.values()) == pytest.approx(1.0)
-    weights = np.exp([-3.0, -2.0, 0.0, -1.0])  # a structure that was fitted counts as fitted, not as foreseen
+    weights = np.exp([-3.0, -2.0, 0.0, -1.0])  # a structure that was fitted counts as fitted, not as predicted
     expected = dict(zip([*visited, frozenset({HARNESS})], weights / weights.sum(), strict=True))
     assert found == pytest.approx(expected)
 

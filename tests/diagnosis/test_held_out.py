@@ -294,7 +294,7 @@ def test_an_effect_of_several_joints_is_kept_where_one_of_them_is_predicted_bett
     ("effect", "joints"), [(ParallelSpring((1,)), [1]), (EncoderOffset((1,)), [0, 1, 2]), (GravityTilt(()), [0, 1, 2])]
 )
 def test_what_changes_motion_or_body_acts_on_all_joints(effect, joints):
-    assert acts_on(Term(effect, ()), 3) == joints
+    assert acts_on(effect, 3) == joints
 
 
 @pytest.mark.parametrize(("effect", "mean"), [(ParallelSpring((1,)), (0.2, 0.1)), (EncoderOffset((1,)), (0.4, 0.2))])

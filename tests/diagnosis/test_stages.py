@@ -17,7 +17,7 @@ from rrr_oc.diagnosis.files.diagnosis_file import to_json
 from rrr_oc.diagnosis.files.stages import SHARES, SearchData, Stages
 from rrr_oc.diagnosis.held_out import intervals
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
-from rrr_oc.diagnosis.search import Search
+from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.kept import Keeping
 from rrr_oc.progress import Step
 from rrr_oc.recordings.recording import RecordingSet
@@ -94,10 +94,12 @@ def test_other_recordings_are_begun_anew(recordings, whole, tmp_path):
 def test_what_a_search_remembers_is_read_back(recordings):
     stages = Stages(procedure.plain_model(recordings))
     _, fitter, every, plain = procedure.ready(recordings, procedure.Priors(), stages)
-    search = Search(fitter, every)
+    search = Search.of(fitter, every)
     at = search.run(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
-    again, there = stages.keep("search", SearchData.of(search, at)).search(Search(fitter, every), stages.start)
-    assert (again.visited, again.foreseen, again.settled) == (search.visited, search.foreseen, search.settled)
+    again = stages.keep("search", SearchData.of(search)).search(Search.of(fitter, every), stages.start)
+    assert (again.visited, again.predicted) == (search.visited, search.predicted)
+    assert [len(one.fitted.extra) for one in again.path] == [len(one.fitted.extra) for one in search.path]
+    there = again.path[-1]
     assert there.score == at.score
     moved = there.fitted.model.values - at.fitted.model.values
     spread = np.sqrt(np.diag(np.linalg.inv(at.fitted.posterior.matrix)))[: len(moved)]

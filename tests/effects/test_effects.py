@@ -18,7 +18,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.calibration.samples import prepare
-from rrr_oc.diagnosis.signatures import SignatureCache, table, trials, view
+from rrr_oc.diagnosis.signatures import Tables, table, trials, view, without_sensors
 from rrr_oc.effects import (
     CATALOGUE,
     BlackBox,
@@ -751,14 +751,10 @@ def test_signatures_are_the_slopes_of_predictions(name, arm):
     assert seen
 
 
-def test_signatures_that_are_kept_hold_for_other_models(arm):
-    """What a table found at one model serves at others, as far as these share what it follows from."""
+def test_signatures_of_several_recordings_are_those_of_each(arm):
+    """Found along all at once, and filtered, at a model with effects on every side."""
     model, prepared, by_name = arm
     every = [trial for name in by_name for trial in some(by_name[name])]
-    cache = SignatureCache()
-    first = table(prepared, model, every, cache)
-    assert 0.5 * len(every) < len(cache.sizes[prepared[0]]) < len(every)
-    model = replace(model, terms=tuple(t.with_values(1.3 * t.values) for t in model.terms))
     sizes = {
         "load_dependent_friction": 0.1, "torque_gain": -0.2, "torque_offset": 0.5, "time_delay": 0.01, "joint_elasticity": 800.0,
         "payload_mass": 1.0, "payload_com": 0.02, "cable_harness": 2.0, "encoder_offset": 0.05, "quadratic_drag": 1.0,
@@ -769,14 +765,35 @@ def test_signatures_that_are_kept_hold_for_other_models(arm):
     }
     for names in [*((n,) for n in added), tuple(added), ("torque_gain", "payload_mass"), ("cable_harness", "payload_com"), ()]:
         there = replace(model, terms=(*model.terms, *(added[n] for n in names)))
-        kept = table(prepared, there, every, cache)
-        anew = table(prepared, there, every)
-        for j in range(3):
-            np.testing.assert_array_equal(kept.used[j], anew.used[j])
-            np.testing.assert_allclose(kept.values[j], anew.values[j], rtol=1e-12, atol=1e-12)
-        if names == tuple(added):
-            assert any(np.abs(a - b).max() > 0.01 for a, b in zip(first.values, anew.values, strict=True) if a.shape == b.shape)
-    assert all(count <= 2 for counts in cache.sizes.values() for count in counts)
+        found = table(prepared, there, every)
+        for k, trial in enumerate(every):
+            parts = [Prediction(without_sensors(there), p.recording).by_trial(trial) for p in prepared]  # (m, n, K)
+            expected = np.concatenate(
+                [[p.passed(one, range(3)) for one in part] for p, part in zip(prepared, parts, strict=True)], axis=2
+            )
+            np.testing.assert_allclose(found.of(k), np.moveaxis(expected, 0, 2), rtol=1e-9, atol=1e-9)
+
+
+def test_signatures_are_made_anew_where_the_load_has_changed(arm):
+    """A spring changes it; what does not depend on it is kept as it is."""
+    model, prepared, by_name = arm
+    every = [t for name in ("load_dependent_friction", "torque_offset", "torque_ripple") for t in some(by_name[name])]
+    tables = Tables(prepared, [np.arange(p.counted.shape[1]) for p in prepared], every, view(prepared, model))
+    first, spring = tables.at(model, None), placed("cable_harness")
+    nearly = replace(model, robot=replace(model.robot, inertial=model.robot.inertial * (1 + 1e-4)))
+    assert tables.at(nearly, None) is first
+    there = replace(model, terms=(*model.terms, Term(spring, (Estimate(20.0), Estimate(0.3)))))
+    found, expected = tables.at(there, None), table(prepared, there, every)
+    for j in range(3):
+        np.testing.assert_array_equal(found.used[j], expected.used[j])
+        np.testing.assert_allclose(found.values[j], expected.values[j], rtol=1e-12, atol=1e-12)
+    assert any(np.abs(found.values[j] - first.values[j]).max() > 0.01 for j in range(3))
+    assert tables.at(model, None) is first
+    scaled = replace(model, terms=(*model.terms, Term(CATALOGUE["torque_gain"]((1,)), (Estimate(0.25),))))
+    found = tables.at(scaled, None)
+    for k, trial in enumerate(every):
+        expected = [[p.passed(one, range(3)) for one in Prediction(scaled, p.recording).by_trial(trial)] for p in prepared]
+        np.testing.assert_allclose(found.of(k), np.moveaxis(np.concatenate(expected, axis=2), 0, 2), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", list(CATALOGUE))

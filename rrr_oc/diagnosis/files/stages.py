@@ -17,9 +17,9 @@ from rrr_oc.calibration.model_file import TermEntry, effect_of, options_of, term
 from rrr_oc.diagnosis.data import Data, Noise
 from rrr_oc.diagnosis.evidence import Joint, Sizes, Start
 from rrr_oc.diagnosis.findings import Finding, Possible
-from rrr_oc.diagnosis.search import Search, State
+from rrr_oc.diagnosis.fitting import Fitter
+from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion
-from rrr_oc.effects import Effect
 from rrr_oc.effects.base import Prior
 from rrr_oc.kept import Kept, known, save
 from rrr_oc.model.motion import Motion
@@ -118,24 +118,22 @@ class NoiseData(Struct):
 
 
 class Sought(Struct):
-    """An effect in some set-ups (none: in all), as structures are compared by it."""
+    """An effect in some set-ups (none: in all), as structures are compared by it; further ones of a structure are numbered."""
 
     effect: str
     joints: tuple[int, ...]
     options: dict[str, Any]
     groups: tuple[str, ...]
+    number: int = 1
 
 
-class SearchData(Struct):
-    """The best structure of a search, fitted, and the scores of all others.
+class StateData(Struct):
+    """A structure, fitted.
 
     Attributes:
         model, links: The model, and the errors of its links in standard deviations of their prior.
         score: Logarithm of its posterior probability, up to a constant.
         noise, sigma, discrepancy, size_of_links: What is estimated beside the parameters, see `evidence.Sizes`.
-        sought: All effects that were tried.
-        fitted, predicted: Logarithm of the posterior probability of structures that were fitted, and of further ones as predicted.
-        exchanged: By how much what was tried in the place of effects falls short.
     """
 
     model: ModelData
@@ -145,35 +143,54 @@ class SearchData(Struct):
     sigma: list[float]
     discrepancy: list[float]
     size_of_links: float
+
+    @classmethod
+    def of(cls, at: State) -> "StateData":
+        post, model = at.fitted.posterior, ModelData.of(at.fitted.model)
+        noise, sizes = [NoiseData.of(post.data, j, one) for j, one in enumerate(post.joints)], post.sizes
+        measured = sizes.sigma.tolist(), sizes.discrepancy.tolist(), sizes.links
+        return cls(model, at.fitted.links.tolist(), float(at.score), noise, *measured)
+
+    def state(self, fitter: Fitter, start: CalibratedModel) -> State:
+        """The structure under the sizes that were estimated."""
+        joints = tuple(one.joint(fitter.data, j) for j, one in enumerate(self.noise))
+        noise = tuple(one.noise for one in joints)
+        begin = Start(Sizes(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links), joints)
+        return State(fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True), self.score)
+
+
+class SearchData(Struct):
+    """The structures that a search accepted, and the scores of all others.
+
+    Attributes:
+        path: The structures, the best last.
+        sought: All effects that were tried.
+        fitted, predicted: Logarithm of the posterior probability of structures that were fitted, and of further ones as predicted.
+    """
+
+    path: list[StateData]
     sought: list[Sought]
     fitted: Scores
     predicted: Scores
-    exchanged: Scores
 
     @classmethod
-    def of(cls, search: Search, at: State) -> "SearchData":
-        post, number = at.fitted.posterior, dict[tuple[Effect, tuple[str, ...]], int]()
-        sizes, noise = post.sizes, [NoiseData.of(post.data, j, one) for j, one in enumerate(post.joints)]
-        every = [_scores(known, number) for known in (search.visited, search.foreseen, search.settled)]
-        sought = [Sought(e.name, e.joints, options_of(e), groups) for e, groups in number]
-        model = ModelData.of(at.fitted.model)
-        measured = sizes.sigma.tolist(), sizes.discrepancy.tolist(), sizes.links
-        return cls(model, at.fitted.links.tolist(), float(at.score), noise, *measured, sought, *every)
+    def of(cls, search: Search) -> "SearchData":
+        number = dict[tuple[Any, ...], int]()
+        every = [_scores(known, number) for known in (search.visited, search.predicted)]
+        sought = [Sought(e.name, e.joints, options_of(e), groups, *more) for e, groups, *more in number]
+        return cls([StateData.of(at) for at in search.path], sought, *every)
 
-    def search(self, search: Search, start: CalibratedModel) -> tuple[Search, State]:
-        """The search with what it remembers, and its best structure under the sizes that were estimated."""
-        own = [(effect_of(s.effect, s.joints, s.options), s.groups) for s in self.sought]
-        every = (self.fitted, self.predicted, self.exchanged)
-        fitted, predicted, exchanged = ({frozenset(own[k] for k in some): score for some, score in of} for of in every)
-        search = replace(search, visited=fitted, foreseen=predicted, settled=exchanged)
-        joints = tuple(one.joint(search.fitter.data, j) for j, one in enumerate(self.noise))
-        noise = tuple(one.noise for one in joints)
-        begin = Start(Sizes(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links), joints)
-        best = search.fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True)
-        return search, State(best, self.score)
+    def search(self, search: Search, start: CalibratedModel) -> Search:
+        """The search with what it remembers."""
+        own = [(effect_of(s.effect, s.joints, s.options), s.groups, *([s.number] if s.number > 1 else [])) for s in self.sought]
+        fitted, predicted = (
+            {frozenset(own[k] for k in some): score for some, score in of} for of in (self.fitted, self.predicted)
+        )
+        path = [one.state(search.fitter, start) for one in self.path]
+        return replace(search, visited=fitted, predicted=predicted, path=path)
 
 
-def _scores(known: Mapping[frozenset, float], number: dict[tuple[Effect, tuple[str, ...]], int]) -> Scores:
+def _scores(known: Mapping[frozenset, float], number: dict[tuple[Any, ...], int]) -> Scores:
     """Scores of structures in their order; effects that have no number get one."""
     result = []
     for structure, score in known.items():

@@ -1,0 +1,332 @@
+"""A fitted model as a linear problem, and its products by block: the evidence of any structure near it is linear algebra on few numbers.
+
+About a fit, the residual without the effects beyond the plain model is linear in the changes of the plain parameters, in how much of
+each present effect there is, and in the coefficients of trials of others. For one noise of each joint, all products of these columns
+are summed over rows once, block by block (a block is a recording). What follows from any of the blocks, for any structure and
+any hyperparameters, is a sum of such products.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis.evidence import Gram, Prior, Sizes, Solution, Spectrum, estimated, joined, orthogonal
+from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.knobs import EXCESS
+from rrr_oc.diagnosis.signatures import Table
+from rrr_oc.diagnosis.structures.candidates import Candidate
+from rrr_oc.effects import Effect
+
+AS_FITTED = 1e-9  # variance of the share of an effect that is there, about 1
+Blocks = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """What an effect adds to the linear problem.
+
+    Attributes:
+        effect: The effect.
+        scope: Groups that have it; None for all.
+        columns: (n, M, m) [Nm].
+        mean, precision, flat, lower, upper: Of the prior of their coefficients, see `evidence.Prior`, (m,) each.
+        log_prior: Logarithm of the prior odds of the effect, of its shape, and of the width of the prior of its coefficients.
+        source: The term of the fitted model, or the candidate that it is.
+    """
+
+    effect: Effect
+    scope: tuple[str, ...] | None
+    columns: np.ndarray
+    mean: np.ndarray
+    precision: np.ndarray
+    flat: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    log_prior: float
+    source: Term | Candidate
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return self.columns.shape[2]
+
+    @property
+    def name(self) -> tuple[Effect, tuple[str, ...]]:
+        """What a structure is compared by: effect without its range, and groups."""
+        return self.effect.without_range(), self.scope or ()
+
+
+Structure = tuple[Addition, ...]
+Key = frozenset[tuple[Any, ...]]
+
+
+def numbered(names: Iterable[tuple[Effect, tuple[str, ...]]]) -> list[tuple[Any, ...]]:
+    """The names of effects, of which further ones of a name are numbered."""
+    seen: Counter[Any] = Counter()
+    result = []
+    for name in names:
+        seen[name] += 1
+        result.append(name if seen[name] == 1 else (*name, seen[name]))
+    return result
+
+
+def key_of(names: Iterable[tuple[Effect, tuple[str, ...]]]) -> Key:
+    """By what structures are compared."""
+    return frozenset(numbered(names))
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """A fit as a linear problem.
+
+    Attributes:
+        fitter, fitted: The data and the fit.
+        columns: Derivatives by the plain parameters, links' errors and widths, then mixtures of the ways in which friction changes
+            sign, (n, M, p).
+        prior: Of these.
+        residual: Of the fitted model without the effects beyond the plain ones, (n, M).
+        own: These effects.
+    """
+
+    fitter: Fitter
+    fitted: Fitted
+    columns: np.ndarray
+    prior: Prior
+    residual: np.ndarray
+    own: Structure
+
+    @classmethod
+    def of(cls, fitter: Fitter, fitted: Fitted) -> "Linear":
+        """The linear problem about a fit."""
+        data, model, links = fitter.data, fitted.model, fitted.links
+        rows = data.rows(model)
+        columns, whole = fitter.columns(model, links, rows), fitter.prior(model, links)
+        first = sum(len(t.estimates) for t in model.terms[: fitted.base])
+        last = first + sum(len(t.estimates) for t in fitted.extra)
+        inside = np.r_[np.arange(first), np.arange(last, len(whole.mean))]
+        residual, own, at = rows.residual.copy(), [], first
+        for i, term in enumerate(fitted.extra):
+            at, mine = at + len(term.estimates), slice(at, at + len(term.estimates))
+            less = replace(model, terms=tuple(t for t in model.terms if t is not term))
+            change = data.residual(rows, less) - rows.residual  # all that the effect explains
+            residual += change
+            bounds = whole.lower[mine], whole.upper[mine]
+            own.append(_of_term(fitter, fitted, i, np.concatenate([change[:, :, None], columns[:, :, mine]], axis=2), bounds))
+        signs = fitter.mixtures(model)
+        base = joined(whole.some(inside), np.ones(signs.shape[2]))
+        return cls(fitter, fitted, np.concatenate([columns[:, :, inside], signs], axis=2), base, residual, tuple(own))
+
+    def prior_with(self, structure: Structure) -> Prior:
+        """The prior of all coefficients."""
+        prior = self.prior
+        for a in structure:
+            prior = joined(prior, np.ones(a.size))
+            prior = replace(
+                prior,
+                mean=np.append(prior.mean[: -a.size], a.mean),
+                precision=np.append(prior.precision[: -a.size], a.precision),
+                flat=np.append(prior.flat[: -a.size], a.flat),
+                lower=np.append(prior.lower[: -a.size], a.lower),
+                upper=np.append(prior.upper[: -a.size], a.upper),
+            )
+        return prior
+
+    def candidate(self, table: Table, c: Candidate) -> Addition:
+        """A candidate as an addition."""
+        columns = table.of(next(k for k, t in enumerate(table.trials) if t is c.trial))
+        if c.scope is not None:
+            data = self.fitter.data
+            columns *= np.isin(np.array(data.labels)[data.label], c.scope)[None, :, None]
+        scales, m = c.excess * self.fitter.scales(c.trial), columns.shape[2]
+        log_prior = c.log_prior + float(np.log(EXCESS[c.excess]))
+        none, free = np.zeros(m), np.full(m, np.inf)
+        return Addition(c.trial.effect, c.scope, columns, none, scales**-2.0, none, -free, free, log_prior, c)
+
+
+def _of_term(fitter: Fitter, fitted: Fitted, i: int, columns: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> Addition:
+    """An effect of a fit, with the columns of the effect as a whole and of its parameters."""
+    term = fitted.extra[i]
+    wide, log_excess = fitter.excess(term)
+    mean, precision, flat = [1.0], [1 / AS_FITTED], [0.0]
+    for span, value in zip(fitter.spans(term.effect), term.values, strict=True):
+        m, p, f = span.of_change(value, wide)
+        mean.append(m)
+        precision.append(p)
+        flat.append(f)
+    log_prior = fitter.log_prior(term.effect, term.groups or None) + log_excess
+    lower, upper = np.append(-np.inf, bounds[0]), np.append(np.inf, bounds[1])
+    arrays = np.array(mean), np.array(precision), np.array(flat), lower, upper
+    return Addition(term.effect, term.groups or None, columns, *arrays, log_prior, term)
+
+
+@dataclass(frozen=True, eq=False)
+class TableProducts:
+    """Products of a table's columns with those of a level, of one joint.
+
+    Attributes:
+        used: Their numbers, (T,).
+        left: With the level's columns, features and residual, by block, (B, L, T).
+        own: For each number of columns that trials have: which of these trials have columns here, by their place among them, (K,);
+            where their columns begin, (K,); and their products, by block, (B, K, m, m).
+    """
+
+    used: np.ndarray
+    left: np.ndarray
+    own: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """An addition under a level's noise: whitened by joint (M, m), whitened once more and back, and products (B, L, m) by joint."""
+
+    white: list[np.ndarray]
+    back: list[np.ndarray]
+    left: list[np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Products of a joint's columns, features and residual over some blocks.
+
+    Attributes:
+        spectrum: Of its discrepancy.
+        products: (L, L).
+        turn: From features to orthogonal ones, (F, F').
+        turned: Products of the orthogonal features, (F', L).
+    """
+
+    spectrum: Spectrum
+    products: np.ndarray
+    turn: np.ndarray
+    turned: np.ndarray
+
+
+class Level:
+    """All products of a linear problem under one noise of each joint.
+
+    Attributes:
+        posterior: From which the noise is.
+        products: Of each joint those of [columns, features, residual], whitened, by block, (B, L, L).
+    """
+
+    def __init__(self, linear: Linear) -> None:
+        self.linear, self.posterior = linear, linear.fitted.posterior
+        data = linear.fitter.data
+        self.edges, self.n, self.p = data.edges, data.n, linear.columns.shape[2]
+        white = [one.white @ self.columns(j) for j, one in enumerate(self.posterior.joints)]
+        self.products = [np.array([x.T @ x for x in self.split(w)]) for w in white]
+        self._parts: dict[Addition, Part] = {}
+        self._pairs: dict[tuple[Addition, Addition, int], np.ndarray] = {}
+        self._tables: dict[Table, list[TableProducts]] = {}
+        self._sums: dict[Blocks, list[Sums]] = {}
+
+    def columns(self, j: int) -> np.ndarray:
+        """[columns, features, residual] of a joint, (M, L)."""
+        return np.column_stack([self.linear.columns[j], self.linear.fitter.data.features[j], self.linear.residual[j]])
+
+    def split(self, x: np.ndarray) -> list[np.ndarray]:
+        """Rows (M, …) by block."""
+        return np.split(x, self.edges[1:-1])
+
+    @property
+    def whole(self) -> Blocks:
+        """All blocks."""
+        return tuple(range(len(self.edges) - 1))
+
+    def part(self, a: Addition) -> Part:
+        """An addition under this noise."""
+        if a not in self._parts:
+            white = [one.white @ x for one, x in zip(self.posterior.joints, a.columns, strict=True)]
+            back = [one.white.T @ x for one, x in zip(self.posterior.joints, white, strict=True)]
+            self._parts[a] = Part(white, back, [self._blockwise(self.columns(j), x) for j, x in enumerate(back)])
+        return self._parts[a]
+
+    def pair(self, a: Addition, b: Addition, j: int) -> np.ndarray:
+        """Products of two additions at a joint, (B, m, m)."""
+        if (b, a, j) in self._pairs:
+            return self._pairs[b, a, j].transpose(0, 2, 1)
+        if (a, b, j) not in self._pairs:
+            x, y = self.part(a).white[j], self.part(b).white[j]
+            self._pairs[a, b, j] = self._blockwise(x, y)
+        return self._pairs[a, b, j]
+
+    def sums(self, blocks: Blocks) -> list["Sums"]:
+        """The products over some blocks, by joint."""
+        if blocks not in self._sums:
+            result = []
+            rows = np.concatenate([np.arange(self.edges[b], self.edges[b + 1]) for b in blocks])
+            for j, one in enumerate(self.posterior.joints):
+                products = self.products[j][list(blocks)].sum(axis=0)
+                features = slice(self.p, len(products) - 1)
+                values, turn = orthogonal(products[features, features])
+                count = int(self.linear.fitter.data.counted[j][rows].sum())
+                # the determinant of W over some blocks is the same for all structures
+                spectrum = Spectrum(values, one.log_det, count)
+                result.append(Sums(spectrum, products, turn, turn.T @ products[features]))
+            self._sums[blocks] = result
+        return self._sums[blocks]
+
+    def grams(self, structure: Structure, blocks: Blocks) -> list[Gram]:
+        """The products of a structure's columns over some blocks, by joint."""
+        p, some, grams = self.p, list(blocks), []
+        for j, one in enumerate(self.sums(blocks)):
+            xx, xy, tx = one.products[:p, :p], one.products[:p, -1], one.turned[:, :p]
+            if structure:
+                left = np.hstack([self.part(a).left[j][some].sum(axis=0) for a in structure])  # (L, m)
+                pairs = np.block([[self.pair(a, b, j)[some].sum(axis=0) for b in structure] for a in structure])
+                xx = np.block([[xx, left[:p]], [left[:p].T, pairs]])
+                xy, tx = np.append(xy, left[-1]), np.hstack([tx, one.turn.T @ left[p:-1]])
+            live = np.flatnonzero(np.diag(xx) > 0)
+            grams.append(
+                Gram(xx[np.ix_(live, live)], xy[live], float(one.products[-1, -1]), tx[:, live], one.turned[:, -1], live)
+            )
+        return grams
+
+    def solved(self, structure: Structure, blocks: Blocks, sizes: Sizes, fixed: bool = False) -> Solution:
+        """The posterior of a structure from some blocks; its hyperparameters are estimated, from `sizes` on, or these are `fixed`."""
+        grams, spectra, prior = (
+            self.grams(structure, blocks),
+            [one.spectrum for one in self.sums(blocks)],
+            self.linear.prior_with(structure),
+        )
+        return estimated(grams, spectra, sizes, prior, fixed)
+
+    def table(self, table: Table) -> list[TableProducts]:
+        """The products of a table, by joint; those of the last two are kept."""
+        if table not in self._tables:
+            if len(self._tables) > 1:
+                self._tables.popitem()
+            self._tables[table] = [self._of_table(table, j) for j in range(self.n)]
+        return self._tables[table]
+
+    def _of_table(self, table: Table, j: int) -> TableProducts:
+        values, used, sizes = table.values[j], table.used[j], np.diff(table.start)
+        owner = np.searchsorted(table.start, used, side="right") - 1
+        noise = self.posterior.joints[j].white
+        left = self._blockwise(noise.T @ (noise @ self.columns(j)), values)
+        white = self.split(noise @ values)
+        own = {}
+        for m in np.unique(sizes).tolist():
+            trials = np.flatnonzero(sizes == m)
+            where = np.flatnonzero(np.isin(trials, owner))
+            first = np.searchsorted(used, table.start[trials[where]])
+            if m == 1:
+                products = np.array([np.einsum("ij,ij->j", w[:, first], w[:, first])[:, None, None] for w in white])
+            else:
+                at = (first[:, None] + np.arange(m)).ravel()
+                every = [w[:, at].T.reshape(len(where), m, len(w)) for w in white]
+                products = np.array([x @ x.transpose(0, 2, 1) for x in every])
+            own[m] = where, first, products
+        return TableProducts(used, left, own)
+
+    def across(self, a: Addition, table: Table, j: int) -> np.ndarray:
+        """Products of an addition with a table's columns at a joint, by block, (B, m, T)."""
+        return self._blockwise(self.part(a).back[j], table.values[j])
+
+    def _blockwise(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Products of columns (M, a) and (M, b), by block, (B, a, b)."""
+        return np.array([u.T @ v for u, v in zip(self.split(x), self.split(y), strict=True)])

@@ -1,0 +1,266 @@
+"""The neighbours of a structure, with an effect more, fewer or another, and their posterior probabilities as linearity predicts them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rrr_oc.diagnosis.evidence import Sizes, Solution
+from rrr_oc.diagnosis.fitting import exact
+from rrr_oc.diagnosis.signatures import Table
+from rrr_oc.diagnosis.structures.candidates import Candidate, Screen
+from rrr_oc.diagnosis.structures.linear import Addition, Blocks, Key, Level, Linear, Structure, key_of, numbered
+from rrr_oc.effects import Effect
+
+TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew; doubled, more time and no other claim
+MOST = 14  # effects at which a search ends
+CHANGED = 10.0  # nats below which an exchange that is predicted at the present hyperparameters is not looked at closer
+
+Identity = tuple[str, tuple[int, ...], Effect | None]  # name and joints of an effect, and which, of black-box terms
+Kind = tuple[str, tuple[int, ...]]  # name and joints of an effect; of black-box terms no name, since one stands for another
+
+
+def identity(effect: Effect) -> Identity:
+    """What tells an effect from others."""
+    return effect.name, effect.joints, effect.without_range() if effect.black_box else None
+
+
+def kind(effect: Effect) -> Kind:
+    """What an effect has to share with another to be the same finding."""
+    return "" if effect.black_box else effect.name, effect.joints
+
+
+def beside(a: Effect, b: Effect) -> bool:
+    """Whether two effects change the torque of a common joint; what moves links or alters bodies changes that of many."""
+    return any(not x.joints or x.side in ("motion", "body") for x in (a, b)) or bool(set(a.joints) & set(b.joints))
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """A structure with its posterior in a linear problem, and the logarithm of its probability up to a constant."""
+
+    structure: Structure
+    solution: Solution
+    score: float
+    linear: Linear
+
+    @property
+    def key(self) -> Key:
+        """By what structures are compared."""
+        return key_of(a.name for a in self.structure)
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether a shape of an effect may still be far from its best."""
+        return any(isinstance(a.source, Candidate) and not a.effect.linear for a in self.structure)
+
+
+@dataclass
+class Neighbours:
+    """The neighbours of structures in one linear problem.
+
+    Attributes:
+        linear: The problem.
+        tables: The table of the catalogue (None) or of a joint's black-box terms.
+        blocks: What the probabilities are conditional on.
+        level: The products.
+        exact: The neighbours about the fit of an exact arm; None where it has no other.
+        most: Kinds of effects that are sought, and how many of each; all if None.
+        more: Additions that are offered beside the tables: effects at their best shapes.
+        short: By how much the best that was sought in the place of some effects fell short, by these [nats].
+    """
+
+    linear: Linear
+    tables: Callable[[int | None], Table]
+    blocks: Blocks
+    level: Level
+    exact: Callable[[], "Neighbours | None"]
+    most: Mapping[Kind, int] | None = None
+    more: Structure = ()
+    short: dict[Key, float] = field(default_factory=dict, repr=False)
+
+    def at(self, structure: Structure, sizes: Sizes, fixed: bool = False) -> Predicted:
+        """A structure."""
+        post = self.level.solved(structure, self.blocks, sizes, fixed)
+        return Predicted(structure, post, post.log_evidence + sum(a.log_prior for a in structure), self.linear)
+
+    def removed(self, here: Predicted) -> list[Predicted]:
+        """Without one of its effects, the most probable first."""
+        every = [
+            self.at((*here.structure[:i], *here.structure[i + 1 :]), here.solution.sizes) for i in range(len(here.structure))
+        ]
+        return sorted(every, key=lambda p: -p.score)
+
+    def added(self, here: Predicted) -> list[Predicted]:
+        """With a further effect of the catalogue, the most probable first.
+
+        Candidates are chosen at the present hyperparameters and at those of an exact arm, where discrepancy and links absorb nothing:
+        if errors of the links are larger than declared, in the linear problem about the fit of such an arm, since predictions are far
+        from linear in them.
+        """
+        if len(here.structure) >= MOST or (self.most is not None and not self.most):
+            return []
+        own, sizes = here.structure, here.solution.sizes
+        every = self._own(own, here) + self._judged(own, self._screen(own, here, None).candidates(), here, None)
+        at, near = exact(sizes, self.linear.fitter.data.free), self.exact() if sizes.links > 1 else None
+        if at is not None:
+            near = self if near is None else replace(near, blocks=self.blocks, more=self.more)
+            own = near.adopted(own)
+            base = near.at(own, at, True)
+            every += near._judged(own, near._screen(own, base, None).candidates(), here, None)
+        return _distinct(every)
+
+    def exchanged(self, here: Predicted, skipped: Callable[[Key], bool] = lambda _: False) -> list[Predicted]:
+        """With one effect in the place of one or two others, the most probable first; `skipped` says which are left where they are."""
+        own, every = here.structure, []
+        names = numbered(a.name for a in own)
+        pairs = [(i,) for i in range(len(own))]
+        pairs += [(i, k) for k in range(len(own)) for i in range(k) if beside(own[i].effect, own[k].effect)]
+        screen, table = None, self.tables(None)
+        for out in pairs:
+            key = frozenset(names[i] for i in out)
+            if skipped(key):
+                continue
+            screen = screen or self._screen(own, here, None)
+            gone = [own[i] for i in out]
+            near = np.array([any(beside(t.effect, a.effect) for a in gone) for t in table.trials])
+            less = tuple(a for i, a in enumerate(own) if i not in out)
+            without = self.at(less, here.solution.sizes, True)
+            ends = self.level.p + np.cumsum([0, *(a.size for a in own)])
+            numbers = [k for i in out for k in range(ends[i], ends[i + 1])]
+            candidates = [c for c in screen.candidates(numbers, near) if not any(_is(c, a) for a in gone)]
+            hopeful = [c for c in candidates if without.score + c.gain > here.score - CHANGED]
+            judged = self._judged(less, hopeful, without, None) + [p for p in self._own(less, without) if p.key != here.key]
+            self.short[key] = here.score - max(
+                [*(p.score for p in judged), *(without.score + c.gain for c in candidates[:1])], default=-np.inf
+            )
+            every += judged
+        return _distinct(every)
+
+    def unexplained(self, here: Predicted) -> list[Predicted]:
+        """With a black-box term, the most probable first."""
+        if len(here.structure) >= MOST:
+            return []
+        own, every = here.structure, self._own(here.structure, here, True)
+        for j in range(self.level.n) if self.most is None else [joints[0] for name, joints in self.most if not name]:
+            every += self._judged(own, self._screen(own, here, j).candidates(), here, j)
+        return _distinct(every)
+
+    def adopted(self, structure: Structure) -> Structure:
+        """A structure of another linear problem, with effects as they are offered here."""
+        offered = {a.name: a for a in self._offered if a.effect.placement != "many"}
+        return tuple(offered.get(a.name, a) for a in structure)
+
+    @property
+    def _offered(self) -> Structure:
+        """The fit's own effects, and others that are offered beside the tables."""
+        own = {a.name for a in self.linear.own}
+        return (*self.linear.own, *(a for a in self.more if a.effect.placement == "many" or a.name not in own))
+
+    def _own(self, structure: Structure, here: Predicted, black_box: bool = False) -> list[Predicted]:
+        """With an effect, or a black-box term, at its best shape."""
+        more = [a for a in self._offered if a.effect.black_box == black_box and not any(a is b for b in structure)]
+        return [self.at((*structure, a), here.solution.sizes) for a in more if self._open(a, structure)]
+
+    def _judged(self, structure: Structure, every: Sequence[Candidate], base: Predicted, joint: int | None) -> list[Predicted]:
+        """The best candidates beside a structure, each with hyperparameters of its own."""
+        own, table, result = {a.name for a in self._offered}, self.tables(joint), []
+        for c in every:
+            if len(result) == TRIED:
+                break
+            single = c.trial.effect.placement != "many" and joint is None
+            if single and (c.trial.effect.without_range(), c.scope or ()) in own:
+                continue  # it is offered at its best shape
+            if self._open(c, structure):
+                result.append(self.at((*structure, self.linear.candidate(table, c)), base.solution.sizes))
+        return result
+
+    def _screen(self, structure: Structure, base: Predicted, joint: int | None) -> Screen:
+        return Screen.of(self.level, self.tables(joint), structure, self.blocks, base.solution)
+
+    def _open(self, c: Candidate | Addition, structure: Structure) -> bool:
+        """Whether an effect is new and sought; where it is there, it may say that some groups differ from the rest."""
+        effect = c.effect if isinstance(c, Addition) else c.trial.effect
+        if self.most is not None:
+            own = kind(effect)
+            if sum(kind(a.effect) == own for a in structure) >= self.most.get(own, 0):
+                return False
+        labels = self.linear.fitter.data.labels
+        return effect.placement == "many" or all(
+            c.scope is not None and effect.partly > 0 and set(c.scope) < set(a.scope or labels)
+            for a in overlapping(effect, c.scope, structure)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """The linear problems about the fits of a search.
+
+    Attributes:
+        keys: Names of the effects of each fit, by which structures are compared; the first has none.
+        make: The neighbours of a fit by its number.
+        tables: Its tables.
+    """
+
+    keys: Sequence[Key]
+    make: Callable[[int], Neighbours]
+    tables: Callable[[int], Callable[[int | None], Table]]
+    _made: dict[int, Neighbours] = field(default_factory=dict, repr=False)
+
+    def at(self, number: int) -> Neighbours:
+        """The neighbours of a fit."""
+        if number not in self._made:
+            self._made[number] = self.make(number)
+        return self._made[number]
+
+    def about(self, key: Key, blocks: Blocks, last: bool = False) -> Neighbours:
+        """The neighbours of a structure on some blocks, about the fit whose effects are most alike, or about the last one.
+
+        Signatures are those at the fit with most of its effects and no others: with others, what is linear in the load or in the torque
+        would stand for them. The effects of the last fit are offered at their best shapes.
+        """
+        numbers = range(len(self.keys))
+        alike = max(numbers, key=lambda k: (len(self.keys[k] & key) - len(self.keys[k] - key), k))
+        inside = max((k for k in numbers if self.keys[k] <= key), key=lambda k: (len(self.keys[k]), k))
+        end = self.at(len(self.keys) - 1)
+        return replace(end if last else self.at(alike), blocks=blocks, tables=self.tables(inside), more=end.linear.own)
+
+    def best(self, blocks: Blocks) -> tuple[Neighbours, Predicted]:
+        """The most probable structure on some blocks that moves reach from nothing, at the end about the last fit.
+
+        Under the noise of a fit that lacks much, what it lacks counts as noise, and structures are told apart badly.
+        """
+        near = self.about(frozenset(), blocks)
+        here = near.at((), near.level.posterior.sizes)
+        for last in (False, True):
+            seen = set[Key]()
+            while here.key not in seen:
+                seen.add(here.key)
+                other = self.about(here.key, blocks, last)
+                if other.level is not near.level:
+                    here = other.at(other.adopted(here.structure), other.level.posterior.sizes)
+                near = other
+                moves = (near.removed, near.added, near.exchanged, near.unexplained)
+                here = next((p for move in moves for p in move(here)[:1] if p.score > here.score), here)
+        return near, here
+
+
+def overlapping(effect: Effect, scope: Sequence[str] | None, structure: Structure) -> list[Addition]:
+    """The same effect on its joints, in some of its groups."""
+    return [
+        a
+        for a in structure
+        if identity(a.effect) == identity(effect) and (not a.scope or scope is None or set(scope) & set(a.scope))
+    ]
+
+
+def _is(c: Candidate, a: Addition) -> bool:
+    return c.key == (a.effect.name, a.effect.joints) and c.scope == a.scope
+
+
+def _distinct(every: Sequence[Predicted]) -> list[Predicted]:
+    """The best of each structure, the most probable first."""
+    best: dict[Key, Predicted] = {}
+    for p in sorted(every, key=lambda p: -p.score):
+        best.setdefault(p.key, p)
+    return list(best.values())

@@ -1,0 +1,236 @@
+"""The search over structures: effects are added, removed and exchanged until no move raises the posterior probability.
+
+Each fit is a linear problem, in which all neighbours of its structure are predicted (`neighbours`); the most probable ones are
+fitted exactly, and the best goes on.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.diagnosis.fitting import Fitted, Fitter, exact
+from rrr_oc.diagnosis.signatures import Table, Tables
+from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
+from rrr_oc.diagnosis.structures.neighbours import Kind, Levels, Neighbours, Predicted, kind, overlapping
+from rrr_oc.effects import Trial
+
+FITTED = 3  # neighbours of a structure by one kind of move that are fitted exactly
+CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted
+
+
+@dataclass
+class State:
+    """A structure that was fitted.
+
+    Attributes:
+        fitted: Its fit.
+        score: Logarithm of its posterior probability, up to a constant.
+    """
+
+    fitted: Fitted
+    score: float
+
+
+def name_of(term: Term) -> tuple:
+    """What a structure is compared by: effect without its range, joints, groups."""
+    return term.effect.without_range(), term.groups
+
+
+@dataclass
+class Search:
+    """One search.
+
+    Attributes:
+        fitter: Fits models.
+        tables: Signatures of what is sought.
+        report: Receives what has just happened and the number of structures that were fitted.
+        most: Kinds of effects that are sought, and how many of each; all if None.
+        visited: Log posterior of each structure that was fitted, by its effects.
+        predicted: The same of the neighbours of the last one.
+        path: The structures that were accepted, one after the other.
+    """
+
+    fitter: Fitter
+    tables: Tables
+    report: Callable[[str, int], None] = lambda *_: None
+    most: Mapping[Kind, int] | None = None
+    visited: dict[Key, float] = field(default_factory=dict)
+    predicted: dict[Key, float] = field(default_factory=dict)
+    path: list[State] = field(default_factory=list)
+    _missed: dict[tuple[str, ...], float] = field(default_factory=dict, repr=False)
+    _short: dict[Key, float] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, fitter: Fitter, trials: Sequence[Trial], report: Callable[[str, int], None] = lambda *_: None) -> "Search":
+        """A search among trials of the catalogue, and black-box terms."""
+        return cls(fitter, Tables(fitter.data.prepared, fitter.data.kept, trials, fitter.view), report)
+
+    def scored(self, fitted: Fitted) -> State:
+        """A fit with the prior probability of its structure."""
+        prior = 0.0
+        for term in fitted.extra:
+            prior += self.fitter.log_prior(term.effect, term.groups or None) + self.fitter.excess(term)[1]
+        score = fitted.log_evidence + prior
+        key = key_of(name_of(t) for t in fitted.extra)
+        self.visited[key] = max(score, self.visited.get(key, -np.inf))
+        return State(fitted, score)
+
+    def run(self, start: Fitted) -> State:
+        """The best structure that the moves reach from a fitted model."""
+        self._missed.clear()
+        self._short.clear()
+        self.path[:] = [self.scored(start)]
+        while (better := self._better(self.path[-1])) is not None:
+            self.path.append(better)
+        return self.path[-1]
+
+    def within(self, most: Mapping[Kind, int], out: Sequence[Term]) -> "Search":
+        """The search among some kinds of effects, of each so many; it remembers the structures without those that are `out`."""
+        gone = {kind(t.effect) for t in out}
+
+        def allowed(structure: Key) -> bool:
+            present = [kind(effect) for effect, *_ in structure]
+            return all(present.count(one) <= most.get(one, 0) for one in gone)
+
+        visited, predicted = (
+            {k: score for k, score in known.items() if allowed(k)} for known in (self.visited, self.predicted)
+        )
+        return replace(self, most=most, visited=visited, predicted=predicted, path=[])
+
+    def without(self, at: State, out: Sequence[Term]) -> State:
+        """The structure without some of its effects."""
+        terms = tuple(t for t in at.fitted.model.terms if not any(t is o for o in out))
+        less = self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior)
+        return self.scored(self.fitter.with_signs(less))
+
+    def worths(self, at: State) -> list[float]:
+        """By how much the log posterior falls without each effect; as fitted where that is known, else as predicted."""
+        near, result = self.neighbours(at.fitted), []
+        here = near.at(near.linear.own, at.fitted.posterior.sizes)
+        for i, own in enumerate(here.structure):
+            less = near.at((*here.structure[:i], *here.structure[i + 1 :]), here.solution.sizes)
+            alone = sum(a.name == own.name for a in here.structure) == 1  # else the key does not say which is left out
+            known = self.visited.get(less.key) if alone else None
+            result.append(here.score - less.score if known is None else at.score - known)
+        return result
+
+    def neighbours(self, fitted: Fitted) -> Neighbours:
+        """What may be in the place of a fit."""
+        linear = Linear.of(self.fitter, fitted)
+        level = Level(linear)
+
+        @cache
+        def exact_arm() -> Neighbours | None:
+            post = fitted.posterior
+            sizes = exact(post.sizes, self.fitter.data.free)
+            if sizes is None:
+                return None
+            return self.neighbours(self.fitter.fit(fitted.model, fitted.links, replace(post, sizes=sizes), fixed=True))
+
+        return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm, self.most)
+
+    @property
+    def levels(self) -> Levels:
+        """The linear problems about all structures that were accepted; what is sought in them is not restricted."""
+        keys, free = [key_of(name_of(t) for t in at.fitted.extra) for at in self.path], replace(self, most=None)
+        tables = [self._tables_of(at.fitted) for at in self.path]
+        return Levels(keys, lambda number: free.neighbours(self.path[number].fitted), tables.__getitem__)
+
+    def _tables_of(self, fitted: Fitted) -> Callable[[int | None], Table]:
+        """The tables at a fit, each made when it is first asked for."""
+        return cache(lambda joint: self.tables.at(fitted.model, joint))
+
+    def _better(self, at: State) -> State | None:
+        """The best neighbour by the first kind of move that has a better one."""
+        near = self.neighbours(at.fitted)
+        here = near.at(near.linear.own, at.fitted.posterior.sizes)
+        self.predicted.clear()
+        exchanged = partial(near.exchanged, skipped=lambda out: self._short.get(out, -np.inf) > at.score)
+        for move in (near.removed, near.added, exchanged, near.unexplained):
+            every = move(here)
+            self._short |= {out: at.score + short for out, short in near.short.items()}
+            self.predicted |= {p.key: at.score + p.score - here.score for p in every}
+            better = self._best(at, here, every)
+            if better is not None:
+                return better
+        return None
+
+    def _best(self, at: State, here: Predicted, every: Sequence[Predicted]) -> State | None:
+        """The best of some neighbours that is better than where the search is, fitted exactly.
+
+        A shape may be better than it is predicted on the grid of its trials. By as much as a change of a structure missed its
+        prediction when it was fitted last, it is expected to miss it again.
+        """
+        best = None
+        hopeful = [p for p in every if p.score - self._missed.get(_change(here, p), 0.0) > here.score - CLOSE * p.is_bent]
+        for p in hopeful[:FITTED]:
+            most = at.score + (1 + SLACK) * (p.score - here.score) + CLOSE
+            several = len({a.name for a in p.structure}) < len(p.structure)  # then the key does not say of which shape
+            if (p.key in self.visited and not several) or (best is not None and most < best.score):
+                continue
+            found = self._fitted(at, p)
+            self._missed[_change(here, p)] = max(at.score + p.score - here.score - found.score, 0.0)
+            if found.score > (at if best is None else best).score:
+                best = found
+        if best is not None:
+            self.report(f"{_said(at.fitted, best.fitted)}: {best.score - at.score:+.1f}", len(self.visited))
+        return best
+
+    def _fitted(self, at: State, p: Predicted) -> State:
+        """A predicted structure, fitted from where it is predicted on."""
+        about = p.linear.fitted
+        model = replace(about.model, terms=terms_of(about, p.structure, self.fitter.data.labels))
+        step = np.zeros(len(self.fitter.prior(model, about.links).mean))
+        plain = sum(len(t.estimates) for t in about.model.terms[: about.base])
+        rest = len(about.links) + len(self.fitter.widths(model))
+        step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
+        model, links = self.fitter.moved(model, about.links, step)
+        return self.scored(self.fitter.with_signs(self.fitter.fit(model, links, at.fitted.posterior)))
+
+
+def terms_of(fitted: Fitted, structure: Structure, labels: Sequence[str]) -> tuple[Term, ...]:
+    """A model's terms with the effects of a structure.
+
+    An effect of some groups beside the same of more has values of its own there.
+    """
+    plain, terms, done = fitted.model.terms[: fitted.base], dict[int, Term](), list[int]()
+    for i, a in enumerate(structure):
+        if isinstance(a.source, Term):
+            terms[i] = a.source
+            continue
+        earlier = structure[:i]
+        same = [] if a.effect.placement == "many" else overlapping(a.effect, a.scope, earlier)
+        if not same:
+            terms[i] = a.source.term
+            continue
+        k = earlier.index(same[0])
+        other, some = terms[k], a.scope or ()
+        terms[k] = replace(other, recordings=(), groups=tuple(g for g in other.groups or labels if g not in some))
+        terms[i] = replace(other, recordings=(), groups=some)
+        done.append(k)
+    return (*plain, *(terms[i] for i in range(len(structure))))
+
+
+def _change(before: Predicted, after: Predicted) -> tuple[str, ...]:
+    """What tells two structures apart, for comparisons."""
+    old, new = ([repr(a.name) for a in p.structure] for p in (before, after))
+    return tuple(sorted((Counter(old) - Counter(new)) + (Counter(new) - Counter(old))))
+
+
+def _said(before: Fitted, after: Fitted) -> str:
+    """The difference of two structures, for a line of progress."""
+    old, new = (dict(zip(numbered(map(name_of, f.extra)), f.extra, strict=True)) for f in (before, after))
+    gone = [described(t, before) for name, t in old.items() if name not in new]
+    more = [described(t, after) for name, t in new.items() if name not in old]
+    said = " and ".join(more) or "without"
+    return said + (" in place of " * bool(more) or " ") + " and ".join(gone) if gone else said
+
+
+def described(term: Term, fitted: Fitted) -> str:
+    """An effect with its joints and groups, for a line of progress."""
+    joints = ", ".join(fitted.model.joints[j] for j in term.effect.joints)
+    return term.effect.name + (f" of {joints}" if joints else "") + (f" in {term.groups}" if term.groups else "")
