@@ -20,6 +20,7 @@ template <class T>
 using In = Eigen::Map<const T>;
 
 constexpr double REGULAR = 1e-12;  // of a diagonal of 1, against a matrix that is singular but for rounding; if need be more
+constexpr double CANCELLED = 1e-13;  // share of a square that rounding may leave where features take all of it
 constexpr double EXACT = 1e-6;  // share of the residual at the start below which no noise is estimated: it would be rounding
 constexpr int TOGETHER = 10;  // steps to bounds in which all that lie wrong change at once; afterwards one by one, which must end
 
@@ -97,7 +98,9 @@ Normal normal(const std::vector<Joint> & joints, const double * sigma, const dou
     const Matrix tx = root.asDiagonal() * In<Matrix>(one.tx, one.features, one.m);
     const Vector ty = root.cwiseProduct(In<Vector>(one.ty, one.features));
     Matrix xx = In<Matrix>(one.xx, one.m, one.m);
+    const Vector rounded = CANCELLED * xx.diagonal();
     xx.noalias() -= tx.transpose() * tx;
+    xx.diagonal() += rounded;
     xx /= sigma2;
     const Vector xy = (In<Vector>(one.xy, one.m) - tx.transpose() * ty) / sigma2;
     for (Index a = 0; a < one.m; ++a)
