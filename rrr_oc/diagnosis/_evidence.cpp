@@ -21,7 +21,7 @@ using In = Eigen::Map<const T>;
 
 constexpr double REGULAR = 1e-12;  // of a diagonal of 1, against a matrix that is singular but for rounding; if need be more
 constexpr double CANCELLED = 1e-13;  // share of a square that rounding may leave where features take all of it
-constexpr double EXACT = 1e-6;  // share of the residual at the start below which no noise is estimated: it would be rounding
+constexpr double LEAST_NOISE = 1e-6;  // share of the residual at the start below which no noise is estimated: it would be rounding
 constexpr int TOGETHER = 10;  // steps to bounds in which all that lie wrong change at once; afterwards one by one, which must end
 
 struct Held
@@ -191,7 +191,7 @@ double update(const std::vector<Joint> & joints, const Normal & n, const Vector 
     const double squares =
       one.yy - 2 * In<Vector>(one.xy, one.m).dot(d) + d.dot(xx * d) - 2 * c.dot(t) + c.dot(values.cwiseProduct(c));
     const double rows = std::max({one.count - used - taken, one.count / 2, 1.0});
-    const double floor = std::max(EXACT * std::sqrt(one.yy / std::max(one.count, 1.0)), 1e-9);
+    const double floor = std::max(LEAST_NOISE * std::sqrt(one.yy / std::max(one.count, 1.0)), 1e-9);
     sizes.sigma[j] = std::max(std::sqrt(std::max(squares, 0.0) / rows), floor);
     sizes.discrepancy[j] = best_size(c.squaredNorm(), used, least);
     change = std::max(change, std::abs(std::log(sizes.sigma[j] / old)) * one.count);

@@ -54,16 +54,16 @@ class Prior:
 
 def joined(base: Prior, scales: np.ndarray) -> Prior:
     """A prior with further parameters about 0, of standard deviations (m,)."""
-    m, inf = len(scales), np.full(len(scales), np.inf)
-    return Prior(
-        np.append(base.mean, np.zeros(m)),
-        np.append(base.precision, scales**-2.0),
-        np.append(base.proper, np.ones(m, bool)),
-        np.append(base.links, np.zeros(m, bool)),
-        np.append(base.lower, -inf),
-        np.append(base.upper, inf),
-        np.append(base.flat, np.zeros(m)),
-    )
+    none, free = np.zeros(len(scales)), np.full(len(scales), np.inf)
+    return extended(base, none, scales**-2.0, none, -free, free)
+
+
+def extended(
+    base: Prior, mean: np.ndarray, precision: np.ndarray, flat: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> Prior:
+    """A prior with further proper parameters, (m,) each."""
+    one = Prior(mean, precision, np.ones(len(mean), bool), np.zeros(len(mean), bool), lower, upper, flat)
+    return Prior(*(np.append(getattr(base, f.name), getattr(one, f.name)) for f in fields(base)))
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,10 @@ class Spectrum:
     values: np.ndarray
     log_det: float
     count: int
+
+    def square(self, y: np.ndarray, t: np.ndarray, sigma: float, discrepancy: float) -> float:
+        """Weighted square yᵀ P y / σ² of a whitened residual (M,), whose products with the orthogonal features are t (F,)."""
+        return float(y @ y - t @ (t / (self.values + (sigma / discrepancy) ** 2))) / sigma**2
 
 
 @dataclass(frozen=True)
@@ -252,10 +256,8 @@ class Posterior(Solution):
         total = 0.0
         for j, one in enumerate(self.joints):
             y = one.white @ residual[j]
-            t = one.along(y)
-            rho = (self.sizes.sigma[j] / self.sizes.discrepancy[j]) ** 2
-            total += (y @ y - t @ (t / (one.values + rho))) / self.sizes.sigma[j] ** 2
-        return float(total)
+            total += one.square(y, one.along(y), self.sizes.sigma[j], self.sizes.discrepancy[j])
+        return total
 
 
 @dataclass(frozen=True)

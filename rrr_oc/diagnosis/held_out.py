@@ -94,7 +94,7 @@ def blocks_of(r: Recording) -> list[np.ndarray]:
 
 def repeated(search: Search, begin: Fitted, stages: Stages) -> list[Fold]:
     """The folds, in which the search is repeated, in the linear problems about its fits, if it found anything."""
-    held, folds = folds_of(search.fitter.data), dict[int, Fold]()
+    held = folds_of(search.fitter.data)
     names = [f"search without part {k} of {len(held)}" for k in range(1, len(held) + 1)]
     saved = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
     missing = [k for k in range(len(held)) if k not in saved]
@@ -104,8 +104,7 @@ def repeated(search: Search, begin: Fitted, stages: Stages) -> list[Fold]:
     for k, fold in parallel.unordered(_fold, calls) if levels else (_fold(*one) for one in calls):
         saved[k] = stages.keep(names[k], FoldData.of(fold))
         stages.progress.count("search without parts", len(saved), len(held), kind="parts")
-    folds = {k: one.fold(stages.start) for k, one in saved.items()}
-    return [folds[k] for k in range(len(held))]
+    return [saved[k].fold(stages.start) for k in range(len(held))]
 
 
 def _found(levels: Levels, held: Sequence[int]) -> tuple[Term, ...]:
@@ -130,11 +129,14 @@ def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) ->
 def _fold(number: int, fitter: Fitter, begin: Fitted, extra: tuple[Term, ...], held: Sequence[int]) -> tuple[int, Fold]:
     """A fold and its number."""
     train, test, plain = _parts(fitter, begin, held)
-    model = plain.model
-    if extra:
-        model = train.fit(replace(plain.model, terms=(*plain.model.terms, *extra)), plain.links, plain.posterior).model
+    model = _with_effects(train, plain, extra) if extra else plain.model
     before = nrmse(test, plain.model)
     return number, Fold(tuple(held), plain.model, model, before, nrmse(test, model) if extra else before)
+
+
+def _with_effects(train: Fitter, plain: Fitted, extra: Sequence[Term]) -> CalibratedModel:
+    """The plain model with some effects, fitted."""
+    return train.fit(replace(plain.model, terms=(*plain.model.terms, *extra)), plain.links, plain.posterior).model
 
 
 def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding]) -> list[Fold]:
@@ -152,7 +154,7 @@ def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Findi
     if not kept:
         return replace(fold, model=fold.plain, after=fold.before)
     train, test, plain = _parts(fitter, begin, fold.held)
-    model = train.fit(replace(plain.model, terms=(*plain.model.terms, *kept)), plain.links, plain.posterior).model
+    model = _with_effects(train, plain, kept)
     return replace(fold, model=model, after=nrmse(test, model))
 
 
@@ -214,8 +216,7 @@ def _density(near: Neighbours, held: Sequence[int], residual: np.ndarray, full: 
         white = joint.white[rows][:, rows]
         y = white @ residual[j]
         t = one.turn.T @ ((white @ near.linear.fitter.data.features[j][rows]).T @ y)
-        rho = (sizes.sigma[j] / sizes.discrepancy[j]) ** 2
-        total -= 0.5 * float(y @ y - t @ (t / (one.spectrum.values + rho))) / sizes.sigma[j] ** 2
+        total -= 0.5 * one.spectrum.square(y, t, sizes.sigma[j], sizes.discrepancy[j])
     return total
 
 

@@ -19,10 +19,10 @@ from rrr_oc.effects import CATALOGUE, BlackBox, Delay, Signals, Trial, View
 from rrr_oc.effects.base import SOUGHT
 from rrr_oc.robot.rigid_body import rigid_body
 
-FEW = 32  # columns that are filtered at once: as many as the processor's cache holds; doubled, it takes longer
+FEW = 32  # columns that are filtered at once; more take more memory, and no less time
 SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
 LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
-SAME = 0.01  # share of the load torque that may change before signatures that depend on it are made anew; doubled, no claim changes
+SAME = 0.01  # share of the load torque by which it may change before signatures that depend on it are made anew
 
 
 def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
@@ -115,11 +115,6 @@ class Along:
     parts: tuple[Prediction, ...]
 
     @cached_property
-    def edges(self) -> np.ndarray:
-        """First sample of each recording, and their number, (R + 1,)."""
-        return np.cumsum([0, *(len(at.recording.t) for at in self.parts)])
-
-    @cached_property
     def signals(self) -> Signals:
         """The signals on which effects of the instant may depend, (n, K) of all recordings."""
         names = ("q", "dq", "ddq", "load", "friction", "time", "payload")
@@ -142,11 +137,11 @@ class Along:
         if alone or effect.side not in ("link", "drive", "sensor"):
             dense = np.concatenate([at.before_sensors(trial) for at in self.parts], axis=2)
             return {j: dense[:, j] for j in np.flatnonzero(dense.any(axis=(0, 2))).tolist()}
-        if effect.side == "sensor":
-            return _torques(trial, replace(self.signals, load=self.true))
-        result = _torques(trial, self.signals)
-        through = {j: -self.through[j] if effect.side == "link" else -1.0 for j in result}
-        return {j: torque * (through[j] / trial.size) for j, torque in result.items() if torque.any()}
+        signals = replace(self.signals, load=self.true) if effect.side == "sensor" else self.signals
+        result = {j: torque for j, torque in _torques(trial, signals).items() if torque.any()}
+        sign = 1.0 if effect.side == "sensor" else -1.0
+        scale = {j: sign * self.through[j] if effect.side == "link" else sign for j in result}
+        return {j: torque * (scale[j] / trial.size) for j, torque in result.items()}
 
 
 def _torques(trial: Trial, signals: Signals) -> dict[int, np.ndarray]:
@@ -283,9 +278,9 @@ class Tables:
         for before, there in known:
             if _alike(before, now):
                 return there
-        known.append((now, self._made(model, joint, known[0][1] if known else None)))
-        del known[joint is None : -1]
-        return known[-1][1]
+        new = self._made(model, joint, known[0][1] if known else None)
+        self._known[joint] = [*(known[:1] if joint is None else []), (now, new)]
+        return new
 
     def _made(self, model: CalibratedModel, joint: int | None, before: Table | None) -> Table:
         if joint is not None:

@@ -2,20 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 
-from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.diagnosis.evidence import Solution
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import Table
+from rrr_oc.diagnosis.structures.linear import Blocks, Candidate, Level, Structure
 from rrr_oc.effects import Trial
-
-if TYPE_CHECKING:
-    from rrr_oc.diagnosis.structures.linear import Blocks, Level, Structure
 
 SHARES = (1.0, 0.85, 0.7, 0.5)  # of the best coefficients, tried until they are within the effect's bounds
 LEAST_SOME = 8.0  # nats that all groups by themselves must gain together for an effect of some groups to be sought
@@ -23,40 +20,6 @@ LEAST_APART = 4.0  # nats: with less, an effect of some groups only is not sough
 FAINT = 8.0  # nats below the best shape of an effect within which another counts
 REGULAR = (1e-12, 1e-10, 1e-8, 1e-6)  # of the mean of a diagonal, against a matrix that is singular but for rounding
 UNIQUE = 1e-7  # share of a signature that the model's parameters do not reproduce, below which it says nothing
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One way to extend a model.
-
-    Attributes:
-        trial: With the best shape.
-        scope: Groups that have the effect; None for all.
-        coefficients: (m,).
-        gain: Gain in the logarithm of the posterior probability, over all shapes.
-        excess: Width of the prior of the coefficients, over their typical scales.
-        log_prior: The part of the gain that is due to the prior odds and to other shapes, without that of this width.
-    """
-
-    trial: Trial
-    scope: tuple[str, ...] | None
-    coefficients: np.ndarray
-    gain: float
-    excess: float
-    log_prior: float
-
-    @property
-    def key(self) -> tuple:
-        """Name and joints of the effect."""
-        return self.trial.effect.name, self.trial.effect.joints
-
-    @property
-    def term(self) -> Term:
-        """The candidate as a term of a model."""
-        effect, groups = self.trial.effect, self.scope or ()
-        theta = effect.combined(self.trial.points, self.coefficients)
-        estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
-        return Term(effect, estimates, self.trial.width, "all" if self.scope is None else (), groups)
 
 
 @dataclass(frozen=True)
@@ -111,36 +74,33 @@ class Screen:
     """The trials of a table beside a structure, all that the structure explains taken off.
 
     Attributes:
-        level, fitter: The products, and the data.
-        table: The trials.
-        groups: For each group the blocks.
-        blocks: All blocks.
+        level: The products.
+        table: The trials, of D columns.
+        labels, groups: The groups, and for each its blocks.
         sigma: Of each joint.
-        covariance: Of the structure's coefficients, (p, p); `ahead`: their step, (p,).
-        share: By how much coefficients change with those of the trials, (G, p, D).
-        through: Of each joint, products with its discrepancy, (F, G, T).
-        half: Products with the structure's coefficients, halved: (p, G, D).
-        right: Slopes (G, D).
+        covariance: H⁻¹, of the structure's coefficients, (p, p); `ahead`: their step, (p,).
+        share: H⁻¹ Cᵀ, by how much these change with the coefficients of the trials, (p, G, D).
+        half: L⁻¹ Cᵀ, where L Lᵀ = H, (p, G, D).
+        through: Of each joint, products with the features of its discrepancy, weighted by it, (F, G, T).
+        right: b of each column, (G, D).
     """
 
-    level: "Level"
-    fitter: Fitter
+    level: Level
     table: Table
     labels: tuple[str, ...]
     groups: list[list[int]]
-    blocks: "Blocks"
     sigma: np.ndarray
     covariance: np.ndarray
     ahead: np.ndarray
     share: np.ndarray
-    through: list[np.ndarray]
     half: np.ndarray
+    through: list[np.ndarray]
     right: np.ndarray
 
     @classmethod
-    def of(cls, level: "Level", table: Table, structure: "Structure", blocks: "Blocks", post: Solution) -> "Screen":
-        fitter, sizes, total = level.linear.fitter, post.sizes, int(table.start[-1])
-        names = fitter.data.groups
+    def of(cls, level: Level, table: Table, structure: Structure, blocks: Blocks, post: Solution) -> "Screen":
+        """Of the trials of a table beside a structure that was solved on some blocks."""
+        sizes, total, names = post.sizes, int(table.start[-1]), level.linear.fitter.data.groups
         labels = tuple(dict.fromkeys(names[b] for b in blocks))
         groups = [[b for b in blocks if names[b] == g] for g in labels]
         count, p = len(post.step), level.p
@@ -168,22 +128,13 @@ class Screen:
         covariance = cho_solve((factor, True), np.eye(count)) / np.outer(scale, scale)
         ahead = covariance @ slope
         right -= np.einsum("p,pgd->gd", ahead, np.moveaxis(cross, 0, 1))
-        share = share.reshape(shape)
-        return cls(
-            level,
-            fitter,
-            table,
-            labels,
-            groups,
-            blocks,
-            sizes.sigma,
-            covariance,
-            ahead,
-            share,
-            through,
-            half.reshape(shape),
-            right,
-        )
+        of_structure = covariance, ahead, share.reshape(shape), half.reshape(shape)
+        return cls(level, table, labels, groups, sizes.sigma, *of_structure, through, right)
+
+    @property
+    def fitter(self) -> Fitter:
+        """The data, and what is believed."""
+        return self.level.linear.fitter
 
     def candidates(self, out: Sequence[int] = (), near: np.ndarray | None = None) -> list[Candidate]:
         """The candidates, largest gain first: each effect at its joints, in all recordings and in its best groups.

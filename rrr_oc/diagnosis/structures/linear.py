@@ -13,16 +13,49 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.diagnosis.evidence import Gram, Prior, Sizes, Solution, Spectrum, estimated, joined, orthogonal
+from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.diagnosis.evidence import Gram, Prior, Sizes, Solution, Spectrum, estimated, extended, joined, orthogonal
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import Table
-from rrr_oc.diagnosis.structures.candidates import Candidate
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Effect, Trial
 
 AS_FITTED = 1e-9  # variance of the share of an effect that is there, about 1
 Blocks = tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One way to extend a model.
+
+    Attributes:
+        trial: With the best shape.
+        scope: Groups that have the effect; None for all.
+        coefficients: (m,).
+        gain: Gain in the logarithm of the posterior probability, over all shapes.
+        excess: Width of the prior of the coefficients, over their typical scales.
+        log_prior: The part of the gain that is due to the prior odds and to other shapes, without that of this width.
+    """
+
+    trial: Trial
+    scope: tuple[str, ...] | None
+    coefficients: np.ndarray
+    gain: float
+    excess: float
+    log_prior: float
+
+    @property
+    def key(self) -> tuple:
+        """Name and joints of the effect."""
+        return self.trial.effect.name, self.trial.effect.joints
+
+    @property
+    def term(self) -> Term:
+        """The candidate as a term of a model."""
+        effect, groups = self.trial.effect, self.scope or ()
+        theta = effect.combined(self.trial.points, self.coefficients)
+        estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
+        return Term(effect, estimates, self.trial.width, "all" if self.scope is None else (), groups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +157,7 @@ class Linear:
         """The prior of all coefficients."""
         prior = self.prior
         for a in structure:
-            prior = joined(prior, np.ones(a.size))
-            prior = replace(
-                prior,
-                mean=np.append(prior.mean[: -a.size], a.mean),
-                precision=np.append(prior.precision[: -a.size], a.precision),
-                flat=np.append(prior.flat[: -a.size], a.flat),
-                lower=np.append(prior.lower[: -a.size], a.lower),
-                upper=np.append(prior.upper[: -a.size], a.upper),
-            )
+            prior = extended(prior, a.mean, a.precision, a.flat, a.lower, a.upper)
         return prior
 
     def candidate(self, table: Table, c: Candidate) -> Addition:
@@ -254,7 +279,7 @@ class Level:
             self._pairs[a, b, j] = self._blockwise(x, y)
         return self._pairs[a, b, j]
 
-    def sums(self, blocks: Blocks) -> list["Sums"]:
+    def sums(self, blocks: Blocks) -> list[Sums]:
         """The products over some blocks, by joint."""
         if blocks not in self._sums:
             result = []
@@ -288,12 +313,8 @@ class Level:
 
     def solved(self, structure: Structure, blocks: Blocks, sizes: Sizes, fixed: bool = False) -> Solution:
         """The posterior of a structure from some blocks; its hyperparameters are estimated, from `sizes` on, or these are `fixed`."""
-        grams, spectra, prior = (
-            self.grams(structure, blocks),
-            [one.spectrum for one in self.sums(blocks)],
-            self.linear.prior_with(structure),
-        )
-        return estimated(grams, spectra, sizes, prior, fixed)
+        spectra = [one.spectrum for one in self.sums(blocks)]
+        return estimated(self.grams(structure, blocks), spectra, sizes, self.linear.prior_with(structure), fixed)
 
     def table(self, table: Table) -> list[TableProducts]:
         """The products of a table, by joint; those of the last two are kept."""

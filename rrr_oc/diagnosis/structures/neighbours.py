@@ -8,13 +8,13 @@ import numpy as np
 from rrr_oc.diagnosis.evidence import Sizes, Solution
 from rrr_oc.diagnosis.fitting import exact
 from rrr_oc.diagnosis.signatures import Table
-from rrr_oc.diagnosis.structures.candidates import Candidate, Screen
-from rrr_oc.diagnosis.structures.linear import Addition, Blocks, Key, Level, Linear, Structure, key_of, numbered
+from rrr_oc.diagnosis.structures.candidates import Screen
+from rrr_oc.diagnosis.structures.linear import Addition, Blocks, Candidate, Key, Level, Linear, Structure, key_of, numbered
 from rrr_oc.effects import Effect
 
-TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew; doubled, more time and no other claim
+TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew
 MOST = 14  # effects at which a search ends
-CHANGED = 10.0  # nats below which an exchange that is predicted at the present hyperparameters is not looked at closer
+HOPELESS = 10.0  # nats below which an exchange that is predicted at the present hyperparameters is not looked at closer
 
 Identity = tuple[str, tuple[int, ...], Effect | None]  # name and joints of an effect, and which, of black-box terms
 Kind = tuple[str, tuple[int, ...]]  # name and joints of an effect; of black-box terms no name, since one stands for another
@@ -67,7 +67,6 @@ class Neighbours:
         exact: The neighbours about the fit of an exact arm; None where it has no other.
         most: Kinds of effects that are sought, and how many of each; all if None.
         more: Additions that are offered beside the tables: effects at their best shapes.
-        short: By how much the best that was sought in the place of some effects fell short, by these [nats].
     """
 
     linear: Linear
@@ -77,7 +76,6 @@ class Neighbours:
     exact: Callable[[], "Neighbours | None"]
     most: Mapping[Kind, int] | None = None
     more: Structure = ()
-    short: dict[Key, float] = field(default_factory=dict, repr=False)
 
     def at(self, structure: Structure, sizes: Sizes, fixed: bool = False) -> Predicted:
         """A structure."""
@@ -110,16 +108,21 @@ class Neighbours:
             every += near._judged(own, near._screen(own, base, None).candidates(), here, None)
         return _distinct(every)
 
-    def exchanged(self, here: Predicted, skipped: Callable[[Key], bool] = lambda _: False) -> list[Predicted]:
-        """With one effect in the place of one or two others, the most probable first; `skipped` says which are left where they are."""
-        own, every = here.structure, []
+    def exchanged(self, here: Predicted, score: float = 0.0, waiting: dict[Key, float] | None = None) -> list[Predicted]:
+        """With one effect in the place of one or two others, the most probable first.
+
+        Args:
+            score: Of the structure, as it is known elsewhere.
+            waiting: Of effects that were sought to be exchanged before, the score from which they are sought again; it is kept up.
+        """
+        own, every, waiting = here.structure, [], {} if waiting is None else waiting
         names = numbered(a.name for a in own)
         pairs = [(i,) for i in range(len(own))]
         pairs += [(i, k) for k in range(len(own)) for i in range(k) if beside(own[i].effect, own[k].effect)]
         screen, table = None, self.tables(None)
         for out in pairs:
             key = frozenset(names[i] for i in out)
-            if skipped(key):
+            if waiting.get(key, -np.inf) > score:
                 continue
             screen = screen or self._screen(own, here, None)
             gone = [own[i] for i in out]
@@ -129,11 +132,10 @@ class Neighbours:
             ends = self.level.p + np.cumsum([0, *(a.size for a in own)])
             numbers = [k for i in out for k in range(ends[i], ends[i + 1])]
             candidates = [c for c in screen.candidates(numbers, near) if not any(_is(c, a) for a in gone)]
-            hopeful = [c for c in candidates if without.score + c.gain > here.score - CHANGED]
+            hopeful = [c for c in candidates if without.score + c.gain > here.score - HOPELESS]
             judged = self._judged(less, hopeful, without, None) + [p for p in self._own(less, without) if p.key != here.key]
-            self.short[key] = here.score - max(
-                [*(p.score for p in judged), *(without.score + c.gain for c in candidates[:1])], default=-np.inf
-            )
+            best = max([*(p.score for p in judged), *(without.score + c.gain for c in candidates[:1])], default=-np.inf)
+            waiting[key] = score + here.score - best
             every += judged
         return _distinct(every)
 

@@ -4,7 +4,6 @@ Each fit is a linear problem, in which all neighbours of its structure are predi
 fitted exactly, and the best goes on.
 """
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -61,8 +60,8 @@ class Search:
     visited: dict[Key, float] = field(default_factory=dict)
     predicted: dict[Key, float] = field(default_factory=dict)
     path: list[State] = field(default_factory=list)
-    _missed: dict[tuple[str, ...], float] = field(default_factory=dict, repr=False)
-    _short: dict[Key, float] = field(default_factory=dict, repr=False)
+    _missed: dict[Key, float] = field(default_factory=dict, repr=False)
+    _waiting: dict[Key, float] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, fitter: Fitter, trials: Sequence[Trial], report: Callable[[str, int], None] = lambda *_: None) -> "Search":
@@ -82,7 +81,7 @@ class Search:
     def run(self, start: Fitted) -> State:
         """The best structure that the moves reach from a fitted model."""
         self._missed.clear()
-        self._short.clear()
+        self._waiting.clear()
         self.path[:] = [self.scored(start)]
         while (better := self._better(self.path[-1])) is not None:
             self.path.append(better)
@@ -149,10 +148,9 @@ class Search:
         near = self.neighbours(at.fitted)
         here = near.at(near.linear.own, at.fitted.posterior.sizes)
         self.predicted.clear()
-        exchanged = partial(near.exchanged, skipped=lambda out: self._short.get(out, -np.inf) > at.score)
+        exchanged = partial(near.exchanged, score=at.score, waiting=self._waiting)
         for move in (near.removed, near.added, exchanged, near.unexplained):
             every = move(here)
-            self._short |= {out: at.score + short for out, short in near.short.items()}
             self.predicted |= {p.key: at.score + p.score - here.score for p in every}
             better = self._best(at, here, every)
             if better is not None:
@@ -166,14 +164,14 @@ class Search:
         prediction when it was fitted last, it is expected to miss it again.
         """
         best = None
-        hopeful = [p for p in every if p.score - self._missed.get(_change(here, p), 0.0) > here.score - CLOSE * p.is_bent]
+        hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_bent]
         for p in hopeful[:FITTED]:
             most = at.score + (1 + SLACK) * (p.score - here.score) + CLOSE
             several = len({a.name for a in p.structure}) < len(p.structure)  # then the key does not say of which shape
             if (p.key in self.visited and not several) or (best is not None and most < best.score):
                 continue
             found = self._fitted(at, p)
-            self._missed[_change(here, p)] = max(at.score + p.score - here.score - found.score, 0.0)
+            self._missed[here.key ^ p.key] = max(at.score + p.score - here.score - found.score, 0.0)
             if found.score > (at if best is None else best).score:
                 best = found
         if best is not None:
@@ -197,28 +195,21 @@ def terms_of(fitted: Fitted, structure: Structure, labels: Sequence[str]) -> tup
 
     An effect of some groups beside the same of more has values of its own there.
     """
-    plain, terms, done = fitted.model.terms[: fitted.base], dict[int, Term](), list[int]()
+    plain, terms = fitted.model.terms[: fitted.base], list[Term]()
     for i, a in enumerate(structure):
         if isinstance(a.source, Term):
-            terms[i] = a.source
+            terms.append(a.source)
             continue
         earlier = structure[:i]
         same = [] if a.effect.placement == "many" else overlapping(a.effect, a.scope, earlier)
         if not same:
-            terms[i] = a.source.term
+            terms.append(a.source.term)
             continue
         k = earlier.index(same[0])
         other, some = terms[k], a.scope or ()
         terms[k] = replace(other, recordings=(), groups=tuple(g for g in other.groups or labels if g not in some))
-        terms[i] = replace(other, recordings=(), groups=some)
-        done.append(k)
-    return (*plain, *(terms[i] for i in range(len(structure))))
-
-
-def _change(before: Predicted, after: Predicted) -> tuple[str, ...]:
-    """What tells two structures apart, for comparisons."""
-    old, new = ([repr(a.name) for a in p.structure] for p in (before, after))
-    return tuple(sorted((Counter(old) - Counter(new)) + (Counter(new) - Counter(old))))
+        terms.append(replace(other, recordings=(), groups=some))
+    return (*plain, *terms)
 
 
 def _said(before: Fitted, after: Fitted) -> str:
