@@ -91,7 +91,7 @@ def fit_terms(recordings: RecordingSet, prepared: Sequence[Prepared], start: Cal
     at = _minimum(prepared, TermPoint(start, checked_rows(recordings, prepared, start)))
     prepared = without_spikes(prepared, at.model)
     at = _minimum(prepared, TermPoint(at.model, with_residuals(at.rows, prepared, at.model)))
-    at = _in_sharper_forms(prepared, at)
+    at = _in_other_forms(prepared, at)
     for _ in range(WIDTH_STEPS):
         model = with_step_of_widths(at.rows, prepared, at.model)
         if model is at.model or (better := _better(prepared, at, model)) is None:
@@ -111,16 +111,14 @@ def _minimum(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
     return minimum(prepared, at, OPTIONS)
 
 
-def _in_sharper_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
-    """The point with each effect in the sharper form of least residual, where that is significantly better than its own."""
-    for i in range(len(at.model.terms)):
-        best, model, own = at, at.model, at.model.terms[i].effect
-        effect = own.sharper() if isinstance(own, MovesLink) else None
-        while effect is not None:
-            terms = (*model.terms[:i], replace(best.model.terms[i], effect=effect), *model.terms[i + 1 :])
-            if (better := _better(prepared, best, replace(model, terms=terms))) is None:
-                break
-            best, effect = better, effect.sharper()
+def _in_other_forms(prepared: Sequence[Prepared], at: TermPoint) -> TermPoint:
+    """The point with each effect in the form of least residual, where that is significantly better than its own."""
+    for i, term in enumerate(at.model.terms):
+        best, model, own = at, at.model, term.effect
+        for effect, theta in own.starts(term.named) if isinstance(own, MovesLink) else ():
+            other = replace(term, effect=effect).with_values(np.array([theta[p.name] for p in effect.parameters]))
+            there = (*model.terms[:i], other, *model.terms[i + 1 :])
+            best = _better(prepared, best, replace(model, terms=there)) or best
         counts = at.rows.moving.sum(axis=1) * STRIDE / CORRELATION
         if 2 * counts @ np.log(at.rows.deviation() / best.rows.deviation()) > LEAST_GAIN:
             at = best

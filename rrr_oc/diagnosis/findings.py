@@ -20,6 +20,16 @@ Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it i
 
 
 @dataclass(frozen=True)
+class Fall:
+    """By how much an effect lowers the held-out rms of a joint, as a share of what it is without it, and its 95 % interval."""
+
+    joint: int
+    share: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class Finding:
     """An effect that the plain model lacks.
 
@@ -31,6 +41,7 @@ class Finding:
         p_value: Of its amplitudes being 0 (Wald's test).
         rivals: Names and joints of effects that may be present in its place.
         prior: What was believed of it before: its declared or given prior with the probability that it has on this arm.
+        fall: Its size on held-out data.
     """
 
     term: Term
@@ -40,6 +51,7 @@ class Finding:
     p_value: float
     rivals: tuple[Key, ...] = ()
     prior: Prior | None = None
+    fall: Fall | None = None
 
     @property
     def key(self) -> Key:

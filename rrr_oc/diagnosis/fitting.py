@@ -14,7 +14,7 @@ from rrr_oc.calibration.term_fit import bounds, with_parameter_values
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.evidence import Posterior, Prior, Sizes, Start, solve
 from rrr_oc.diagnosis.knobs import EXCESS
-from rrr_oc.effects import Effect, Trial, View
+from rrr_oc.effects import Effect, MovesLink, Trial, View
 from rrr_oc.effects.priors import Priors
 
 STEPS = 10  # most steps of Gauss–Newton
@@ -171,6 +171,16 @@ class Fitter:
                 found = data.rows(model)
                 columns = self.columns(model, links, found)
         assert best is not None
+        return best
+
+    def restarted(self, fitted: Fitted, i: int) -> Fitted:
+        """The most probable of a fit and of those from other starts of one of the added effects, by its number."""
+        k, best, (effect, named) = fitted.base + i, fitted, (fitted.extra[i].effect, fitted.extra[i].named)
+        for other, theta in effect.starts(named) if isinstance(effect, MovesLink) else ():
+            term = replace(fitted.extra[i], effect=other).with_values(np.array([theta[p.name] for p in other.parameters]))
+            terms = (*fitted.model.terms[:k], term, *fitted.model.terms[k + 1 :])
+            new = self.fit(replace(fitted.model, terms=terms), fitted.links, fitted.posterior)
+            best = max(best, new, key=lambda f: f.log_evidence)
         return best
 
     def with_signs(self, fitted: Fitted) -> Fitted:

@@ -18,9 +18,8 @@ from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted, Fitter
-from rrr_oc.diagnosis.knobs import ABSORBED
 from rrr_oc.diagnosis.structures.linear import Structure
-from rrr_oc.diagnosis.structures.neighbours import Levels, Neighbours, Predicted
+from rrr_oc.diagnosis.structures.neighbours import Levels, Neighbours
 from rrr_oc.diagnosis.structures.search import Search, terms_of
 from rrr_oc.effects import Effect
 from rrr_oc.errors import reason
@@ -41,21 +40,13 @@ LEAST_RECORDINGS = 3  # for a bootstrap interval
 
 @dataclass(frozen=True)
 class Check:
-    """What each of some effects contributes on held-out recordings, all fitted to the rest.
+    """How well held-out recordings are predicted with the first 0, 1, … of some effects, fitted to the rest.
 
     Attributes:
-        gains: Fall of the negative log predictive density with the effect, beside all others [nats]; NaN where the held-out
-            recordings or the rest lack it, or where the model without it predicts nearly the same.
-        falls: Fall of each joint's squared residual over what remains with all effects, likewise, (effects, n); NaN where it does
-            not act.
-        again: Whether the rest alone supports it (its posterior odds are above 1); NaN where the rest lacks it.
-        squares: Squared residual of each joint, over the same, with the first 0, 1, … effects, (effects + 1, n).
-        errors: NRMSE of each of these models, (effects + 1, number held out, n).
+        squares: Squared residual of each joint over what remains with all, (effects + 1, n).
+        errors: NRMSE, (effects + 1, number held out, n).
     """
 
-    gains: np.ndarray
-    falls: np.ndarray
-    again: np.ndarray
     squares: np.ndarray
     errors: np.ndarray
 
@@ -166,58 +157,16 @@ def checked(near: Neighbours, findings: Sequence[Finding]) -> list[Check]:
 
 
 def _check(near: Neighbours, effects: Structure, held: Sequence[int]) -> Check:
-    linear, data = near.linear, near.linear.fitter.data
+    data, edges = near.linear.fitter.data, near.level.edges
     rest = replace(near, blocks=tuple(k for k in near.level.whole if k not in held))
-    names = [set(a.scope or data.labels) for a in effects]
-    here, there = ([bool(name & {data.groups[k] for k in some}) for name in names] for some in (rest.blocks, held))
-    every, count = [k for k in range(len(effects)) if here[k]], len(effects)
-    rows = np.concatenate([np.arange(data.edges[k], data.edges[k + 1]) for k in held])
-    solved: dict[tuple[int, ...], Predicted] = {}
-
-    def fit(which: Sequence[int]) -> Predicted:
-        key = tuple(which)
-        if key not in solved:
-            solved[key] = rest.at(tuple(effects[k] for k in which), near.level.posterior.sizes)
-        return solved[key]
-
-    def left(p: Predicted) -> np.ndarray:
-        columns = np.concatenate([linear.columns[:, rows], *(a.columns[:, rows] for a in p.structure)], axis=2)
-        return linear.residual[:, rows] - np.einsum("jkp,p->jk", columns, p.solution.step, optimize=True)
-
-    nested = [fit([i for i in every if i < k]) for k in range(count + 1)]
-    full = nested[-1]
-    rest_of_full = left(full)
-    weights = 1 / np.maximum(np.sum(rest_of_full**2, axis=1), 1e-12)
-    gains, again, falls = np.full(count, np.nan), np.full(count, np.nan), np.full((count, data.n), np.nan)
-    at = near.level.p
-    for k in every:
-        at, mine = at + effects[k].size, full.solution.step[at : at + effects[k].size]
-        less = fit([i for i in every if i != k])
-        again[k] = full.score > less.score
-        own, without = acts_on(effects[k].effect, data.n), left(less)
-        whole = np.einsum("jkm,m->jk", effects[k].columns[:, rows], mine)
-        absorbed = np.sum(weights * np.sum((without - rest_of_full) ** 2, axis=1)) < ABSORBED * np.sum(
-            weights * np.sum(whole**2, axis=1)
-        )
-        if there[k] and not absorbed:
-            gains[k] = _density(near, held, rest_of_full, full) - _density(near, held, without, full)
-            falls[k, own] = (weights * (np.sum(without**2, axis=1) - np.sum(rest_of_full**2, axis=1)))[own]
-    residuals = [left(p) for p in nested]
+    groups = {data.groups[k] for k in rest.blocks}
+    rows, residuals = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in held]), []
+    for k in range(len(effects) + 1):
+        seen = tuple(a for a in effects[:k] if groups & set(a.scope or data.labels))
+        residuals.append(near.linear.left(seen, rest.at(seen, near.level.posterior.sizes).solution.step, rows))
+    weights = 1 / np.maximum(np.sum(residuals[-1] ** 2, axis=1), 1e-12)
     squares = np.array([weights * np.sum(r**2, axis=1) for r in residuals])
-    return Check(gains, falls, again, squares, np.array([_errors(data, held, r) for r in residuals]))
-
-
-def _density(near: Neighbours, held: Sequence[int], residual: np.ndarray, full: Predicted) -> float:
-    """Log predictive density of recordings up to a constant, with the noise and discrepancy of a full model."""
-    level, sizes, total = near.level, full.solution.sizes, 0.0
-    edges = level.edges
-    rows = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in held])
-    for j, (joint, one) in enumerate(zip(level.posterior.joints, level.sums(tuple(held)), strict=True)):
-        white = joint.white[rows][:, rows]
-        y = white @ residual[j]
-        t = one.turn.T @ ((white @ near.linear.fitter.data.features[j][rows]).T @ y)
-        total -= 0.5 * one.spectrum.square(y, t, sizes.sigma[j], sizes.discrepancy[j])
-    return total
+    return Check(squares, np.array([_errors(data, held, r) for r in residuals]))
 
 
 def _errors(data: Data, held: Sequence[int], residual: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ INERTIA_ERROR = 0.05
 CLAIM = 0.95
 # Share of a joint's torque below which an effect is too small to matter and is not claimed; 0 claims effects of any size.
 NEGLIGIBLE = 0.0003
-# Share of an effect's squared torque that the model without it must fail to predict, for a prediction to tell; with 0 it always does.
-ABSORBED = 0.01
+# Share by which an effect must lower the held-out error of a joint; with less it is small, and not claimed; doubled, less is claimed.
+MATTERS = 0.02
 # By how much effects exceed their typical size, and in which share of arms; with smaller factors, large effects are taken for others.
 EXCESS = {1.0: 0.7, 4.0: 0.25, 16.0: 0.05}

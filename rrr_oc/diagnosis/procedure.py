@@ -17,6 +17,7 @@ from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_spikes
 from rrr_oc.calibration.term_fit import bounds
 from rrr_oc.diagnosis.data import Data
+from rrr_oc.diagnosis.effect_size import sized
 from rrr_oc.diagnosis.files.stages import (
     SHARES,
     FindingData,
@@ -34,7 +35,7 @@ from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse,
 from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
 from rrr_oc.diagnosis.signatures import trials, view
-from rrr_oc.diagnosis.structures.neighbours import Kind, beside, kind
+from rrr_oc.diagnosis.structures.neighbours import Kind, kind
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
@@ -59,9 +60,10 @@ class Diagnosis:
         recordings: The set.
         plain, model: Without and with the effects that are claimed, fitted to all recordings.
         findings: The effects and black-box terms that are claimed, most important first.
+        small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         possible: What may be present but is not claimed.
-        refuted: What all recordings together make probable but held-out ones do not confirm.
-        shares: Contribution of each finding on held-out recordings.
+        refuted: What all recordings together make probable, but not most of them, or what raises the error.
+        shares: Contribution of each finding, and of what is small, on held-out recordings.
         calibration: NRMSE of each joint with the plain and the extended model on all recordings, two of (n,).
         held_out: The same on recordings that took part in no fit and no selection.
         way: "recordings" or "blocks": what was held out.
@@ -77,6 +79,7 @@ class Diagnosis:
     plain: CalibratedModel
     model: CalibratedModel
     findings: tuple[Finding, ...]
+    small: tuple[Finding, ...]
     possible: tuple[Possible, ...]
     refuted: tuple[Finding, ...]
     shares: "Shares"
@@ -107,13 +110,11 @@ class Shares:
     Attributes:
         share: Fall of the squared residual when the effect is added, relative to the plain model's squared residual.
         before, after: Mean NRMSE of the joints whose torque it changes, without and with it.
-        gain: Fall of the negative log predictive density with it, beside all others [nats]; NaN where it cannot be measured.
     """
 
     share: tuple[float, ...] = ()
     before: tuple[float, ...] = ()
     after: tuple[float, ...] = ()
-    gain: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, checks: Sequence[Check], findings: Sequence[Finding], n: int) -> "Shares":
@@ -121,12 +122,10 @@ class Shares:
         total = np.sum([c.squares for c in checks], axis=(0, 2))
         errors = [mean_nrmse(np.concatenate([c.errors[k] for c in checks])) for k in range(len(findings) + 1)]
         joints = [acts_on(f.term.effect, n) for f in findings]
-        gains = np.array([c.gains for c in checks]).reshape(len(checks), -1)
         return cls(
             tuple(float((total[k] - total[k + 1]) / max(total[0], 1e-300)) for k in range(len(findings))),
             tuple(float(np.nanmean(errors[k][j])) for k, j in enumerate(joints)),
             tuple(float(np.nanmean(errors[k + 1][j])) for k, j in enumerate(joints)),
-            tuple(float(np.nansum(g)) if np.isfinite(g).any() else float("nan") for g in gains.T),
         )
 
 
@@ -158,32 +157,29 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     findings, possible = found(search, at)
     parts = [p.recording for p in fitter.data.prepared]
     searched = repeated(search, begin, stages)
-    most, out = stable(findings, parts, searched)
-    refuted: list[Finding] = []
-    while True:
-        if out:
-            refuted += out
-            gone = [f.term for f in out]
-            at = search.without(at, gone)
-            search = search.within(most, gone)
-            at = search.run(at.fitted)
-            findings, possible = found(search, at)
-        stages.progress.tell("held-out check", 0.2 + 0.5 * bool(refuted), f"effects checked: {len(findings)}")
-        checks = checked(search.neighbours(at.fitted), findings)
-        folds = with_claims(fitter, begin, searched, findings)
-        predicted = [f for k, f in enumerate(findings) if any(np.isfinite(c.gains[k]) for c in checks)]
-        out = unconfirmed(findings, checks) or worse(predicted, parts, folds)
-        if not out:
-            break
-        kinds = Counter(kind(f.term.effect) for f in findings if f not in out)
-        most |= {one: kinds[one] for one in (kind(f.term.effect) for f in out)}
+    most, unstable = stable(findings, parts, searched)
+    if unstable:
+        gone = [f.term for f in unstable]
+        at, search = search.without(at, gone), search.within(most, gone)
+        at = search.run(at.fitted)
+        findings, possible = found(search, at)
+    stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
+    near = search.neighbours(at.fitted)
+    findings, small = sized(near, findings)
+    refuted, small = (
+        [*unstable, *(f for f in small if f.fall and f.fall.high <= 0)],
+        [f for f in small if f.fall and f.fall.high > 0],
+    )
+    checks = checked(near, [*findings, *small])
+    folds = with_claims(fitter, begin, searched, findings)
     kept = tuple(f.term for f in findings)
     final = at.fitted if kept else begin
     if kept and kept != at.fitted.extra:  # some are missing, or in another order
         model = replace(at.fitted.model, terms=(*at.fitted.model.terms[: at.fitted.base], *kept))
         final = fitter.fit(model, at.fitted.links, at.fitted.posterior)
+    small = [replace(f, term=term_of(at.fitted, f)) for f in small]
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
-    return _assembled(recordings, whole, fitter, (begin, final), (findings, possible, tuple(refuted)), (way, checks, folds))
+    return _assembled(recordings, whole, fitter, (begin, final), (findings, small, possible, refuted), (way, checks, folds))
 
 
 def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: Stages) -> tuple[Search, State]:
@@ -266,53 +262,8 @@ def stable(
     return {one: max(kept[one], sorted((c[one] for c in counts), reverse=True)[often]) for one in kinds}, out
 
 
-def unconfirmed(findings: Sequence[Finding], checks: Sequence[Check]) -> list[Finding]:
-    """Effects that the rest alone does not support or that do not predict held-out recordings better, the least confirmed first.
-
-    Of those on a common joint only the first, since the others may be confirmed without it. Better: with a higher probability
-    density beside all others, and on one of its joints with a smaller squared error beside all others and beside the more important
-    ones alone; none of these implies another. What no part can tell is confirmed.
-    """
-    found: list[tuple[float, Finding]] = []
-    for k, finding in enumerate(findings):
-        gains, again = np.array([[c.gains[k], c.again[k]] for c in checks]).T
-        falls = np.array([c.falls[k] for c in checks])  # (parts, n)
-        first = np.where(np.isfinite(falls), [c.squares[k] - c.squares[k + 1] for c in checks], np.nan)
-        smaller = (np.nansum(falls, axis=0) > 0) & (np.nansum(first, axis=0) > 0)
-        better = not np.isfinite(gains).any() or (float(np.nansum(gains)) > 0.0 and bool(smaller.any()))
-        seen = float(np.nanmean(again)) if np.isfinite(again).any() else 1.0
-        if not better or seen < OFTEN:
-            found.append((seen + float(np.nansum(falls)), finding))
-    result: list[Finding] = []
-    for _, finding in sorted(found, key=lambda f: f[0]):
-        if not any(beside(finding.term.effect, other.term.effect) for other in result):
-            result.append(finding)
-    return result
-
-
-def worse(findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequence[Fold]) -> list[Finding]:
-    """Effects on joints of none of which the folds predict held-out recordings that have them better, most of them and in the mean.
-
-    Neither implies the other: a few recordings can make a mean smaller, and many small gains hide a large loss.
-    """
-    out = []
-    for f in findings:
-        there = np.array([f.term.holds_for(r) for r in parts])
-        could = [fold for fold in folds if np.any(np.delete(there, fold.held)) and np.any(there[list(fold.held)])]
-        if not could:
-            continue
-        before, after = (
-            np.concatenate([getattr(fold, key)[there[list(fold.held)]] for fold in could]) for key in ("before", "after")
-        )
-        most = np.sum(after < before, axis=0) > np.sum(after > before, axis=0)
-        better = most & (mean_nrmse(after) < mean_nrmse(before))
-        if not np.any(better[acts_on(f.term.effect, len(better))]):
-            out.append(f)
-    return out
-
-
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
-    (begin, final), (findings, possible, refuted), (way, checks, folds) = fits, told, check
+    (begin, final), (findings, small, possible, refuted), (way, checks, folds) = fits, told, check
     plain = finished(recordings, whole, described(begin), {"way": "posterior"}, perf_counter())
     model = finished(recordings, whole, described(final), {"way": "posterior"}, perf_counter()) if findings else plain
     findings = [replace(f, term=t) for f, t in zip(findings, model.terms[final.base :], strict=True)]
@@ -322,13 +273,14 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         folds = [replace(f, model=f.plain, after=f.before) for f in folds]
     left = above_noise(fitter.data, final)
     calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
-    shares, failed = Shares.of(checks, findings, fitter.data.n) if findings else Shares(), dict[str, str]()
+    shares, failed = Shares.of(checks, [*findings, *small], fitter.data.n), dict[str, str]()
     with noted(failed, "suggested recordings"):
         suggestions = suggest(recordings, plain, findings, bool(np.any(left > FAR)), fitter.view)
     return ResultData(
         ModelData.of(plain),
         ModelData.of(model),
         [FindingData.of(f, model.robot) for f in findings],
+        [FindingData.of(f, model.robot) for f in small],
         possible,
         [FindingData.of(f, model.robot) for f in refuted],
         numbers(getattr(shares, f.name) for f in fields(Shares)),
@@ -347,13 +299,15 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
 def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Diagnosis:
     """A result with its recordings."""
     plain, model = data.plain.model(stages.start), data.model.model(stages.start)
-    findings, refuted = (tuple(f.finding(model.robot) for f in some) for some in (data.findings, data.refuted))
+    told = data.findings, data.small, data.refuted
+    findings, small, refuted = (tuple(f.finding(model.robot) for f in some) for some in told)
     calibration, held_out = ((np.array(x[0], float), np.array(x[1], float)) for x in (data.calibration, data.held_out))
     return Diagnosis(
         recordings,
         plain,
         model,
         findings,
+        small,
         tuple(data.possible),
         refuted,
         Shares(*(tuple(np.array(x, float).tolist()) for x in data.shares)),
@@ -386,6 +340,12 @@ def described(fitted: Fitted) -> CalibratedModel:
             at += 1
         terms.append(canonical(replace(term, estimates=tuple(estimates))))
     return replace(model, terms=tuple(terms))
+
+
+def term_of(fitted: Fitted, finding: Finding) -> Term:
+    """A finding's term with standard errors and intervals from a fit that has it."""
+    number = next(i for i, t in enumerate(fitted.model.terms) if t is finding.term)
+    return described(fitted).terms[number]
 
 
 def canonical(term: Term) -> Term:

@@ -117,13 +117,9 @@ class MovesLink(Effect):
         """Change of `motion` by an initial deviation of 1 rad and of 1 rad/s, (2, 3, K), to first order; empty where it is known."""
         return np.zeros((0, 3, len(t)))
 
-    def sharper(self) -> "MovesLink | None":
-        """The effect with the next sharper form of its law, tried while it lowers the residual; None beyond the last."""
-        return None
-
     def starts(self, theta: dict[str, float]) -> Iterator[tuple["MovesLink", dict[str, float]]]:
-        """Forms of the effect on the same joints, and parameters, from which a fit begins."""
-        yield self, theta
+        """Other forms of the effect on the same joints, and parameters, from which a fit may end higher than from a fit's own."""
+        yield from ()
 
 
 class NativeTwin(Effect):

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rrr_oc.diagnosis.findings import LESS_PROBABLE
-from rrr_oc.diagnosis.knobs import CLAIM
+from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.words import default_sentence, joint_words, listed, read, words
 
@@ -127,7 +127,15 @@ def told_apart(found: Mapping[str, Any], names: Sequence[str]) -> str:
 
 def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """The findings as a table: its header, and a row for each effect."""
-    header = ["what is missing", "recordings", "probability", "error held out without it", "with it", "gain [nats]", "as good"]
+    header = [
+        "what is missing",
+        "recordings",
+        "probability",
+        "error held out without it",
+        "with it",
+        "lowers the error of",
+        "as good",
+    ]
     body = []
     for e in found["effects"]:
         without, having = (e["nrmse"][key] for key in ("held_out_before", "held_out_after"))
@@ -137,7 +145,7 @@ def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
                 ", ".join(some_recordings(e)) or "all",
                 percent(e["probability"]),
                 *("–" if x is None else f"{x:.1%}" for x in (without, having)),
-                gain(e["held_out_gain_nats"]),
+                lowered(e["lowers_error"]),
                 ", ".join(rivals(e)) or "nothing",
             ]
         )
@@ -176,14 +184,17 @@ def on_prior(found: Mapping[str, Any]) -> list[str]:
 
 
 def not_claimed(found: Mapping[str, Any]) -> list[str]:
-    """A sentence each on what is possible and on what held-out recordings do not confirm; none where there is nothing to say."""
+    """A sentence each on what is small, what is possible and what is not confirmed; none where there is nothing to say."""
     result = []
+    if found.get("small"):
+        named = ", ".join(f"{placed(e)} (that of {lowered(e['lowers_error'])})" for e in found["small"])
+        result.append(f"Sure, but not sure to lower any joint's error by {MATTERS:.0%}, and not in the model: {named}.")
     if found.get("possible"):
         result.append(f"Possible, not claimed (below {CLAIM:.0%}): {_listed(found['possible'])}.")
     if found.get("not_confirmed"):
         result.append(
-            f"Not confirmed on held-out recordings, not claimed: {_listed(found['not_confirmed'])}. All recordings together make it "
-            "probable, but without some of them it is not found, or predicts those no better."
+            f"Not confirmed, not claimed: {_listed(found['not_confirmed'])}. All recordings together make it probable, but without some of "
+            "them it is not found, or it raises the error of what it was not fitted to."
         )
     return result
 
@@ -209,9 +220,10 @@ def percent(probability: float) -> str:
     return f"{probability:.1%}" if probability > CLAIM else f"{probability:.0%}"
 
 
-def gain(nats: float | None) -> str:
-    """A gain in nats."""
-    return "–" if nats is None else f"{nats:+.0f}" if abs(nats) >= 10 else f"{nats:+.1f}"
+def lowered(size: Mapping[str, Any]) -> str:
+    """By how much an effect lowers the error of a joint, with its interval."""
+    between = "" if size["interval"] is None else " ({:.1f} to {:.1f})".format(*(100 * x for x in size["interval"]))
+    return f"{joint_words(size['joint'])} by {100 * size['share']:.1f} %{between}"
 
 
 def rivals(e: Mapping[str, Any]) -> list[str]:

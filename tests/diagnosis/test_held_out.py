@@ -14,7 +14,7 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, stable, unconfirmed, worse
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares, stable
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
@@ -30,13 +30,6 @@ STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 def fold(k: int, models, errors) -> Fold:
     """A fold that holds out recording k."""
     return Fold((k,), *models, *errors)
-
-
-def check(gains, again, falls=None) -> Check:
-    """A check of effects; squared errors fall where densities rise unless they are given."""
-    falls = np.array(gains if falls is None else falls).reshape(len(gains), -1)  # (effects, joints)
-    squares = 10.0 - np.concatenate([0.0 * falls[:1], np.cumsum(np.nan_to_num(falls), axis=0)])
-    return Check(np.array(gains), falls, np.array(again), squares, 0 * squares)
 
 
 def finding(effect) -> Finding:
@@ -63,7 +56,7 @@ def diagnosis() -> Diagnosis:
     folds = tuple(fold(k, (plain, model), (before[k : k + 1], after[k : k + 1])) for k in range(3))
     none = np.zeros(3)
     return Diagnosis(
-        recordings, plain, model, (), (), (), Shares(), (none, none), (none, none), "recordings", (), (), folds, (0.0,) * 3
+        recordings, plain, model, (), (), (), (), Shares(), (none, none), (none, none), "recordings", (), (), folds, (0.0,) * 3
     )
 
 
@@ -166,50 +159,6 @@ def test_a_twin_that_diverges_on_a_recording_gives_no_mean():
     assert _means([{"a.csv": good}, {"b.csv": bad}], ["joint1"]) == {"why_not": "it diverges while it follows b.csv"}
 
 
-@pytest.mark.parametrize(
-    ("gains", "again", "confirmed"),
-    [
-        ((3.0, -1.0), (1, 1), True),  # better on the whole
-        ((1.0, -3.0), (1, 1), False),  # worse on the whole
-        ((3.0, 3.0, 3.0), (1, 0, 0), False),  # not found again by most
-        ((3.0, 3.0), (1, 0), True),  # by half
-        ((np.nan, 2.0), (np.nan, 1), True),  # one fold cannot tell
-        ((np.nan, 2.0), (0, 0), False),
-        ((np.nan, np.nan), (np.nan, np.nan), True),  # of one recording only: nothing can tell
-    ],
-)
-def test_an_effect_is_confirmed_that_is_found_again_and_predicts_better(gains, again, confirmed):
-    """The second of two effects on different joints; the first is never confirmed."""
-    checks = [check((-1.0, g), (0.0, a)) for g, a in zip(gains, again, strict=True)]
-    first, second = finding(ParallelSpring((0,))), finding(ParallelSpring((1,)))
-    assert unconfirmed([first, second], checks) == ([first] if confirmed else [first, second])
-
-
-def test_an_effect_that_raises_the_density_but_also_the_error_is_not_confirmed():
-    one = finding(ParallelSpring((0,)))
-
-    def refuted(*falls):
-        return unconfirmed([one], [check((300.0,), (1.0,), (f,)) for f in falls])
-
-    assert not refuted(-0.5, 0.6)
-    assert refuted(-0.5, 0.4)
-    assert not refuted(np.nan, 0.4)
-
-
-def test_an_effect_of_several_joints_is_confirmed_by_one_of_them():
-    """Another joint may be far from the noise for other reasons."""
-    one = finding(GravityTilt(()))
-    assert not unconfirmed([one], [check((30.0,), (1.0,), ((-5.0, 0.1),))] * 2)
-    assert unconfirmed([one], [check((30.0,), (1.0,), ((-5.0, -0.1),))] * 2)
-
-
-def test_of_effects_on_a_joint_the_least_confirmed_is_refuted_first():
-    """The other one may be confirmed without it."""
-    some = [finding(ParallelSpring((0,))), finding(GravityTilt(())), finding(ParallelSpring((1,)))]
-    checks = [check((1.0, -1.0, -1.0), (1.0, 0.0, 0.4))] * 2
-    assert unconfirmed(some, checks) == [some[1]]
-
-
 def searched(k: int, effects, before=0.3, after=0.2, n=2) -> Fold:
     """A fold that holds out recording k and in which a search finds effects."""
     plain = SimpleNamespace(terms=())
@@ -256,38 +205,13 @@ def test_what_may_be_in_its_place_stands_for_an_effect_that_is_sought_again():
 
 
 def test_an_effect_of_one_recording_only_is_judged_by_the_others_searches():
-    """No held-out error tells of it: the other recordings lack it, and without the one it cannot be found."""
+    """Without the one recording it cannot be found."""
     spring = ParallelSpring((0,))
     one = finding(spring)
     one = replace(one, term=replace(one.term, recordings=(), groups=("b",)))
     folds = [searched(k, [] if k == 1 else [spring], after=0.9) for k in range(3)]
     assert stable([one], parts(*"abc"), folds)[1] == []
-    assert worse([one], parts(*"abc"), folds) == []
     assert stable([one], parts(*"abc"), [searched(k, []) for k in range(3)])[1] == [one]
-
-
-@pytest.mark.parametrize(
-    ("after", "confirmed"),
-    [
-        ((0.2, 0.2, 0.2), True),
-        ((0.2, 0.2, 0.4), True),
-        ((0.2, 0.2, 0.9), False),  # the mean is worse
-        ((0.4, 0.4, 0.0), False),  # most are worse
-        ((0.3, 0.3, 0.3), False),
-    ],
-)
-def test_an_effect_is_claimed_that_predicts_most_recordings_and_their_mean_better(after, confirmed):
-    spring = ParallelSpring((0,))
-    folds = [searched(k, [spring], after=a) for k, a in enumerate(after)]
-    assert (worse([finding(spring)], parts(*"abc"), folds) == []) == confirmed
-
-
-def test_an_effect_of_several_joints_is_kept_where_one_of_them_is_predicted_better():
-    some = [finding(effect) for effect in (ParallelSpring((0,)), ParallelSpring((1,)), GravityTilt(()))]
-    folds = [searched(k, [f.term.effect for f in some]) for k in range(2)]
-    for f in folds:
-        f.after[:, 0] = 0.4
-    assert worse(some, parts("a", "b"), folds) == [some[0]]
 
 
 @pytest.mark.parametrize(
@@ -301,7 +225,7 @@ def test_what_changes_motion_or_body_acts_on_all_joints(effect, joints):
 def test_the_error_of_an_effect_is_that_of_all_joints_whose_torque_it_changes(effect, mean):
     """An encoder's offset turns the links, of which all joints feel a part; a spring acts on its own joint."""
     errors = np.array([[[0.4, 0.2, 0.6]], [[0.2, 0.1, 0.3]]])  # without and with it, one recording, three joints
-    one = Check(np.array([1.0]), np.ones((1, 3)), np.array([1.0]), np.array([[4.0] * 3, [1.0] * 3]), errors)
+    one = Check(np.array([[4.0] * 3, [1.0] * 3]), errors)
     found = Shares.of([one], [finding(effect)], 3)
     assert (found.before[0], found.after[0]) == pytest.approx(mean)
     assert found.share == pytest.approx((0.75,))

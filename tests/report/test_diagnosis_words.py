@@ -8,7 +8,7 @@ import pytest
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.words import Number, joint_words, read
 from rrr_oc.report.diagnosis_words import (
-    gain,
+    lowered,
     not_claimed,
     on_prior,
     percent,
@@ -54,9 +54,13 @@ def test_what_is_not_claimed_is_listed():
     ]
     first, second = not_claimed({"possible": possible, "not_confirmed": [entry(box, "b", 0.9996), entry(box, "b", 0.9996)]})
     assert first.endswith(": torque ripple of a (61%), payload mass in 1.csv, 2.csv (8%), coupled friction of a and b (7%).")
-    assert second.startswith(
-        "Not confirmed on held-out recordings, not claimed: a torque on b that no effect explains (> 99.9%). "
-    )
+    assert second.startswith("Not confirmed, not claimed: a torque on b that no effect explains (> 99.9%). ")
+
+
+def test_what_is_sure_but_small_is_said_with_its_size():
+    one = entry("stribeck", "a", 0.99, lowers_error={"joint": "a", "share": 0.004, "interval": [-0.001, 0.009]})
+    (said,) = not_claimed({"small": [one]})
+    assert said.endswith("and not in the model: stribeck of a (that of a by 0.4 % (-0.1 to 0.9)).")
 
 
 def test_numbers_and_names():
@@ -68,7 +72,8 @@ def test_numbers_and_names():
         "> 99.9%",
         "> 99.9%",
     ]
-    assert [gain(x) for x in (None, -0.31, 4.06, 1234.5)] == ["–", "-0.3", "+4.1", "+1234"]
+    assert lowered({"joint": "a", "share": 0.84, "interval": [0.8, 0.876]}) == "a by 84.0 % (80.0 to 87.6)"
+    assert lowered({"joint": "a", "share": 0.84, "interval": None}) == "a by 84.0 %"
     one = entry("stribeck", "a", rivals=[{"effect": "quadratic_drag", "joint": "a"}, {"effect": "torque_ripple", "joint": "b"}])
     assert rivals(one) == ["quadratic drag", "torque ripple of b"]
     assert placed(entry("payload_mass", None)) == "payload mass"
@@ -88,7 +93,7 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
         equation="law",
         parameters=parameters,
         share_of_error=0.123456789,
-        held_out_gain_nats=12.3456789,
+        lowers_error={"joint": "joint1", "share": 0.123456789, "interval": [0.1, 0.2]},
         nrmse={"held_out_before": 0.123456789, "held_out_after": 0.0123456789},
         probability_of_itself=0.6,
         rivals=[],
@@ -243,7 +248,15 @@ def test_the_table_has_words_and_few_digits():
     header, body = rows({"effects": [RIVAL]})
     assert len(header) == len(body[0])
     assert body == [
-        ["payload mass", "all", "97.0%", "12.3%", "1.2%", "+12", "link inertial of wrist 2, link inertial of wrist 3"]
+        [
+            "payload mass",
+            "all",
+            "97.0%",
+            "12.3%",
+            "1.2%",
+            "joint1 by 12.3 % (10.0 to 20.0)",
+            "link inertial of wrist 2, link inertial of wrist 3",
+        ]
     ]
 
 

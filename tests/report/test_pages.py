@@ -53,7 +53,7 @@ def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
     model, errors = replace(plain, terms=(*plain.terms, spring)), (np.array([[0.1, 0.4, 0.1]]), np.array([[0.1, 0.1, 0.1]]))
     folds, none = tuple(Fold((k,), plain, model, *((1 + k) * e for e in errors)) for k in range(2)), np.full(3, 0.1)
     held = (none, none), (none, none)
-    return Diagnosis(recordings, plain, model, (), (), (), Shares(), *held, "recordings", (), (), folds, (0.0,) * 3)
+    return Diagnosis(recordings, plain, model, (), (), (), (), Shares(), *held, "recordings", (), (), folds, (0.0,) * 3)
 
 
 @pytest.fixture(scope="module")

@@ -109,6 +109,20 @@ class Named(Struct, forbid_unknown_fields=True):
     joint: Joint
 
 
+class Lowered(Struct, forbid_unknown_fields=True):
+    """By how much an effect lowers the error of a joint on data that it was not fitted to.
+
+    Attributes:
+        joint: The joint where it is surest.
+        share: Of the rms without the effect, beside all other effects [1].
+        interval: 95 % interval, from the variation between blocks of some seconds; null with fewer than two.
+    """
+
+    joint: str
+    share: float
+    interval: tuple[float, float] | None
+
+
 class Claim(Named):
     """An effect that the tool adds to the model.
 
@@ -121,7 +135,7 @@ class Claim(Named):
         probability: Of the effect or one of its rivals, from all models compared.
         probability_of_itself: Of the effect alone.
         nrmse: Held-out error without and with it.
-        held_out_gain_nats: Gain of the logarithmic probability density of held-out recordings [nat].
+        lowers_error: Its size on data that it was not fitted to.
         indistinguishable_from: Names of the effects that explain these recordings as well.
         rivals: The same with their joints.
     """
@@ -134,7 +148,7 @@ class Claim(Named):
     probability: float
     probability_of_itself: float
     nrmse: HeldOut
-    held_out_gain_nats: float | None
+    lowers_error: Lowered
     indistinguishable_from: tuple[str, ...]
     rivals: tuple[Named, ...]
 
@@ -152,7 +166,7 @@ class Possible(Named):
 
 
 class Refuted(Named):
-    """An effect that all recordings together make probable, and that held-out recordings do not confirm.
+    """An effect that all recordings together make probable, and that parts of them do not confirm.
 
     Attributes:
         probability: Of the effect, on all recordings.
@@ -313,8 +327,9 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         mismatch: Where the plain model fails, a joint each.
         left_over: Joints whose error exceeds the noise with all effects, by how many times [1].
         effects: What the tool adds to the model, most important first.
+        small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         possible: What is less probable than a claim needs.
-        not_confirmed: What held-out recordings do not confirm.
+        not_confirmed: What most searches without a part of the recordings do not find, or what raises the error.
         unexplained: Torques that no effect of the catalogue explains.
         priors_file: File that was given by `--priors`.
         priors: What was believed of the claimed effects before.
@@ -333,6 +348,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     mismatch: tuple[Mismatch, ...]
     left_over: dict[str, float]
     effects: tuple[Claim, ...]
+    small: tuple[Claim, ...]
     possible: tuple[Possible, ...]
     not_confirmed: tuple[Refuted, ...]
     unexplained: tuple[Unexplained, ...]
@@ -362,7 +378,8 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
-        "effects": [_effect(diagnosis, i) for i, effect in enumerate(effects) if not effect.black_box],
+        "effects": [_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.findings) if not f.term.effect.black_box],
+        "small": [_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.small, len(effects))],
         "possible": [
             {**named(p.key, joints), "recordings": _files(diagnosis.recordings, p.groups), "probability": p.probability}
             for p in diagnosis.possible
@@ -395,11 +412,19 @@ def _prior(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
-    finding, shares = diagnosis.findings[i], diagnosis.shares
+def _lowered(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
+    fall = finding.fall
+    assert fall is not None
+    interval = [fall.low, fall.high] if np.isfinite([fall.low, fall.high]).all() else None
+    return {"joint": joints[fall.joint], "share": fall.share, "interval": interval}
+
+
+def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
+    """A claim, or an effect that is small, `i` being its number among both."""
+    shares, joints = diagnosis.shares, diagnosis.model.joints
     return {
         "effect": finding.term.effect.name,
-        "joint": _names(finding.term.effect.joints, diagnosis.model.joints),
+        "joint": _names(finding.term.effect.joints, joints),
         "recordings": files_of(finding.term, diagnosis.recordings),
         "equation": finding.term.effect.equation,
         "parameters": _parameters(finding.term),
@@ -408,9 +433,9 @@ def _effect(diagnosis: Diagnosis, i: int) -> dict[str, Any]:
         "probability": finding.probability,
         "probability_of_itself": finding.alone,
         "nrmse": {"held_out_before": number(shares.before[i]), "held_out_after": number(shares.after[i])},
-        "held_out_gain_nats": number(shares.gain[i]),
+        "lowers_error": _lowered(finding, joints),
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
-        "rivals": [{"effect": name, "joint": _names(j, diagnosis.model.joints)} for name, j in finding.rivals],
+        "rivals": [{"effect": name, "joint": _names(j, joints)} for name, j in finding.rivals],
     }
 
 

@@ -16,7 +16,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.model_file import TermEntry, effect_of, options_of, term_entry, term_of, terms_of
 from rrr_oc.diagnosis.data import Data, Noise
 from rrr_oc.diagnosis.evidence import Joint, Sizes, Start
-from rrr_oc.diagnosis.findings import Finding, Possible
+from rrr_oc.diagnosis.findings import Fall, Finding, Possible
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion
@@ -250,14 +250,15 @@ class FindingData(Struct):
     p_value: float
     rivals: tuple[tuple[str, tuple[int, ...]], ...]
     prior: Prior | None
+    fall: Fall | None
 
     @classmethod
     def of(cls, f: Finding, robot: Robot) -> "FindingData":
-        return cls(term_entry(f.term, robot), f.probability, f.alone, f.worth, f.p_value, f.rivals, f.prior)
+        return cls(term_entry(f.term, robot), f.probability, f.alone, f.worth, f.p_value, f.rivals, f.prior, f.fall)
 
     def finding(self, robot: Robot) -> Finding:
         numbers = self.probability, self.alone, self.worth, self.p_value
-        return Finding(term_of(self.term, robot), *numbers, self.rivals, self.prior)
+        return Finding(term_of(self.term, robot), *numbers, self.rivals, self.prior, self.fall)
 
 
 class SuggestionData(Struct):
@@ -285,6 +286,7 @@ class ResultData(Struct):
     plain: ModelData
     model: ModelData
     findings: list[FindingData]
+    small: list[FindingData]
     possible: list[Possible]
     refuted: list[FindingData]
     shares: list[Numbers]

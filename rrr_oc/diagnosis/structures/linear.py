@@ -160,6 +160,11 @@ class Linear:
             prior = extended(prior, a.mean, a.precision, a.flat, a.lower, a.upper)
         return prior
 
+    def left(self, structure: Structure, step: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """The residual (n, rows) of a structure with these coefficients (p,), the discrepancy included."""
+        columns = np.concatenate([self.columns[:, rows], *(a.columns[:, rows] for a in structure)], axis=2)
+        return self.residual[:, rows] - np.einsum("jkp,p->jk", columns, step, optimize=True)
+
     def candidate(self, table: Table, c: Candidate) -> Addition:
         """A candidate as an addition."""
         columns = table.of(next(k for k, t in enumerate(table.trials) if t is c.trial))
@@ -235,15 +240,18 @@ class Level:
 
     Attributes:
         posterior: From which the noise is.
+        edges: First row of each block, and the number of rows, (B + 1,); those of the recordings by default. Tables are for these.
         products: Of each joint those of [columns, features, residual], whitened, by block, (B, L, L).
     """
 
-    def __init__(self, linear: Linear) -> None:
+    def __init__(self, linear: Linear, edges: np.ndarray | None = None) -> None:
         self.linear, self.posterior = linear, linear.fitted.posterior
         data = linear.fitter.data
-        self.edges, self.n, self.p = data.edges, data.n, linear.columns.shape[2]
+        self.edges, self.n, self.p = data.edges if edges is None else edges, data.n, linear.columns.shape[2]
         white = [one.white @ self.columns(j) for j, one in enumerate(self.posterior.joints)]
         self.products = [np.array([x.T @ x for x in self.split(w)]) for w in white]
+        # W does not cross the ends of recordings; where blocks are shorter, products by block need both sides whitened
+        self._white = None if edges is None else white
         self._parts: dict[Addition, Part] = {}
         self._pairs: dict[tuple[Addition, Addition, int], np.ndarray] = {}
         self._tables: dict[Table, list[TableProducts]] = {}
@@ -267,7 +275,12 @@ class Level:
         if a not in self._parts:
             white = [one.white @ x for one, x in zip(self.posterior.joints, a.columns, strict=True)]
             back = [one.white.T @ x for one, x in zip(self.posterior.joints, white, strict=True)]
-            self._parts[a] = Part(white, back, [self._blockwise(self.columns(j), x) for j, x in enumerate(back)])
+            sides = (
+                [(self.columns(j), x) for j, x in enumerate(back)]
+                if self._white is None
+                else zip(self._white, white, strict=True)
+            )
+            self._parts[a] = Part(white, back, [self._blockwise(*both) for both in sides])
         return self._parts[a]
 
     def pair(self, a: Addition, b: Addition, j: int) -> np.ndarray:

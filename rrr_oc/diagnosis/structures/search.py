@@ -7,17 +7,19 @@ fitted exactly, and the best goes on.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from itertools import pairwise
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.fitting import Fitted, Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
-from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
+from rrr_oc.diagnosis.structures.linear import Candidate, Key, Level, Linear, Structure, key_of, numbered
 from rrr_oc.diagnosis.structures.neighbours import Kind, Levels, Neighbours, Predicted, kind, overlapping
 from rrr_oc.effects import Trial
 
 FITTED = 3  # neighbours of a structure by one kind of move that are fitted exactly
+LEVELS = 4  # fits about which structures are predicted on parts of the recordings
 CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted
 
 
@@ -134,10 +136,16 @@ class Search:
 
     @property
     def levels(self) -> Levels:
-        """The linear problems about all structures that were accepted; what is sought in them is not restricted."""
-        keys, free = [key_of(name_of(t) for t in at.fitted.extra) for at in self.path], replace(self, most=None)
-        tables = [self._tables_of(at.fitted) for at in self.path]
-        return Levels(keys, lambda number: free.neighbours(self.path[number].fitted), tables.__getitem__)
+        """The linear problems about the first and the last structure that were accepted, and those that gained most between.
+
+        What is sought in them is not restricted.
+        """
+        gains = [after.score - before.score for before, after in pairwise(self.path)]
+        most = sorted(range(1, len(gains)), key=lambda k: -gains[k - 1])[: LEVELS - 2]
+        some = [self.path[k].fitted for k in sorted({0, *most, len(self.path) - 1})]
+        keys, free = [key_of(name_of(t) for t in fitted.extra) for fitted in some], replace(self, most=None)
+        tables = [self._tables_of(fitted) for fitted in some]
+        return Levels(keys, lambda number: free.neighbours(some[number]), tables.__getitem__)
 
     def _tables_of(self, fitted: Fitted) -> Callable[[int | None], Table]:
         """The tables at a fit, each made when it is first asked for."""
@@ -187,7 +195,11 @@ class Search:
         rest = len(about.links) + len(self.fitter.widths(model))
         step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
         model, links = self.fitter.moved(model, about.links, step)
-        return self.scored(self.fitter.with_signs(self.fitter.fit(model, links, at.fitted.posterior)))
+        fitted = self.fitter.with_signs(self.fitter.fit(model, links, at.fitted.posterior))
+        for i, a in enumerate(p.structure):
+            if isinstance(a.source, Candidate):
+                fitted = self.fitter.restarted(fitted, i)
+        return self.scored(fitted)
 
 
 def terms_of(fitted: Fitted, structure: Structure, labels: Sequence[str]) -> tuple[Term, ...]:

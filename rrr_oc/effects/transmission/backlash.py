@@ -9,8 +9,9 @@ from rrr_oc.effects.capabilities import MovesLink
 from rrr_oc.numerics.gap import across_gap
 from rrr_oc.robot.parameters import Parameter
 
-SLOWED = 10.0  # [1/s], damping over inertia of a trial's link in the gap; fits start from `SLOWER` times that, so it need not be exact
-SLOWER = (0.3, 1.0, 3.0)
+SLOWED = (3.0, 10.0, 30.0)  # [1/s], damping over inertia of the trials' links in the gap
+WIDE = 0.01  # [rad], gap above which the moments of impacts may be beyond prediction
+OTHERS = (0.2, 0.5, 1.0, 2.0, 5.0)  # of a damping, from which fits start: the moment of an impact is not smooth in it
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,15 @@ class Backlash(MovesLink):
         twist.solref_limit, twist.solimp_limit = [0.004, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
 
     def starts(self, theta):
-        for times in SLOWER:
+        for times in OTHERS:
             yield Backlash(self.joints, True), {**theta, "damping": times * theta["damping"]}
-        yield Backlash(self.joints, False), theta
 
     @classmethod
     def trials(cls, view):
         for j in range(view.n):
             for gap in (0.002, 0.006, 0.02, 0.05, 0.11, 0.2):
-                for impacts in (True, False):
-                    if gap > 0.01 or impacts:
-                        damping = SLOWED * float(view.inertia[j])
-                        yield Trial(cls((j,), impacts), ({"gap": gap, "damping": damping},), gap)
+                dampings = [slowed * float(view.inertia[j]) for slowed in SLOWED]
+                for damping in dampings:
+                    yield Trial(cls((j,), True), ({"gap": gap, "damping": damping},), gap)
+                if gap > WIDE:
+                    yield Trial(cls((j,), False), ({"gap": gap, "damping": dampings[len(dampings) // 2]},), gap)

@@ -49,9 +49,11 @@ class JointElasticity(MovesLink):
     def window(self):
         return self.smoothed
 
-    def sharper(self):
+    def starts(self, theta):
         shorter = SHARPER * self.smoothed
-        return replace(self, smoothed=shorter) if shorter > SHARPEST else None
+        while shorter > SHARPEST:
+            yield replace(self, smoothed=shorter), theta
+            shorter *= SHARPER
 
     def motion(self, t, load, stiffness, inertia, theta):
         if len(t) < 3:

@@ -1,0 +1,107 @@
+"""Sizes of effects on data that they were not fitted to: intervals against draws, falls against fits to the rest alone."""
+
+from dataclasses import replace
+
+import chains
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+
+from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.diagnosis import effect_size
+from rrr_oc.diagnosis.effect_size import block_edges, fall_of, falls, sized
+from rrr_oc.diagnosis.evidence import Start
+from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.procedure import ready
+from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
+from rrr_oc.effects.priors import Priors
+from rrr_oc.effects.sensor.torque_offset import TorqueOffset
+
+RECORDINGS = 4
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A fitter of recordings of two joints with drag at joint 2, and its plain model fitted."""
+    urdf = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    urdf.write_text(chains.arm(2))
+    plant, rng = Plant(urdf, np.ones(2), np.ones(2), 0.1 * np.ones(2)), np.random.default_rng(1)
+    made = [record(plant, f"{i}.csv", rng, 6.0, 0.02) for i in range(RECORDINGS)]
+    made = [replace(r, tau=r.tau + [[0.0], [0.1]] * r.dq * np.abs(r.dq)) for r in made]
+    _, fitter, every, plain = ready(as_set(plant, made), Priors())
+    return fitter, fitter.fit(plain, fitter.data.links.none), every
+
+
+def with_terms(arm, *terms: Term):
+    """The neighbours of a fit with further terms, and these as findings."""
+    fitter, begin, every = arm
+    fitted = fitter.fit(replace(begin.model, terms=(*begin.model.terms, *terms)), begin.links, begin.posterior)
+    near = Search.of(fitter, every).neighbours(fitted)
+    return near, [Finding(t, 1.0, 1.0, 10.0, 0.0) for t in fitted.extra]
+
+
+def drag() -> Term:
+    return Term(QuadraticDrag((1,)), (Estimate(0.1),))
+
+
+def offset(joint: int) -> Term:
+    return Term(TorqueOffset((joint,)), (Estimate(0.01),))
+
+
+def test_what_is_there_matters_and_what_is_not_is_small(arm):
+    near, findings = with_terms(arm, offset(0), drag())
+    claimed, small = sized(near, findings)
+    assert [f.term.effect.name for f in claimed] == ["quadratic_drag"]
+    assert claimed[0].fall.joint == 1
+    assert 0.1 < claimed[0].fall.low < claimed[0].fall.share < claimed[0].fall.high < 1
+    assert [f.term.effect.name for f in small] == ["torque_offset"]
+    assert abs(small[0].fall.share) < 0.02
+
+
+def test_of_two_that_stand_for_each_other_one_matters(arm):
+    """Each alone is not missed beside the other; both are."""
+    near, findings = with_terms(arm, drag(), drag())
+    claimed, small = sized(near, findings)
+    assert len(claimed) == len(small) == 1
+    assert abs(falls(near, near.linear.own)[0].share) < 0.02 < claimed[0].fall.low
+
+
+def test_falls_are_those_of_exact_fits_to_the_other_recordings(arm, monkeypatch):
+    """With blocks as long as recordings, of which each is predicted once, and the same hyperparameters."""
+    monkeypatch.setattr(effect_size, "BLOCK", 1e3)
+    monkeypatch.setattr(effect_size, "LEAST_BLOCKS", 1)
+    fitter, begin, _ = arm
+    near, findings = with_terms(arm, drag())
+    assert list(block_edges(near.level.edges)) == list(fitter.data.edges)
+    squares, sizes = np.zeros(2), near.linear.fitted.posterior.sizes
+    fall = sized(near, findings)[0][0].fall
+    for held in range(RECORDINGS):
+        rest, out = fitter.data.part([k for k in range(RECORDINGS) if k != held]), fitter.data.part([held])
+        for k, terms in enumerate(((), (drag(),))):
+            model = replace(begin.model, terms=(*begin.model.terms, *terms))
+            fitted = replace(fitter, data=rest).fit(model, begin.links, Start.of(rest, sizes), fixed=True)
+            squares[k] += np.sum(out.rows(fitted.model).residual[1] ** 2)
+    assert fall.share == pytest.approx(1 - np.sqrt(squares[1] / squares[0]), rel=0.06)  # ways of changing sign are not mixed
+
+
+def test_intervals_hold_the_true_fall_as_often_as_they_say():
+    rng, inside, draws, true = np.random.default_rng(0), 0, 600, 1 - np.sqrt(0.8)
+    for _ in range(draws):
+        level = rng.gamma(8.0, 1.0, 16)  # of the error, which differs between blocks
+        before, after = level * rng.gamma(20.0, 1 / 20, 16), 0.8 * level * rng.gamma(20.0, 1 / 20, 16)
+        fall = fall_of(0, after, before)
+        inside += fall.low < true < fall.high
+    assert 0.92 < inside / draws < 0.98
+
+
+def test_nothing_can_be_said_of_one_block():
+    fall = fall_of(0, np.array([1.0, 0.0]), np.array([2.0, 0.0]))
+    assert fall.low == -np.inf
+
+
+def test_blocks_lie_within_recordings():
+    edges = block_edges(np.array([0, 20, 500, 504]))
+    assert {0, 20, 500, 504} <= set(edges.tolist())
+    assert np.all(np.diff(edges) > 0)
+    assert 4 <= np.count_nonzero(edges < 500) - np.count_nonzero(edges < 20) <= 10  # of 480 rows, 38 s
