@@ -269,8 +269,14 @@ class Tables:
 
     def at(self, model: CalibratedModel, joint: int | None) -> Table:
         """The table of the catalogue (None) or of a joint's black-box terms."""
-        gains, bare = self._gains(model), without_sensors(model)
-        found = self._at(bare, joint)
+        return self._recorded(self._at(without_sensors(model), joint), model)
+
+    def of(self, model: CalibratedModel, some: Sequence[Trial]) -> Table:
+        """A table of some trials, which is not kept."""
+        return self._recorded(table(self.prepared, model, some, self.kept), model)
+
+    def _recorded(self, found: Table, model: CalibratedModel) -> Table:
+        gains = self._gains(model)
         return found if np.all(gains == 1.0) else found.recorded(gains)
 
     def _at(self, model: CalibratedModel, joint: int | None) -> Table:

@@ -20,6 +20,7 @@ from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import Table
 from rrr_oc.effects import Effect, Trial
 
+COLUMNS = 3000  # of tables whose products a level keeps; more take memory
 AS_FITTED = 1e-9  # variance of the share of an effect that is there, about 1
 Blocks = tuple[int, ...]
 
@@ -330,12 +331,16 @@ class Level:
         return estimated(self.grams(structure, blocks), spectra, sizes, self.linear.prior_with(structure), fixed)
 
     def table(self, table: Table) -> list[TableProducts]:
-        """The products of a table, by joint; those of the last two are kept."""
+        """The products of a table, by joint; those of the first tables are kept, and of the newest."""
         if table not in self._tables:
-            if len(self._tables) > 1:
+            while len(self._tables) > 1 and sum(int(t.start[-1]) for t in (table, *self._tables)) > COLUMNS:
                 self._tables.popitem()
             self._tables[table] = [self._of_table(table, j) for j in range(self.n)]
         return self._tables[table]
+
+    def forget(self, table: Table) -> None:
+        """Keep the products of a table no longer."""
+        self._tables.pop(table, None)
 
     def _of_table(self, table: Table, j: int) -> TableProducts:
         values, used, sizes = table.values[j], table.used[j], np.diff(table.start)

@@ -1,7 +1,8 @@
 """The neighbours of a structure, with an effect more, fewer or another, and their posterior probabilities as linearity predicts them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from rrr_oc.diagnosis.fitting import exact
 from rrr_oc.diagnosis.signatures import Table
 from rrr_oc.diagnosis.structures.candidates import Screen
 from rrr_oc.diagnosis.structures.linear import Addition, Blocks, Candidate, Key, Level, Linear, Structure, key_of, numbered
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Effect, Trial
 
 TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew
 MOST = 14  # effects at which a search ends
@@ -28,6 +29,11 @@ def identity(effect: Effect) -> Identity:
 def kind(effect: Effect) -> Kind:
     """What an effect has to share with another to be the same finding."""
     return "" if effect.black_box else effect.name, effect.joints
+
+
+def sought_as(effect: Effect) -> Hashable:
+    """By what effects are chosen to be sought: a law on its joints in all its shapes, a black-box term as it is."""
+    return effect.without_range() if effect.black_box else (effect.name, effect.joints)
 
 
 def beside(a: Effect, b: Effect) -> bool:
@@ -148,6 +154,11 @@ class Neighbours:
             every += self._judged(own, self._screen(own, here, j).candidates(), here, j)
         return _distinct(every)
 
+    def promising(self, structure: Structure, joint: int | None) -> set[Hashable]:
+        """What of a table raises the probability beside a structure, as `sought_as` names it."""
+        base = self.at(structure, self.linear.fitted.posterior.sizes)
+        return {sought_as(c.trial.effect) for c in self._screen(structure, base, joint).candidates() if c.gain > 0}
+
     def adopted(self, structure: Structure) -> Structure:
         """A structure of another linear problem, with effects as they are offered here."""
         offered = {a.name: a for a in self._offered if a.effect.placement != "many"}
@@ -196,18 +207,20 @@ class Neighbours:
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """The linear problems about the fits of a search.
+    """The linear problems about the fits of a search, in which what is promising on all blocks is sought.
 
     Attributes:
         keys: Names of the effects of each fit, by which structures are compared; the first has none.
         make: The neighbours of a fit by its number.
-        tables: Its tables.
+        table: Signatures of some trials at a fit by its number.
     """
 
     keys: Sequence[Key]
     make: Callable[[int], Neighbours]
-    tables: Callable[[int], Callable[[int | None], Table]]
+    table: Callable[[int, Sequence[Trial]], Table]
     _made: dict[int, Neighbours] = field(default_factory=dict, repr=False)
+    _promising: dict[int | None, list[Trial]] = field(default_factory=dict, repr=False)
+    _tables: dict[tuple[int, int | None], Table] = field(default_factory=dict, repr=False)
 
     def at(self, number: int) -> Neighbours:
         """The neighbours of a fit."""
@@ -225,7 +238,25 @@ class Levels:
         alike = max(numbers, key=lambda k: (len(self.keys[k] & key) - len(self.keys[k] - key), k))
         inside = max((k for k in numbers if self.keys[k] <= key), key=lambda k: (len(self.keys[k]), k))
         end = self.at(len(self.keys) - 1)
-        return replace(end if last else self.at(alike), blocks=blocks, tables=self.tables(inside), more=end.linear.own)
+        tables = partial(self._table, inside)
+        return replace(end if last else self.at(alike), blocks=blocks, tables=tables, more=end.linear.own)
+
+    def _table(self, number: int, joint: int | None) -> Table:
+        """Signatures at a fit of what is promising of the catalogue, or of a joint's black-box terms."""
+        if (number, joint) not in self._tables:
+            self._tables[number, joint] = self.table(number, self.promising(joint))
+        return self._tables[number, joint]
+
+    def promising(self, joint: int | None) -> list[Trial]:
+        """What raises the probability of the last fit with or without its effects, and of the first, if it is of the catalogue."""
+        if joint not in self._promising:
+            first, end = self.at(0), self.at(len(self.keys) - 1)
+            beside = [(end, ()), (end, end.linear.own), *([(first, ())] if joint is None else [])]
+            some = set[Hashable]().union(*(near.promising(one, joint) for near, one in beside))
+            self._promising[joint] = [t for t in end.tables(joint).trials if sought_as(t.effect) in some]
+            for near, _ in beside:
+                near.level.forget(near.tables(joint))
+        return self._promising[joint]
 
     def best(self, blocks: Blocks) -> tuple[Neighbours, Predicted]:
         """The most probable structure on some blocks that moves reach from nothing, at the end about the last fit.

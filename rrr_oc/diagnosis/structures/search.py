@@ -144,8 +144,12 @@ class Search:
         most = sorted(range(1, len(gains)), key=lambda k: -gains[k - 1])[: LEVELS - 2]
         some = [self.path[k].fitted for k in sorted({0, *most, len(self.path) - 1})]
         keys, free = [key_of(name_of(t) for t in fitted.extra) for fitted in some], replace(self, most=None)
-        tables = [self._tables_of(fitted) for fitted in some]
-        return Levels(keys, lambda number: free.neighbours(some[number]), tables.__getitem__)
+
+        def make(number: int) -> Neighbours:
+            near = free.neighbours(some[number])
+            return replace(near, tables=lambda joint: self.tables.at(some[number].model, joint))  # none of which is kept
+
+        return Levels(keys, make, lambda number, trials: self.tables.of(some[number].model, trials))
 
     def _tables_of(self, fitted: Fitted) -> Callable[[int | None], Table]:
         """The tables at a fit, each made when it is first asked for."""

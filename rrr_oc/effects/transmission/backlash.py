@@ -11,7 +11,7 @@ from rrr_oc.robot.parameters import Parameter
 
 SLOWED = (3.0, 10.0, 30.0)  # [1/s], damping over inertia of the trials' links in the gap
 WIDE = 0.01  # [rad], gap above which the moments of impacts may be beyond prediction
-OTHERS = (0.2, 0.5, 1.0, 2.0, 5.0)  # of a damping, from which fits start: the moment of an impact is not smooth in it
+OTHERS = (0.3, 1.0, 3.0)  # of a damping, from which fits start: the moment of an impact is not smooth in it
 
 
 @dataclass(frozen=True)
