@@ -42,6 +42,7 @@ from rrr_oc.effects.elastic.biarticular_spring import (
     reduced,
 )
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.elastic.two_sided_biarticular_spring import TwoSidedBiarticularSpring
 from rrr_oc.effects.friction.coupled_friction import CoupledFriction
 from rrr_oc.errors import UserError
 from rrr_oc.model.motion import Motion
@@ -221,6 +222,17 @@ def test_two_smooth_springs_back_to_back_are_a_linear_one():
         np.testing.assert_allclose(pair, [-4.0 * (q - 0.1)], atol=1e-14)
 
 
+def test_a_spring_across_two_joints_pulls_both_ways_as_two_of_one_way_do():
+    """kappa (1, rho) times the stretch, and two springs of Eq. 5 back to back, of opposite windings."""
+    rng, theta = np.random.default_rng(22), np.array([6.0, -0.8, 0.3])
+    spring = TwoSidedBiarticularSpring((1, 2))
+    pair = [(BiarticularSpring((1, 2), (way, -way)), np.array([6.0, 0.8, -way * 0.3])) for way in (1, -1)]
+    for q in rng.uniform(-2, 2, (30, 3)):
+        found = torques(spring, q, theta, 0.0)
+        np.testing.assert_allclose(found, [0, 1, -0.8] * np.array(-6.0 * (q[1] - 0.8 * q[2] - 0.3)), atol=1e-12)
+        np.testing.assert_allclose(found, sum(torques(one, q, numbers, 0.0) for one, numbers in pair), atol=1e-12)
+
+
 def test_torques_of_several_springs_add_up_in_a_model():
     """Three springs on two joints, some of them on the same, through `Model`: Eq. 6."""
     robot = load_robot("rrr")
@@ -249,6 +261,7 @@ def test_torques_of_several_springs_add_up_in_a_model():
     [
         (lambda: BiarticularSpring((1,)), "two different joints"),
         (lambda: BiarticularSpring((1, 1)), "two different joints"),
+        (lambda: TwoSidedBiarticularSpring((1, 1)), r"two different joints, got \(1, 1\)"),
         (lambda: BiarticularSpring((0, 1), (1, 0)), r"pair of \+1 or -1, got \(1, 0\)"),
         (lambda: BiarticularSpring((0, 1), (1,)), r"pair of \+1 or -1"),  # pyright: ignore[reportArgumentType]
         (lambda: ParallelSpring((0,), "left"), "'below' or 'above' its equilibrium, got 'left'"),  # pyright: ignore[reportArgumentType]
@@ -352,6 +365,8 @@ CONTRACT = {
     "coupled_friction": "coulomb viscous",
     "parallel_spring": "stiffness equilibrium",
     "biarticular_spring": "kappa rho phi",
+    "two_sided_biarticular_spring": "kappa rho phi",
+    "viscous_asymmetry": "asymmetry",
     "spring_stiffness": "scale",
     "spring_preload": "offset",
     "spring_hysteresis": "loss",
@@ -667,6 +682,8 @@ def test_laws_at_their_ends():
     np.testing.assert_allclose(mu, -0.2 * np.abs(arrays["load"][1]) * np.sign(fast["dq"][1]), rtol=1e-12)
     asymmetry = law(placed("coulomb_asymmetry"), fast, {"asymmetry": 1.4})[0]
     np.testing.assert_allclose(asymmetry, -0.7, rtol=1e-12)  # in both directions: 1.4 more against dq > 0 than against dq < 0
+    asymmetry = law(placed("viscous_asymmetry"), fast, {"asymmetry": 0.3})[0]
+    np.testing.assert_allclose(asymmetry, -0.15 * 50.0, rtol=1e-12)  # in both directions, as of dry friction
     q, dq = arrays["q"][1], arrays["dq"][1]
     ripple = law(placed("torque_ripple"), arrays, {"amplitude": 2.0, "order": 7.0, "phase": 0.3})[0]
     np.testing.assert_allclose(ripple, 2 * np.sin(7 * q + 0.3), rtol=1e-12)

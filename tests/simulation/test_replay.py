@@ -26,6 +26,8 @@ FOUND = {
     "torque_ripple": ((1,), (1.5, 9.0, 0.4)),
     "friction_drift": ((1,), (0.8, 3.0)),
     "cable_harness": ((2,), (3.0, 0.2)),
+    "two_sided_biarticular_spring": ((1, 2), (3.0, -0.8, 0.2)),
+    "viscous_asymmetry": ((1,), (3.0,)),
     "spring_stiffness": ((1,), (1.3,)),
     "payload_mass": ((), (0.7,)),
     "gravity_tilt": ((), (0.02, -0.03)),

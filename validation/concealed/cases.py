@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from validation.concealed.catalogue import CATALOGUE, OUTSIDE, TWO_JOINTS
+from validation.concealed.catalogue import CATALOGUE, FIRST, OUTSIDE, RELATIVES, TWO_JOINTS
 
 RATIOS = (3.0, 1.0, 0.5)  # residual after plain calibration / noise
 OWN = tuple(f"set-up {b + 1}" for b in range(8))  # of recordings that share none
@@ -61,7 +61,19 @@ def fitting_robot(names: tuple[str, ...], rng: np.random.Generator, choices: tup
 def declare(seed: int = 0) -> list[Case]:
     """All cases of a seed, in a fixed order."""
     cases: list[Case] = []
-    for make in (clean, single, short_single, faint, some_recordings, several, outside, other_data, one_recording, imperfect):
+    for make in (
+        clean,
+        single,
+        short_single,
+        faint,
+        some_recordings,
+        several,
+        related,
+        outside,
+        other_data,
+        one_recording,
+        imperfect,
+    ):
         cases += make(seed)
     keys = [c.key for c in cases]
     if len(set(keys)) != len(keys):
@@ -167,18 +179,32 @@ def _of_a_group(seed: int, kind: str, name: str, ratio: float, groups: Sequence[
 
 
 def several(seed: int) -> list[Case]:
-    """Pairs and triples of the catalogue."""
+    """Pairs and triples of the catalogue as it was first."""
     out = []
     for kind, count, size in (("pair", 36, 2), ("triple", 18, 3)):
         for i in range(count):
             key = f"{kind}/{i}"
             rng = draw(seed, key)
-            names = tuple(str(x) for x in rng.choice(list(CATALOGUE), size, replace=False))
+            names = tuple(str(x) for x in rng.choice(list(FIRST), size, replace=False))
             while {"joint_elasticity", "backlash"} <= set(names):  # one transmission is one or the other
-                names = tuple(str(x) for x in rng.choice(list(CATALOGUE), size, replace=False))
+                names = tuple(str(x) for x in rng.choice(list(FIRST), size, replace=False))
             robot = fitting_robot(names, rng, tuple(r for r in ROBOTS if r != "arm1"))
             concealed = tuple(Concealed(n, float(rng.choice([3.0, 2.0, 1.0]))) for n in names)
             out.append(Case(key, kind, seed, robot, concealed, options=options(rng)))
+    return out
+
+
+def related(seed: int) -> list[Case]:
+    """Each relative of a law of the catalogue beside another effect, twice."""
+    out = []
+    for name in RELATIVES:
+        for i in range(2):
+            key = f"related/{name}/{i}"
+            rng = draw(seed, key)
+            names = (name, str(rng.choice(FIRST)))
+            robot = fitting_robot(names, rng, tuple(r for r in ROBOTS if r != "arm1"))
+            concealed = tuple(Concealed(n, float(rng.choice([3.0, 2.0, 1.0]))) for n in names)
+            out.append(Case(key, "related", seed, robot, concealed, options=options(rng)))
     return out
 
 
@@ -192,7 +218,7 @@ def outside(seed: int) -> list[Case]:
             out.append(Case(key, "outside", seed, fitting_robot((name,), draw(seed, key), robots), (Concealed(name, ratio),)))
         key = f"outside_pair/{name}"
         rng = draw(seed, key)
-        other = str(rng.choice(list(CATALOGUE)))
+        other = str(rng.choice(list(FIRST)))
         concealed = (Concealed(name, 2.0), Concealed(other, 2.0))
         out.append(Case(key, "outside_pair", seed, fitting_robot((name, other), rng, robots), concealed))
     return out
@@ -226,10 +252,10 @@ def other_data(seed: int) -> list[Case]:
 
 
 def imperfect(seed: int) -> list[Case]:
-    """Arms with small faults everywhere. Half of them have one or two strong effects besides, dealt evenly from the catalogue."""
+    """Arms with small faults everywhere. Half of them have one or two strong effects besides, dealt evenly from the first catalogue."""
     out = []
     rng = draw(seed, IMPERFECT)
-    deck = [str(x) for _ in range(1 + IMPERFECT_CASES // len(CATALOGUE)) for x in rng.permutation(list(CATALOGUE))]
+    deck = [str(x) for _ in range(1 + IMPERFECT_CASES // len(FIRST)) for x in rng.permutation(list(FIRST))]
     for i in range(IMPERFECT_CASES):
         key = f"{IMPERFECT}/{i}"
         rng = draw(seed, key)

@@ -11,7 +11,17 @@ def effect_types(module) -> dict[str, type[Effect]]:
 
 CATALOGUE = effect_types(effects_friction) | effect_types(effects_body) | effect_types(effects_sensor)
 OUTSIDE = effect_types(effects_outside)
-TWO_JOINTS = {"coupled_friction", "biarticular_spring", "cross_fan", "posture_torque", "cross_talk"}
+# Relatives of laws that the catalogue had first; mixtures are drawn from the others, so that the cases of a seed stay what they are
+RELATIVES = ("two_sided_biarticular_spring", "viscous_asymmetry")
+FIRST = tuple(name for name in CATALOGUE if name not in RELATIVES)
+TWO_JOINTS = {
+    "coupled_friction",
+    "biarticular_spring",
+    "two_sided_biarticular_spring",
+    "cross_fan",
+    "posture_torque",
+    "cross_talk",
+}
 SENSED = {name for name, x in (CATALOGUE | OUTSIDE).items() if x.sense is not Effect.sense}
 
 

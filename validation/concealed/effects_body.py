@@ -88,6 +88,34 @@ class BiarticularSpring(Effect):
 
 
 @dataclass(frozen=True)
+class TwoSidedBiarticularSpring(Effect):
+    """Never slack; its lever has either sign, as the cable is led straight or crossed."""
+
+    name = "two_sided_biarticular_spring"
+    equation = "tau_a = -kappa (q_a + rho q_b - phi), tau_b = rho tau_a"
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        a = int(rng.integers(arm.n - 1))
+        rho = float(rng.choice([-1, 1]) * rng.uniform(0.4, 1.6))
+        length = motion.q[:, a] + rho * motion.q[:, a + 1]
+        return cls((a, a + 1), 0.1 * arm.coulomb[a], {"rho": rho, "phi": float(np.quantile(length, rng.uniform(0.2, 0.8)))})
+
+    def push(self, s: State, f: Forces, memory: Any) -> None:
+        (a, b), rho = self.joints, self.shape["rho"]
+        pull = self.mask * self.strength * (self.shape["phi"] - s.q[:, a] - rho * s.q[:, b])
+        f.link[:, a] += pull
+        f.link[:, b] += rho * pull
+
+    def parameters(self, arm: Arm):
+        return {
+            "kappa": (self.strength, "Nm/rad"),
+            "rho": (self.shape["rho"], "1"),
+            "phi": (self.shape["phi"], "rad"),
+        }
+
+
+@dataclass(frozen=True)
 class ListedSpring(Effect):
     """An effect on the listed springs of one joint, or on the listed two-joint spring (`joints` has two then)."""
 

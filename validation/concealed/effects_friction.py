@@ -28,6 +28,25 @@ class CoulombAsymmetry(Effect):
 
 
 @dataclass(frozen=True)
+class ViscousAsymmetry(Effect):
+    """The coefficient for w > 0 less that for w < 0; half of it is added on one side and taken off on the other."""
+
+    name = "viscous_asymmetry"
+    equation = "tau = -(f_v + asymmetry/2 sgn(dq)) dq"
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        j = any_joint(motion, rng)
+        return cls((j,), 0.2 * arm.viscous[j], {"direction": float(rng.choice([-1, 1]))})
+
+    def push(self, s: State, f: Forces, memory: Any) -> None:
+        f.viscous[:, self.j] += self.mask * 0.5 * self.shape["direction"] * self.strength * np.sign(s.w[:, self.j])
+
+    def parameters(self, arm: Arm):
+        return {"asymmetry": (self.shape["direction"] * self.strength, "Nm s/rad")}
+
+
+@dataclass(frozen=True)
 class Stribeck(Effect):
     name = "stribeck"
     equation = "tau = -(f_c + excess exp(-(dq/velocity)^2)) sgn(dq)"

@@ -73,6 +73,7 @@ class Jacobian:
         yield Candidate("torque_offset", joint, self.on(j, one))
         yield Candidate("torque_gain", joint, self.on(j, x.tau[:, j]))
         yield Candidate("coulomb_asymmetry", joint, self.on(j, s**2))
+        yield Candidate("viscous_asymmetry", joint, self.on(j, dq * s))
         yield Candidate("quadratic_drag", joint, self.on(j, dq * np.abs(dq)))
         yield Candidate("load_dependent_friction", joint, self.on(j, np.abs(self.base[:, j]) * s))
         yield Candidate("cable_harness", joint, self.on(j, q, one))
@@ -159,6 +160,11 @@ class Jacobian:
             rate = x.dq[:, a] + x.dq[:, b]
             rub = np.tanh(rate / arm.width), rate
             yield Candidate("coupled_friction", names, self.on(a, *rub) + self.on(b, *rub))
+            for rho in (way * r for way in (1, -1) for r in (0.4, 0.6, 0.85, 1.1, 1.4)):
+                one, qa, qb = np.ones_like(rate), x.q[:, a], x.q[:, b]
+                on_a = self.on(a, qa + rho * qb, one, qb)
+                on_b = self.on(b, rho * (qa + rho * qb), rho * one, qa + 2 * rho * qb)
+                yield Candidate("two_sided_biarticular_spring", names, on_a + on_b)
             for rho in (0.4, 0.6, 0.85, 1.1, 1.3):
                 stretch = -x.q[:, a] - rho * x.q[:, b]
                 for phi in np.quantile(stretch, [0.15, 0.25, 0.35, 0.45, 0.55]):

@@ -1,0 +1,34 @@
+"""Relatives of laws that the catalogue had first: each is told as itself, with its size, and not as two others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+
+from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
+
+
+def told(plant: Plant, recordings) -> tuple[Diagnosis, dict[tuple, dict[str, float]]]:
+    """A diagnosis, and what it claims: parameters by name and joints."""
+    found = diagnose(as_set(plant, recordings))
+    return found, {f.key: f.term.named for f in found.findings}
+
+
+def test_a_spring_across_two_joints_that_pulls_both_ways(planar):
+    plant, rng = planar(2), np.random.default_rng(31)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01) for i in range(3)]
+    law = [6.0 * (r.q[0] - 0.8 * r.q[1] - 0.3) * np.array([[1.0], [-0.8]]) for r in made]
+    found, claimed = told(plant, [replace(r, tau=r.tau + more) for r, more in zip(made, law, strict=True)])
+    assert list(claimed) == [("two_sided_biarticular_spring", (0, 1))]
+    assert claimed["two_sided_biarticular_spring", (0, 1)] == pytest.approx({"kappa": 6.0, "rho": -0.8, "phi": 0.3}, rel=0.02)
+    assert np.all(found.held_out[1] < 0.1 * found.held_out[0])
+
+
+def test_viscous_friction_of_two_directions(planar):
+    plant, rng = planar(1), np.random.default_rng(32)
+    made = [record(plant, f"{i}.csv", rng, 12.0, 0.01) for i in range(4)]
+    found, claimed = told(plant, [replace(r, tau=r.tau + 0.2 * np.abs(r.dq)) for r in made])
+    assert list(claimed) == [("viscous_asymmetry", (0,))]
+    assert claimed["viscous_asymmetry", (0,)]["asymmetry"] == pytest.approx(0.4, rel=0.1)
+    assert found.held_out[1][0] < found.held_out[0][0]
