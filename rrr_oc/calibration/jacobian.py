@@ -214,8 +214,8 @@ class Prediction:
 
     @property
     def load(self) -> np.ndarray:
-        """Load torque (n, K) [Nm]."""
-        return self.physics.torques(self.recording)[1]
+        """Load torque that the drives pass on (n, K) [Nm]."""
+        return self.physics.arm.torques(self.recording)[1]
 
     @cached_property
     def friction(self) -> np.ndarray:

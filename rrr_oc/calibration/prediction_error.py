@@ -118,9 +118,11 @@ def write_simulated(found: Mapping[str, Simulated], joints: Sequence[str], folde
 
 def _measured(model: CalibratedModel, recordings: RecordingSet, recording: Recording) -> dict[str, np.ndarray]:
     physics = model.physics(recording)
-    motor, load = physics.torques(recording)
+    motor, load = physics.arm.torques(recording)
     true = load if recordings.torque == "load" else motor
-    drive, output = motor - load, recordings.output_torque(recording) - (physics.recorded(recording, true) - true)
+    left_out = true - model.true_torque(recording, physics)
+    more = physics.recorded(recording, true - left_out) - true
+    drive, output = motor - load, recordings.output_torque(recording) - more
     torques = (output + drive, output) if recordings.torque == "load" else (output, output - drive)
     return dict(zip(SIGNALS, (recording.q, recording.dq, recording.ddq, *torques), strict=True))
 

@@ -133,7 +133,7 @@ class Response:
     def _residuals(self, target: "_Target", candidates: Sequence[np.ndarray]) -> np.ndarray:
         r, engines, settings = target.recording, [], replace(SETTINGS, timestep=self.timestep)
         for theta in candidates:
-            physics = replace(self.model, terms=with_parameter_values(self.model.terms, theta)).physics(r)
+            physics = replace(self.model, terms=with_parameter_values(self.model.terms, theta)).physics(r).arm
             engines.append(twin(physics.built, physics.theta, self.control, settings, physics.widths))
         expected = np.array([target.base + target.by_theta @ theta for theta in candidates])
         _, dq, motor = follow(engines, r, expected, as_recorded(self.control, self.timestep))

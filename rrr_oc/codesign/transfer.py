@@ -10,7 +10,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion, describe, start_of
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.effects import Body, BodyChange
+from rrr_oc.effects import Body, BodyChange, OnlyRecorded
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.recorded_physics import Physics
@@ -46,7 +46,7 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
 
     The other effects change the recorded torque, not the load torque of a given motion of the links: those of drives and sensors
     act between load torque and recording, those of the side "motion" between links and encoders. Effects that scale the recorded
-    springs are left out, because the design brings its own springs.
+    springs are left out, because the design brings its own springs, and so is what is only in the records.
 
     Args:
         groups: Label of the physical set-up of each phase ("go", "return"), for terms that hold for some groups only.
@@ -58,7 +58,7 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
     known, payload = [], design.task.payload
     for term in calibrated.terms:
         effect = term.effect
-        if effect.side not in ("link", "body") or "springs" in effect.inputs:
+        if effect.side not in ("link", "body") or "springs" in effect.inputs or isinstance(effect, OnlyRecorded):
             continue
         holds = [term.recordings == "all" or group in term.groups for group in groups]
         if all(holds) or (effect.alters == "position" and holds[0]):  # in the return phase there is no payload to be displaced
@@ -123,7 +123,7 @@ def reference_phases(
 def _calibrated_arm(design: CoDesign, calibrated: CalibratedModel, theta: np.ndarray) -> Physics:
     """The calibrated robot with the design's springs and with the calibrated terms but those that scale the recorded springs."""
     springs = [s.effect for s in design.springs if not s.known]  # known effects are among the terms
-    terms = [term for term in calibrated.terms if "springs" not in term.effect.inputs]
+    terms = [t for t in calibrated.terms if "springs" not in t.effect.inputs and not isinstance(t.effect, OnlyRecorded)]
     model = Model(calibrated.robot, calibrated.tool, (*springs, *(term.effect for term in terms)))
     own = theta[: sum(len(e.parameters) for e in springs)]
     widths = [e.width.nominal for e in springs if e.width is not None] + [t.width for t in terms if t.width is not None]

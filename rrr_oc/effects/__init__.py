@@ -20,6 +20,7 @@ from rrr_oc.effects.capabilities import (
     MotionShift,
     MovesLink,
     NativeTwin,
+    OnlyRecorded,
     WithStates,
 )
 from rrr_oc.effects.springs import Clutched, DesignSpring, LinkSpring, ListedSpring
@@ -92,6 +93,7 @@ __all__ = [
     "MotionShift",
     "MovesLink",
     "NativeTwin",
+    "OnlyRecorded",
     "Prior",
     "Signals",
     "Trial",

@@ -41,6 +41,10 @@ class BodyChange(Effect):
         raise NotImplementedError
 
 
+class OnlyRecorded(BodyChange):
+    """The torque is recorded as if the rigid body were another one; the arm itself is as without the effect."""
+
+
 class MotionShift(Effect):
     """The recorded positions are shifted by a constant."""
 

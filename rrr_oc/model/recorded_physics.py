@@ -9,9 +9,9 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects import Delay, Effect, FollowsLoad, MotionShift, MovesLink, Signals, WithStates
+from rrr_oc.effects import Delay, Effect, FollowsLoad, MotionShift, MovesLink, OnlyRecorded, Signals, WithStates
 from rrr_oc.model.motion import Motion
-from rrr_oc.model.shared_model import KEPT
+from rrr_oc.model.shared_model import KEPT, shared_model
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
 from rrr_oc.numerics.relaxation import relaxed
@@ -70,11 +70,22 @@ class Physics:
         """The model with `inertial` as its robot's own parameters, as the engine needs it."""
         return replace(self.model, robot=replace(self.model.robot, inertial=self.inertial))
 
+    @cached_property
+    def arm(self) -> "Physics":
+        """The physics of the arm itself, without what is only in its records."""
+        own = [not isinstance(effect, OnlyRecorded) for effect in self.model.effects]
+        if all(own):
+            return self
+        kept = np.repeat(own, [len(effect.parameters) for effect in self.model.effects])
+        effects = tuple(effect for effect, stays in zip(self.model.effects, own, strict=True) if stays)
+        return Physics(shared_model(self.model.robot, self.model.tool, effects), self.theta[kept], self.widths, self.inertial)
+
     @_kept
     def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-        """Motor torque and load torque that the motion needs, each (n, K) [Nm]."""
+        """Motor torque and load torque that the motion needs, as perfect sensors record them, each (n, K) [Nm]."""
         states = self.states(motion)
-        if self._load_depends_on is None or any(effect.side == "motion" for effect in self.model.effects):
+        at_once = any(effect.side == "motion" or isinstance(effect, OnlyRecorded) for effect in self.model.effects)
+        if self._load_depends_on is None or at_once:
             motor, load = self._evaluated(self.model.recorded_inverse, motion, self.shift(motion), states)
             return motor, load
         load = self._load(motion)

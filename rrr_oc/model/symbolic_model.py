@@ -8,7 +8,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects import Body, BodyChange, Effect, Signals
+from rrr_oc.effects import Body, BodyChange, Effect, OnlyRecorded, Signals
 from rrr_oc.errors import UserError
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, with_payload
@@ -183,11 +183,15 @@ class Model:
         arguments, _, load = self._motor_chain(moved=True)
         return ca.Function("recorded_load", arguments, [load], [*CHAIN, "shift", "states"], ["tau_load"])
 
-    def rigid(self, inertial, payload, theta, widths) -> tuple[ca.SX, ca.SX]:
-        """Inertial parameters with payload (10, n) and gravity (3,), with the changes by effects of the side "body"."""
+    def rigid(self, inertial, payload, theta, widths, without: type[Effect] | tuple[()] = ()) -> tuple[ca.SX, ca.SX]:
+        """Inertial parameters with payload (10, n) and gravity (3,), with the changes by effects of the side "body".
+
+        `without`: A kind of these effects that is left out.
+        """
         body = Body(ca.SX(inertial), ca.SX(self.robot.gravity), payload, list(self.tool.position))
         for effect, named, _ in self._unpacked(theta, widths):
-            body = effect.change(body, named) if isinstance(effect, BodyChange) else body
+            changes = isinstance(effect, BodyChange) and not isinstance(effect, without)
+            body = effect.change(body, named) if changes else body
         gravity = ca.vertcat(*body.gravity) if isinstance(body.gravity, list) else body.gravity
         return with_payload(body.inertial, self.tool.joint, body.payload, body.position), gravity
 
@@ -210,7 +214,13 @@ class Model:
             links = replace(signals, q=q + shift[:n], dq=dq + shift[n : 2 * n], ddq=ddq + shift[2 * n :])
         load = self.body.inverse_dynamics(links.q, links.dq, links.ddq, carried, gravity)
         load -= self.side_torque("link", links, theta, widths)
-        motor = load - self.side_torque("drive", replace(signals, load=load), theta, widths)
+        felt = load  # by the drives, whatever of it is recorded
+        if any(isinstance(effect, OnlyRecorded) for effect in self.effects):
+            whole = self.body.inverse_dynamics(
+                links.q, links.dq, links.ddq, *self.rigid(inertial, payload, theta, widths, OnlyRecorded)
+            )
+            felt = load + whole - self.body.inverse_dynamics(links.q, links.dq, links.ddq, carried, gravity)
+        motor = load - self.side_torque("drive", replace(signals, load=felt), theta, widths)
         return arguments, motor, load
 
     def with_signals(self, signals: Signals, theta, widths):

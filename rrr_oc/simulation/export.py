@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from rrr_oc.effects import Clutched
+from rrr_oc.effects import Clutched, OnlyRecorded
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
@@ -46,6 +46,7 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
         UserError: MuJoCo refuses the robot.
     """
     clutched = [model.label(effect) for effect in model.effects if isinstance(effect, Clutched)]
+    recorded = [model.label(effect) for effect in model.effects if isinstance(effect, OnlyRecorded)]
     (model, theta), robot = _lasting(model, np.asarray(theta, float)), model.robot
     spec, body, generated = assembled(model, theta, controller(model), Settings(effects="native", integrator="implicitfast"))
     for actuator in list(spec.actuators):
@@ -60,6 +61,7 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     spec.option.disableflags = 0
     _draw(spec, robot, model.tool.position)
     left_out = [f"{label}: a clutch connects it in one phase of a task only" for label in clutched]
+    left_out += [f"{label}: changes what is recorded, not the motion" for label in recorded]
     left_out += [
         f"{model.label(effect)}: {'changes what is recorded, not the motion' if effect.side == 'sensor' else 'MuJoCo has no form of it'}"
         for effect, code in zip(model.effects, generated, strict=True)
@@ -82,8 +84,8 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
 
 
 def _lasting(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
-    """The model without springs that act in one phase of a task only, and its parameters."""
-    lasting = [not isinstance(effect, Clutched) for effect in model.effects]
+    """The model without springs that act in one phase of a task only and without what is only recorded, and its parameters."""
+    lasting = [not isinstance(effect, Clutched | OnlyRecorded) for effect in model.effects]
     kept = np.repeat(np.array(lasting, bool), [len(effect.parameters) for effect in model.effects])
     return replace(model, effects=tuple(itertools.compress(model.effects, lasting))), theta[kept]
 

@@ -60,6 +60,7 @@ def replay(physics: Physics, motion: Motion, control: Controller) -> Simulated:
 
     Pieces between gaps, and between changes of the payload, are followed one by one, each from the recorded state.
     """
+    physics = physics.arm
     forward = physics.torques(motion)[0]
     engine = twin(physics.built, physics.theta, control, SETTINGS, physics.widths)
     hidden = Hidden(physics.twist(motion), physics.states(motion))

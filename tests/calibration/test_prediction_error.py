@@ -9,9 +9,10 @@ from recorded import Plant, as_set, record
 from scipy.signal import savgol_filter
 
 from rrr_oc.calibration.calibrate import calibrate
-from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS, error, evaluate_inverse, evaluate_simulated, summary, write_predictions
+from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.rigid_body import rigid_body
@@ -133,6 +134,26 @@ def test_the_engine_follows_what_was_recorded(pair):
     worse = evaluate_simulated(wrong, recordings)
     for joint in recordings.joints:
         assert worse["0.csv"][joint]["tau_motor"]["nrmse"] > 2 * found["0.csv"][joint]["tau_motor"]["nrmse"]
+
+
+def test_the_engine_carries_the_gravity_that_a_driver_leaves_out_of_its_efforts(pair):
+    """The recorded torque lacks 70 % of the torque at rest; the arm that is simulated does not."""
+    recordings, model = pair
+    plant, still = Plant("rrr", *TRUTH), np.zeros(recordings.recordings[0].q.shape)
+    gravity = [plant.load(r.q, still, still, float(r.payload[0]), (0.3, 0, 0)) for r in recordings.recordings]
+    less = tuple(replace(r, tau=r.tau - 0.7 * g) for r, g in zip(recordings.recordings, gravity, strict=True))
+    shown = replace(recordings, recordings=less)
+    known_of = replace(model, terms=(*model.terms, Term(CATALOGUE["missing_gravity"](()), (Estimate(0.7),))))
+    for r, g in zip(recordings.recordings, gravity, strict=True):
+        np.testing.assert_allclose(known_of.output_torque(r), model.output_torque(r) - 0.7 * g, atol=1e-9)  # rounding
+    whole, found, unknown = (
+        evaluate_simulated(one, of) for one, of in ((model, recordings), (known_of, shown), (model, shown))
+    )
+    for joint in ("joint2", "joint3"):
+        for signal in ("q", "tau_motor"):
+            right, same = (x["1.csv"][joint][signal]["rmse"] for x in (whole, found))
+            assert same == pytest.approx(right, rel=1e-6), (joint, signal)
+        assert unknown["1.csv"][joint]["tau_motor"]["rmse"] > 10 * found["1.csv"][joint]["tau_motor"]["rmse"]
 
 
 def test_other_robots_and_signals_are_refused(pair):

@@ -15,7 +15,7 @@ from rrr_oc.codesign.driven import DrivenArm, Followed, follow
 from rrr_oc.codesign.optimum import SAVED, SampledMotion
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
-from rrr_oc.codesign.transfer import check_transfer, describe_transfer, reference_phases
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, reference_phases, repaired
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
 from rrr_oc.report.design_report import transfer_table
@@ -141,6 +141,15 @@ def test_what_was_found_of_another_spring_does_not_come_along(moved, name):
     check_transfer(design, scaled)
     for one, other in zip(*(reference_phases(design, motion, theta, m) for m in (start, scaled)), strict=True):
         np.testing.assert_array_equal(one.feed_forward, other.feed_forward)
+
+
+def test_gravity_that_is_only_missing_in_the_records_is_carried(moved):
+    design, motion, theta = moved
+    start = calibrated()
+    silent = replace(start, terms=(*start.terms, Term(CATALOGUE["missing_gravity"](()), (Estimate(0.9),))))
+    for one, other in zip(*(reference_phases(design, motion, theta, m) for m in (start, silent)), strict=True):
+        np.testing.assert_array_equal(one.feed_forward, other.feed_forward)
+    assert repaired(design, silent, ("a", "b")).model.effects == repaired(design, start, ("a", "b")).model.effects
 
 
 # with drives, under two controls

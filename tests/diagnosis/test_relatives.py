@@ -25,6 +25,19 @@ def test_a_spring_across_two_joints_that_pulls_both_ways(planar):
     assert np.all(found.held_out[1] < 0.1 * found.held_out[0])
 
 
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_efforts_that_leave_out_gravity(planar, share):
+    """Of links whose inertia shows beside gravity; where it does not, lighter links equal it."""
+    drives = (np.full(2, size) for size in (0.1, 0.05, 0.01))
+    plant, rng = Plant(planar(2).urdf, *drives), np.random.default_rng(33)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.003) for i in range(3)]
+    still = np.zeros(made[0].q.shape)
+    found, claimed = told(plant, [replace(r, tau=r.tau - share * plant.load(r.q, still, still)) for r in made])
+    assert list(claimed) == [("missing_gravity", ())]
+    assert claimed["missing_gravity", ()]["share"] == pytest.approx(share, abs=0.01)
+    assert np.all(found.held_out[1] < found.held_out[0])
+
+
 def test_viscous_friction_of_two_directions(planar):
     plant, rng = planar(1), np.random.default_rng(32)
     made = [record(plant, f"{i}.csv", rng, 12.0, 0.01) for i in range(4)]

@@ -367,6 +367,7 @@ CONTRACT = {
     "biarticular_spring": "kappa rho phi",
     "two_sided_biarticular_spring": "kappa rho phi",
     "viscous_asymmetry": "asymmetry",
+    "missing_gravity": "share",
     "spring_stiffness": "scale",
     "spring_preload": "offset",
     "spring_hysteresis": "loss",
@@ -486,7 +487,7 @@ def test_body_effects_are_those_of_pinocchio():
     robot, rng = load_robot("rrr"), np.random.default_rng(13)
     tool = replace(robot.tool, position=np.array([0.3, 0.02, -0.01]))
     reference = Plant("rrr", *np.zeros((3, 3))).model
-    for name in ("payload_mass", "payload_com", "gravity_tilt", "link_inertial"):
+    for name in ("payload_mass", "payload_com", "gravity_tilt", "link_inertial", "missing_gravity"):
         effect = placed(name)
         theta = {p.name: float(rng.uniform(-0.05, 0.05)) for p in effect.parameters}
         changed, held, point = reference.copy(), 2.0, np.array(tool.position)
@@ -497,6 +498,8 @@ def test_body_effects_are_those_of_pinocchio():
         if name == "gravity_tilt":  # the base turns about x, then about its old y; gravity stays
             turn = pin.utils.rotate("y", theta["about_y"]) @ pin.utils.rotate("x", theta["about_x"])
             changed.gravity.linear = turn.T @ changed.gravity.linear
+        if name == "missing_gravity":
+            changed.gravity.linear = (1 - theta["share"]) * changed.gravity.linear
         if name == "link_inertial":
             whole = changed.inertias[2].toDynamicParameters() + np.array([*theta.values()])
             changed.inertias[2] = pin.Inertia.FromDynamicParameters(whole)

@@ -33,6 +33,11 @@ MODELS = {
         Term(BY_LOAD((1,)), (Estimate(0.05),), 0.05),
         Term(Echo((1,)), (Estimate(8.0), Estimate(0.3), Estimate(0.2), Estimate(0.1))),
     ],
+    "efforts without most of gravity, a tilt and friction by load": [
+        Term(CATALOGUE["missing_gravity"](()), (Estimate(0.8),)),
+        Term(CATALOGUE["gravity_tilt"](()), (Estimate(0.05), Estimate(-0.1))),
+        Term(BY_LOAD((1,)), (Estimate(0.1),), 0.05),
+    ],
     "bristles, a gear and sensors": [
         Term(STATES((1,)), (Estimate(300.0), Estimate(0.8)), 0.05),
         Term(GEARS((1,)), (Estimate(900.0), Estimate(0.004))),
@@ -103,6 +108,15 @@ def along_shift(physics, motion, shift, states, rows, more):
     return along(physics.model.recorded_inverse, *physics.inputs(motion), *values, there, states)
 
 
+def test_friction_by_load_feels_the_gravity_that_is_not_recorded(arm):
+    plain, recording = arm
+    friction, silent = Term(BY_LOAD((1,)), (Estimate(0.1),), 0.05), Term(CATALOGUE["missing_gravity"](()), (Estimate(1.0),))
+    models = [replace(plain, terms=(*plain.terms, *more)) for more in ((friction,), (friction, silent), (silent,), ())]
+    rubs, both, alone, bare = (model.output_torque(recording) for model in models)
+    np.testing.assert_allclose(both - alone, rubs - bare, atol=1e-9)  # rounding
+    assert np.abs(alone - bare)[1].max() > 1.0  # [Nm]
+
+
 def test_delayed_signals_are_interpolated_within_each_segment():
     rng = np.random.default_rng(62)
     t = np.cumsum(rng.uniform(0.5, 1.5, 60)) / 100
@@ -133,4 +147,4 @@ def test_what_is_kept_of_the_links_holds_for_other_models(arm):
             whole = along(physics.model.motor_inverse, *physics.inputs(recording), *values)
             np.testing.assert_allclose(physics.torques(recording), whole, rtol=1e-12, atol=1e-12)
     changed = [np.abs(load - loads[0]).max() > 1e-3 for load in loads[: len(models)]]
-    assert changed == [False, True, True, False, True, True, False, True, True, True, True]
+    assert changed == [False, True, True, False, True, True, False, True, True, True, True, True]

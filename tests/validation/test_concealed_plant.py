@@ -58,6 +58,7 @@ CONTRACT = {
     "biarticular_spring": {"kappa", "rho", "phi"},
     "two_sided_biarticular_spring": {"kappa", "rho", "phi"},
     "viscous_asymmetry": {"asymmetry"},
+    "missing_gravity": {"share"},
     "spring_stiffness": {"scale"},
     "spring_preload": {"offset"},
     "spring_hysteresis": {"loss"},

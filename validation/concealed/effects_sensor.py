@@ -1,8 +1,10 @@
+# pyright: reportAttributeAccessIssue=false
 """Catalogue effects of the sensing chain: what the logger writes is not what the joint did."""
 
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from validation.concealed.arms import Arm
 from validation.concealed.effect import Effect, Signals, any_joint, loaded_joint
@@ -40,6 +42,33 @@ class TorqueOffset(Effect):
 
     def parameters(self, arm: Arm):
         return {"offset": (self.shape["direction"] * self.strength, "Nm")}
+
+
+@dataclass(frozen=True)
+class MissingGravity(Effect):
+    """The driver takes off a share of what its own model of the arm, with the listed payload, needs against gravity."""
+
+    name = "missing_gravity"
+    equation = "recorded torque = true - share G(q)"
+    global_effect = True
+    largest = 1.0
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        return cls((), 0.2, {"payload": motion.payload.tolist()})
+
+    def sense(self, x: Signals, arm: Arm) -> None:
+        tool = arm.model.frames[arm.model.getFrameId(arm.tool_link)]
+        for b in np.flatnonzero(self.mask):
+            model = arm.model.copy()
+            held = pin.Inertia(self.shape["payload"][b], np.zeros(3), np.zeros((3, 3)))
+            model.appendBodyToJoint(tool.parentJoint, held, tool.placement * pin.SE3(np.eye(3), arm.tool_point))
+            data = model.createData()
+            gravity = [pin.computeGeneralizedGravity(model, data, q) for q in np.ascontiguousarray(x.q[b].T)]
+            x.tau[b] -= self.strength * np.array(gravity).T
+
+    def parameters(self, arm: Arm):
+        return {"share": (self.strength, "1")}
 
 
 @dataclass(frozen=True)

@@ -126,6 +126,8 @@ class Jacobian:
                 None,
                 np.concatenate([self.edited(self.moved(parent, point, tool.placement.rotation[:, k])) for k in range(3)], -1),
             )
+        none = self.edited(lambda m, b: setattr(m.gravity, "linear", (1 - EPS) * m.gravity.linear))
+        yield Candidate("missing_gravity", None, none)
         for j, joint in enumerate(arm.joints):
             unit = np.eye(3)
             shift = [self.edited(add(j + 1, EPS, 0.2 * e)) for e in unit]
