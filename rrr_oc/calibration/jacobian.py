@@ -210,7 +210,7 @@ class Prediction:
         """The signals on which effects may depend, as arrays."""
         listed = reversed(self.physics.named()[: len(self.recording.springs)])
         springs = {effect.joints: (effect, theta, width) for effect, theta, width in listed}
-        return replace(self.of_motion, load=self.load, friction=self.friction, springs=springs)
+        return replace(self.of_motion, load=self.load, friction=self.friction, rotor=self.rotor, springs=springs)
 
     @property
     def load(self) -> np.ndarray:
@@ -220,16 +220,25 @@ class Prediction:
     @cached_property
     def friction(self) -> np.ndarray:
         """Torque of the plain friction (n, K) [Nm]."""
+        return self._provided("friction")
+
+    @cached_property
+    def rotor(self) -> np.ndarray:
+        """Torque of the rotors' inertia (n, K) [Nm]."""
+        return self._provided("rotor")
+
+    def _provided(self, signal: str) -> np.ndarray:
+        """Torque of the effects that provide a signal (n, K) [Nm]."""
         result = np.zeros_like(self.load)
         for effect, theta, width in self.physics.named():
-            if effect.provides == "friction":
+            if effect.provides == signal:
                 result[effect.joints[0]] += np.array(effect.torque(self.of_motion, theta, width)[0]).reshape(-1)
         return result
 
     @cached_property
     def through(self) -> np.ndarray:
         """d (what is recorded) / d (load torque) of each joint, (n, K): 1 but for friction that grows with the load."""
-        result, signals = np.ones_like(self.load), replace(self.of_motion, friction=self.friction)
+        result, signals = np.ones_like(self.load), replace(self.of_motion, friction=self.friction, rotor=self.rotor)
         for effect, theta, width in self.physics.named():
             if "load" in effect.inputs and self.model.torque != "load":
                 more, now = (

@@ -117,7 +117,7 @@ class Along:
     @cached_property
     def signals(self) -> Signals:
         """The signals on which effects of the instant may depend, (n, K) of all recordings."""
-        names = ("q", "dq", "ddq", "load", "friction", "time", "payload")
+        names = ("q", "dq", "ddq", "load", "friction", "rotor", "time", "payload")
         return Signals(**{name: np.concatenate([getattr(at.signals, name) for at in self.parts], axis=-1) for name in names})
 
     @cached_property

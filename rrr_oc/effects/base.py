@@ -27,7 +27,7 @@ PLACEMENTS = {
     "spring": "the joints of a spring that a recording lists; absent where none is",
     "arm": "the arm as a whole, no single joint",
 }
-Input = Literal["load", "friction", "springs"]
+Input = Literal["load", "friction", "rotor", "springs"]
 Role = Literal["plain", "law", "black_box", "design"]
 SOUGHT: tuple[Role, ...] = ("law", "black_box")  # what a diagnosis looks for
 Scope = Literal["everywhere", "set_up", "some", "mounted"]
@@ -50,6 +50,7 @@ class Signals:
         payload: Mass at the tool [kg], scalar.
         states: The effect's own internal states, (number of states,).
         friction: Torque of the plain dry and viscous friction of each joint's drive [Nm].
+        rotor: Torque of the inertia of each joint's rotor [Nm].
         springs: The springs that a recording lists, by their joints: (effect, its parameters, its width).
     """
 
@@ -61,6 +62,7 @@ class Signals:
     payload: Any = None
     states: Any = None
     friction: Any = None
+    rotor: Any = None
     springs: Any = None
 
 
@@ -184,8 +186,8 @@ class Effect:
         states: Internal states of a `WithStates`, nominal = initial value.
         side: Where on the way from links to motor it acts, see `SIDES`.
         inputs: Which of the signals beside the motion its torque depends on: "load", so that forward dynamics must solve for the
-            load; "friction", the plain friction of its joint; "springs", those that a recording lists.
-        provides: Which of these signals its torque is part of: "friction", "springs" (which a recording may list), or "".
+            load; "friction", the plain friction of its joint; "rotor", its rotor's inertia; "springs", those that a recording lists.
+        provides: Which of these signals its torque is part of: "friction", "rotor", "springs" (which a recording may list), or "".
         role: "plain": part of every calibrated model. "law": a diagnosis looks for it. "black_box": no law of the catalogue; it
             stands for a torque that none explains. "design": a co-design may use it; a diagnosis does not look for it.
         scope: In which recordings it may be present. "everywhere": all or none. "set_up": all, none, or those of some set-ups.
@@ -214,7 +216,7 @@ class Effect:
     states: ClassVar[tuple[Parameter, ...]] = ()
     side: ClassVar[str] = "link"
     inputs: ClassVar[tuple[Input, ...]] = ()
-    provides: ClassVar[Literal["", "friction", "springs"]] = ""
+    provides: ClassVar[Literal["", "friction", "rotor", "springs"]] = ""
     role: ClassVar[Role] = "law"
     scope: ClassVar[Scope] = "everywhere"
     placement: ClassVar[Literal["joint", "many", "pair", "spring", "arm"]] = "joint"
@@ -295,6 +297,16 @@ class Effect:
         return self
 
     # in words
+
+    @property
+    def law(self) -> str:
+        """The equation in the form that these options have."""
+        return self.equation
+
+    @property
+    def said(self) -> Mapping[str, Any]:
+        """What the entry of a diagnosis says beside joints, recordings and parameters."""
+        return {}
 
     @classmethod
     def sentence(cls, joints: Sequence[str], values: Mapping[str, Any]) -> str:

@@ -226,19 +226,22 @@ class Model:
     def with_signals(self, signals: Signals, theta, widths):
         """(effect, signals that it may depend on, its parameters by name, its width) for each effect.
 
-        To `signals` are added its own states, the plain friction and the listed springs by their joints; of several springs on the
-        same joints the first counts.
+        To `signals` are added its own states, the plain friction, the rotors' inertia and the listed springs by their joints; of
+        several springs on the same joints the first counts.
         """
         unpacked = list(self._unpacked(theta, widths))
         springs = {e.joints: (e, named, width) for e, named, width in reversed(unpacked) if e.provides == "springs"}
-        signals, state, friction = replace(signals, springs=springs), 0, ca.SX.zeros(self.robot.n)
+        signals, state = replace(signals, springs=springs), 0
+        friction, rotor = ca.SX.zeros(self.robot.n), ca.SX.zeros(self.robot.n)
         for e, named, width in unpacked:
             if e.provides == "friction" and not e.states and signals.dq is not None:
                 friction += self._on_joints(e, signals, named, width)
+            if e.provides == "rotor" and signals.ddq is not None:
+                rotor += self._on_joints(e, signals, named, width)
         for e, named, width in unpacked:
             own = None if signals.states is None else signals.states[state : state + len(e.states)]
             state += len(e.states)
-            yield e, replace(signals, states=own, friction=friction), named, width
+            yield e, replace(signals, states=own, friction=friction, rotor=rotor), named, width
 
     def _on_joints(self, effect: Effect, signals: Signals, named, width) -> ca.SX:
         torque = ca.SX.zeros(self.robot.n)

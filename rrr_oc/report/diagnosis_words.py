@@ -84,6 +84,7 @@ def plain(e: Mapping[str, Any]) -> str:
     """What was found, in a sentence with number, unit and interval; the recordings that have it, where some have not."""
     kind, joints = CATALOGUE.get(e["effect"]), [joint_words(joint) for joint in _joints(e)]
     values = {name: read(entry) for name, entry in e["parameters"].items()}
+    values |= {option: e[option] for option in (kind.options if kind else ()) if option in e}
     said = default_sentence(e["effect"], joints, values) if kind is None else kind.sentence(joints, values)
     files = some_recordings(e)
     only = f" So it is in {listed(files)} only." if files else ""

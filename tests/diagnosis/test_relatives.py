@@ -4,9 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import Plant, as_set, record
+from recorded import Plant, as_set, multisine, record
 
+from rrr_oc.diagnosis.files.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
+from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
+from rrr_oc.report.diagnosis_words import plain
+
+TIMES = np.arange(1200) / 100  # [s]
 
 
 def told(plant: Plant, recordings) -> tuple[Diagnosis, dict[tuple, dict[str, float]]]:
@@ -23,6 +28,30 @@ def test_a_spring_across_two_joints_that_pulls_both_ways(planar):
     assert list(claimed) == [("two_sided_biarticular_spring", (0, 1))]
     assert claimed["two_sided_biarticular_spring", (0, 1)] == pytest.approx({"kappa": 6.0, "rho": -0.8, "phi": 0.3}, rel=0.02)
     assert np.all(found.held_out[1] < 0.1 * found.held_out[0])
+
+
+@pytest.mark.parametrize("follows", ["motor", "motor without friction", "load"])
+def test_friction_that_grows_with_the_torque_of_the_load_or_of_the_motor(planar, follows):
+    """A rotor that takes as much as the load, and three laws: each is told with its mu, alone."""
+    plant, rng = Plant(planar(1).urdf, np.array([0.3]), np.array([0.2]), np.array([0.3])), np.random.default_rng(34)
+    recordings = []
+    for i in range(4):
+        motion = multisine(1, TIMES, rng)
+        turn, load = np.tanh(motion[1] / plant.width), plant.load(*motion)
+        rotor = load + 0.3 * motion[2]
+        motor = rotor + 0.3 * turn + 0.2 * motion[1]
+        motor = (motor + 0.1 * turn * np.abs(motor)) / (1 - 0.01 * turn**2) if follows == "motor" else motor
+        felt = {"load": load, "motor": motor, "motor without friction": rotor}[follows]
+        r = record(plant, f"{i}.csv", rng, 12.0, 0.005, motion)
+        recordings.append(replace(r, tau=r.tau + 0.1 * np.abs(felt) * turn))
+    found, claimed = told(plant, recordings)
+    assert claimed == {("load_dependent_friction", (0,)): {"mu": pytest.approx(0.1, abs=0.005)}}
+    (entry,) = to_json(found)["effects"]
+    assert entry["follows"] == follows.split()[0]
+    assert list(entry["parameters"]) == ["mu"]
+    assert ("the torque of its motor" in plain(entry)) == (follows != "load")
+    assert found.findings[0].term.effect == LoadDependentFriction((0,), follows)
+    assert entry["equation"] == found.findings[0].term.effect.law
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])

@@ -44,6 +44,7 @@ from rrr_oc.effects.elastic.biarticular_spring import (
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.elastic.two_sided_biarticular_spring import TwoSidedBiarticularSpring
 from rrr_oc.effects.friction.coupled_friction import CoupledFriction
+from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.errors import UserError
 from rrr_oc.model.motion import Motion
 from rrr_oc.model.recorded_physics import states_along
@@ -264,6 +265,7 @@ def test_torques_of_several_springs_add_up_in_a_model():
         (lambda: TwoSidedBiarticularSpring((1, 1)), r"two different joints, got \(1, 1\)"),
         (lambda: BiarticularSpring((0, 1), (1, 0)), r"pair of \+1 or -1, got \(1, 0\)"),
         (lambda: BiarticularSpring((0, 1), (1,)), r"pair of \+1 or -1"),  # pyright: ignore[reportArgumentType]
+        (lambda: LoadDependentFriction((0,), "gear"), "follows load, motor, motor without friction, got 'gear'"),  # pyright: ignore[reportArgumentType]
         (lambda: ParallelSpring((0,), "left"), "'below' or 'above' its equilibrium, got 'left'"),  # pyright: ignore[reportArgumentType]
     ],
 )
@@ -399,6 +401,7 @@ def random_signals(rng) -> dict[str, np.ndarray]:
     """Arrays that `Signals` may hold, of three joints."""
     found = {k: rng.normal(0, scale, (3, SAMPLES)) for k, scale in (("q", 1.0), ("dq", 0.5), ("ddq", 3.0), ("load", 12.0))}
     found |= {"time": rng.uniform(0, 20, SAMPLES), "payload": rng.uniform(0, 5, SAMPLES)}
+    found |= {"rotor": -0.3 * found["ddq"]}
     return found | {"states": rng.uniform(-1, 1, (2, SAMPLES)), "friction": -np.sign(found["dq"]) * rng.uniform(1, 2, (3, 1))}
 
 
@@ -418,7 +421,7 @@ def law(effect: Effect, arrays: dict[str, np.ndarray], theta: dict[str, float], 
 
 def symbolic(effect: Effect, width: float | None = 0.05) -> tuple[ca.Function, list[str]]:
     """The same as a CasADi Function of (inputs by name, theta)."""
-    shapes = {"q": 3, "dq": 3, "ddq": 3, "load": 3, "time": 1, "payload": 1, "states": 2, "friction": 3}
+    shapes = {"q": 3, "dq": 3, "ddq": 3, "load": 3, "time": 1, "payload": 1, "states": 2, "friction": 3, "rotor": 3}
     inputs = {k: ca.SX.sym(k, rows) for k, rows in shapes.items()}
     theta = ca.SX.sym("theta", len(effect.parameters))
     named = {p.name: theta[i] for i, p in enumerate(effect.parameters)}
@@ -683,6 +686,12 @@ def test_laws_at_their_ends():
     np.testing.assert_allclose(found, 0.7 * arrays["friction"][1], rtol=1e-15)
     mu = law(placed("load_dependent_friction"), fast, {"mu": 0.2})[0]
     np.testing.assert_allclose(mu, -0.2 * np.abs(arrays["load"][1]) * np.sign(fast["dq"][1]), rtol=1e-12)
+    still = arrays["load"][1] - arrays["rotor"][1]
+    rotor = law(LoadDependentFriction((1,), "motor without friction"), fast, {"mu": 0.2})[0]
+    np.testing.assert_allclose(rotor, -0.2 * np.abs(still) * np.sign(fast["dq"][1]), rtol=1e-12)
+    whole = law(LoadDependentFriction((1,), "motor"), fast, {"mu": 0.2})[0]
+    motor = still - arrays["friction"][1] - whole  # which the law itself is part of
+    np.testing.assert_allclose(whole, -0.2 * np.abs(motor) * np.sign(fast["dq"][1]), rtol=1e-12)
     asymmetry = law(placed("coulomb_asymmetry"), fast, {"asymmetry": 1.4})[0]
     np.testing.assert_allclose(asymmetry, -0.7, rtol=1e-12)  # in both directions: 1.4 more against dq > 0 than against dq < 0
     asymmetry = law(placed("viscous_asymmetry"), fast, {"asymmetry": 0.3})[0]

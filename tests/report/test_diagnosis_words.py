@@ -109,6 +109,9 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
          "The model has 0.5 kg (95 %: 0.4 to 0.6 kg) more at the tool than the arm."),
         ("load_dependent_friction", "elbow_joint", {"mu": number(0.1195, "1", 0.011)},
          "Dry friction of elbow grows with its load: 0.12 Nm per Nm (95 %: 0.11 to 0.13 Nm per Nm)."),
+        ("load_dependent_friction", "a",
+         {"mu": number(-0.05, "1"), "follows": {"value": "motor", "std": None, "unit": ""}},
+         "Dry friction of a falls with the torque of its motor: 0.0500 Nm per Nm."),
         ("gravity_tilt", None, {"about_x": number(0.01745329, "rad", 0.0035), "about_y": number(0.0, "rad", 0.0035)},
          "The arm's base is not level: turned by 1.0° (95 %: 0.8 to 1.2°) about x and 0.0° (95 %: -0.2 to 0.2°) about y of the base "
          "frame."),

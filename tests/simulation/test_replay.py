@@ -22,6 +22,8 @@ from rrr_oc.simulation.rollout import Simulated
 
 FOUND = {
     "load_dependent_friction": ((1,), (0.15,)),
+    "load_dependent_friction/motor": ((1,), (0.15,)),
+    "load_dependent_friction/rotor": ((1,), (0.15,)),
     "presliding_hysteresis": ((2,), (200.0, 1.0)),
     "torque_ripple": ((1,), (1.5, 9.0, 0.4)),
     "friction_drift": ((1,), (0.8, 3.0)),
@@ -37,14 +39,17 @@ FOUND = {
     "friction_change": ((1,), (0.6, -0.4)),
     "empirical": ((1,), (0.8, -0.5, 0.3)),
 }
-OPTIONS = {  # over the accelerations of another joint, and while its own moves upwards
+OPTIONS: dict[str, dict] = {
+    "load_dependent_friction/motor": {"follows": "motor"},
+    "load_dependent_friction/rotor": {"follows": "motor without friction"},
+    # over the accelerations of another joint, and while its own moves upwards
     "empirical": {"variables": (("ddq", 2),), "low": (-8.0,), "high": (8.0,), "orders": (2,), "direction": "upwards"},
 }
 
 
 def found(name: str) -> Term:
     joints, values = FOUND[name]
-    effect = CATALOGUE[name](joints, **OPTIONS.get(name, {}))
+    effect = CATALOGUE[name.split("/")[0]](joints, **OPTIONS.get(name, {}))
     width = None if effect.width is None else effect.width.nominal
     return Term(effect, tuple(Estimate(v) for v in values), width)
 

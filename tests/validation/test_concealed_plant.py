@@ -20,6 +20,7 @@ from validation.concealed.effects_friction import (
     Backlash,
     JointElasticity,
     LoadDependentFriction,
+    MotorDependentFriction,
     PositionDependentFriction,
     Stribeck,
     TorqueRipple,
@@ -59,6 +60,7 @@ CONTRACT = {
     "two_sided_biarticular_spring": {"kappa", "rho", "phi"},
     "viscous_asymmetry": {"asymmetry"},
     "missing_gravity": {"share"},
+    "motor_dependent_friction": {"mu", "follows"},
     "spring_stiffness": {"scale"},
     "spring_preload": {"offset"},
     "spring_hysteresis": {"loss"},
@@ -168,6 +170,22 @@ def test_motion_obeys_rnea_and_eq_9():
     exact = np.array([pin.rnea(tool, data, *x).copy() for x in zip(h.q[0].T, v.T, a.T, strict=True)]).T
     exact -= spring_torque(setup.springs[0], arm, h.q[0])
     assert np.abs(exact - h.load[0]).max() < 1e-2  # [Nm]; speed within a step is predicted
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_friction_by_the_motors_torque_is_what_its_equation_says(whole):
+    """The motor gives the load, the rotor's inertia, plain friction, and mu times what is said."""
+    b, j, mu = bench(), 1, 0.1
+    effect = MotorDependentFriction((j,), mu, {"whole": whole, "armature": b.arm.armature}).on(np.ones(2))
+    h = b.history([effect])
+    turning, dq = h.load[:, j] + b.arm.armature[j] * h.ddq[:, j], h.dq[:, j]
+    sign = np.tanh(dq / b.arm.width)
+    plain = b.arm.coulomb[j] * sign + b.arm.viscous[j] * dq
+    expected = turning + plain + mu * np.abs(h.motor[:, j] if whole else turning) * sign
+    error = np.abs(expected - h.motor[:, j])[:, h.t > 0.1]
+    rubs = np.std(mu * np.abs(turning) * sign)
+    assert rubs > 0.5  # [Nm]
+    assert np.quantile(error, 0.99) < 0.02 * rubs  # torques are those of a step of 2 ms before
 
 
 @pytest.mark.parametrize("kind", [JointElasticity, Backlash])

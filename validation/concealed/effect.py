@@ -87,11 +87,16 @@ class Effect:
     mask: np.ndarray = field(default_factory=lambda: np.ones(1))
 
     name: ClassVar[str]
+    told: ClassVar[str] = ""  # name in the truth, of a variant of another effect
     equation: ClassVar[str]
     catalogue: ClassVar[bool] = True
     global_effect: ClassVar[bool] = False  # belongs to no joint: `joint` is null in the truth
     smallest: ClassVar[float] = 1e-9
     largest: ClassVar[float] = np.inf
+
+    @property
+    def in_truth(self) -> str:
+        return self.told or self.name
 
     def of(self, strength: float) -> "Effect":
         return replace(self, strength=strength)

@@ -106,6 +106,34 @@ class LoadDependentFriction(Effect):
 
 
 @dataclass(frozen=True)
+class MotorDependentFriction(Effect):
+    """Friction that grows with the torque of the motor, which also turns the rotor, and which overcomes friction or not.
+
+    Both torques are those of one step before.
+    """
+
+    name = "motor_dependent_friction"
+    told = "load_dependent_friction"
+    equation = "tau = -mu |tau_m| sgn(dq), tau_m the motor's torque, or tau_l + armature ddq"
+    largest = 0.5
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        shape = {"whole": bool(rng.random() < 0.5), "armature": arm.armature}
+        return cls((loaded_joint(motion, rng),), 0.08, shape)
+
+    def push(self, s: State, f: Forces, memory: Any) -> None:
+        j = self.j
+        turning = s.load[:, j] + self.shape["armature"][j] * s.alpha[:, j]
+        level = self.mask * self.strength * np.abs(s.motor[:, j] if self.shape["whole"] else turning)
+        f.rotor[:, j] -= level * f.sign[:, j]
+        f.damp[:, j] += level * f.slope[:, j]
+
+    def parameters(self, arm: Arm):
+        return {"mu": (self.strength, "1"), "follows": ("motor" if self.shape["whole"] else "motor without friction", "")}
+
+
+@dataclass(frozen=True)
 class PreslidingHysteresis(Effect):
     """The strength is δ = f_c / σ0 [rad], the bristle's reach. Laws of the deflection z in [−1, 1]:
 

@@ -76,6 +76,10 @@ class Jacobian:
         yield Candidate("viscous_asymmetry", joint, self.on(j, dq * s))
         yield Candidate("quadratic_drag", joint, self.on(j, dq * np.abs(dq)))
         yield Candidate("load_dependent_friction", joint, self.on(j, np.abs(self.base[:, j]) * s))
+        drives = self.fit.coefficients[j]
+        rotor = self.base[:, j] + drives[2] * x.ddq[:, j]
+        for motor in (rotor, rotor + drives[0] * s + drives[1] * dq):
+            yield Candidate("load_dependent_friction", joint, self.on(j, np.abs(motor) * s))
         yield Candidate("cable_harness", joint, self.on(j, q, one))
         shifted = x.q.copy()
         shifted[:, j] -= EPS
@@ -206,7 +210,7 @@ def equal_effects(
         ]
 
     names = tuple(arm.joints[j] for j in effect.joints)
-    own = best.get((effect.name, names if len(names) > 1 else (names[0] if names else None)), 0.0)
+    own = best.get((effect.in_truth, names if len(names) > 1 else (names[0] if names else None)), 0.0)
     order = sorted(best, key=lambda k: best[k])
     return {
         "chi2_of_residual": round(total, 1),

@@ -169,7 +169,7 @@ def truth_of(built: Built, scaled: Scaled, index: int) -> dict:
     names = [arm.joints[j] for j in effect.joints]
     everywhere = bool(np.all(effect.mask > 0))
     out = {
-        "effect": effect.name,
+        "effect": effect.in_truth,
         "in_catalogue": effect.catalogue,
         "joint": None if effect.global_effect else (names[0] if len(names) == 1 else names),
         "recordings": "all" if everywhere else [file_name(int(b)) for b in np.flatnonzero(effect.mask)],

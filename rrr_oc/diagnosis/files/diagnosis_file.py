@@ -138,6 +138,7 @@ class Claim(Named):
         lowers_error: Its size on data that it was not fitted to.
         indistinguishable_from: Names of the effects that explain these recordings as well.
         rivals: The same with their joints.
+        follows: Of friction that grows with a torque: whether that is the load's or the motor's.
     """
 
     recordings: Files
@@ -151,6 +152,7 @@ class Claim(Named):
     lowers_error: Lowered
     indistinguishable_from: tuple[str, ...]
     rivals: tuple[Named, ...]
+    follows: Literal["load", "motor"] | None = None
 
 
 class Possible(Named):
@@ -426,7 +428,8 @@ def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
         "effect": finding.term.effect.name,
         "joint": _names(finding.term.effect.joints, joints),
         "recordings": files_of(finding.term, diagnosis.recordings),
-        "equation": finding.term.effect.equation,
+        "equation": finding.term.effect.law,
+        **finding.term.effect.said,
         "parameters": _parameters(finding.term),
         "share_of_error": shares.share[i],
         "p_value": finding.p_value,
@@ -490,6 +493,8 @@ def _parameters(term: Term) -> dict[str, Any]:
         interval = None if e.interval is None else list(e.interval)
         result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": interval}
     for option in term.effect.options:
+        if option in term.effect.said:
+            continue  # it stands in the entry itself
         value = getattr(term.effect, option)
         result[option] = {"value": list(value) if isinstance(value, tuple) else value, "std": None, "unit": ""}
     return result

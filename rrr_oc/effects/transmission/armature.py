@@ -15,6 +15,7 @@ class Armature(NativeTwin):
     plain = "The rotor of {joints} adds an inertia of {inertia}."
     parameters = (Parameter("inertia", "kg m²", 0.0, lower=0.0),)
     side = "drive"
+    provides = "rotor"
     role = "plain"
 
     def torque(self, signals, theta, width):
