@@ -324,7 +324,7 @@ class Prediction:
 
     def _on_joints(self, effect: Effect, torques: Sequence[Any]) -> np.ndarray:
         result = np.zeros(self.recording.q.shape)
-        for j, torque in zip(effect.joints, torques, strict=True):
+        for j, torque in zip(effect.on(len(result)), torques, strict=True):
             result[j] += np.array(torque).reshape(-1)
         return result
 

@@ -21,7 +21,14 @@ from rrr_oc.storage import number, write_json
 
 FORMAT = "rrr_oc-model/1"
 INERTIAL_ORDER = "m [kg], m c [kg m] (x, y, z), I about the joint's frame [kg m²] (xx, xy, yy, xz, yz, zz)"
-JOINTS = {"joint": (1,), "many": (1,), "pair": (2,), "spring": (1, 2), "arm": (0,)}  # how many an effect has, by its placement
+JOINTS = {
+    "joint": (1,),
+    "joint or arm": (0, 1),
+    "many": (1,),
+    "pair": (2,),
+    "spring": (1, 2),
+    "arm": (0,),
+}  # how many an effect has, by its placement
 T = TypeVar("T")
 # Keys that are not known here are ignored, so that files of later versions can be read.
 

@@ -153,7 +153,7 @@ def _torques(trial: Trial, signals: Signals) -> dict[int, np.ndarray]:
         series = np.array(basis)
         return {effect.joints[0]: series if np.array_equal(coefficients, np.eye(len(series))) else coefficients @ series}
     every = [effect.torque(signals, theta, trial.width) for theta in trial.points]
-    return {j: np.array([np.reshape(torques[i], -1) for torques in every]) for i, j in enumerate(effect.joints)}
+    return {j: np.array([np.reshape(torques[i], -1) for torques in every]) for i, j in enumerate(effect.on(len(signals.q)))}
 
 
 @dataclass(frozen=True, eq=False)

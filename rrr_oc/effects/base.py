@@ -22,6 +22,7 @@ SIDES = {
 }  # in the order in which a prediction goes from the recorded motion to the recorded torque
 PLACEMENTS = {
     "joint": "one joint",
+    "joint or arm": "one joint, or all joints alike",
     "many": "one joint, which may have several of it",
     "pair": "two joints",
     "spring": "the joints of a spring that a recording lists; absent where none is",
@@ -204,7 +205,7 @@ class Effect:
         plain: What was found, in a sentence for people: a format with "joints", the parameters' names (`words.Number`) and options;
             "" for one that is made of the name, the joints and the parameters.
         prior: What is believed of it before any recording is seen.
-        joints: Indices of the joints it acts on.
+        joints: Indices of the joints it acts on; none for the arm as a whole.
     """
 
     name: ClassVar[str]
@@ -219,7 +220,7 @@ class Effect:
     provides: ClassVar[Literal["", "friction", "rotor", "springs"]] = ""
     role: ClassVar[Role] = "law"
     scope: ClassVar[Scope] = "everywhere"
-    placement: ClassVar[Literal["joint", "many", "pair", "spring", "arm"]] = "joint"
+    placement: ClassVar[Literal["joint", "joint or arm", "many", "pair", "spring", "arm"]] = "joint"
     resembles: ClassVar[Literal["", "friction_over_speed", "position_harmonic", "constant"]] = ""
     alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
     moves_link: ClassVar[bool] = False
@@ -231,7 +232,7 @@ class Effect:
     joints: tuple[int, ...]
 
     def torque(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> tuple[Any, ...]:
-        """Torque on each of `joints` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`.
+        """Torque on each of `on` [Nm] for parameters `theta` by name; `width` is in the unit of `Effect.width`.
 
         Without `Signals.states` the arm has been at rest. For the side "sensor": the error of the recorded torque; the true one is
         `signals.load`. By default none, for an effect that changes the motion or the body.
@@ -239,6 +240,10 @@ class Effect:
         if self.side not in ("motion", "body"):
             raise NotImplementedError(f"{self.name} acts on the side {self.side!r} and needs a torque")
         return tuple(0 * signals.q[j] for j in self.joints)
+
+    def on(self, n: int) -> tuple[int, ...]:
+        """The joints of `torque`, of n: its own, or all where it is of all joints alike."""
+        return tuple(range(n)) if self.placement == "joint or arm" and not self.joints else self.joints
 
     def energy(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> Any:
         """Energy stored [J], with torque = −d energy / d q; 0 where nothing is stored."""
@@ -327,7 +332,9 @@ class Effect:
         terms, which have `BlackBox.black_box_trials`.
         """
         if cls.amplitudes and cls.role != "black_box":
-            for joints in {"arm": [()], "spring": view.springs}.get(cls.placement, [(j,) for j in range(view.n)]):
+            each = [(j,) for j in range(view.n)]
+            places = {"arm": [()], "spring": view.springs, "joint or arm": [*each, ()][: None if view.n > 1 else 1]}
+            for joints in places.get(cls.placement, each):
                 for shape in cls.shapes(view, joints):
                     yield cls(joints).trial(view, **shape)
                     yield from cls(joints).secants(view, **shape)

@@ -261,8 +261,9 @@ class Physics:
         for effect, theta, width in self.named():
             if effect.side == "sensor":
                 delay += effect.delay(theta) if isinstance(effect, Delay) else 0.0
-                for j, more in zip(effect.joints, effect.torque(Signals(motion.q, load=torque), theta, width), strict=True):
-                    result[j] += more
+                more = effect.torque(Signals(motion.q, load=torque), theta, width)
+                for j, one in zip(effect.on(len(torque)), more, strict=True):
+                    result[j] += one
         return later(motion, result, delay) if delay else result
 
     def passed_on(self, motion: Motion, change: np.ndarray) -> np.ndarray:

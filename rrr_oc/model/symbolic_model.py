@@ -245,7 +245,7 @@ class Model:
 
     def _on_joints(self, effect: Effect, signals: Signals, named, width) -> ca.SX:
         torque = ca.SX.zeros(self.robot.n)
-        for joint, value in zip(effect.joints, effect.torque(signals, named, width), strict=True):
+        for joint, value in zip(effect.on(self.robot.n), effect.torque(signals, named, width), strict=True):
             torque[joint] += value
         return torque
 

@@ -54,6 +54,17 @@ def test_friction_that_grows_with_the_torque_of_the_load_or_of_the_motor(planar,
     assert entry["equation"] == found.findings[0].term.effect.law
 
 
+def test_one_gain_of_all_joints_in_one_set_up(planar):
+    """The links are the same in all of them, so that they do not explain it; a gain of each joint would be two laws."""
+    plant, rng = planar(2), np.random.default_rng(35)
+    made = [replace(record(plant, f"{i}.csv", rng, 10.0, 0.01), group="ab"[i % 2]) for i in range(4)]
+    made[1], made[3] = (replace(r, tau=1.2 * r.tau) for r in (made[1], made[3]))
+    found, claimed = told(plant, made)
+    assert claimed == {("torque_gain", ()): {"gain": pytest.approx(0.2, abs=0.01)}}
+    (entry,) = to_json(found)["effects"]
+    assert (entry["joint"], entry["recordings"]) == (None, ["1.csv", "3.csv"])
+
+
 @pytest.mark.parametrize("share", [0.5, 1.0])
 def test_efforts_that_leave_out_gravity(planar, share):
     """Of links whose inertia shows beside gravity; where it does not, lighter links equal it."""

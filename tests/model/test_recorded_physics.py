@@ -38,6 +38,11 @@ MODELS = {
         Term(CATALOGUE["gravity_tilt"](()), (Estimate(0.05), Estimate(-0.1))),
         Term(BY_LOAD((1,)), (Estimate(0.1),), 0.05),
     ],
+    "one gain of all joints, and another of one": [
+        Term(GAIN(()), (Estimate(0.3),)),
+        Term(GAIN((1,)), (Estimate(-0.1),)),
+        Term(CATALOGUE["gravity_tilt"](()), (Estimate(0.05), Estimate(-0.1))),
+    ],
     "bristles, a gear and sensors": [
         Term(STATES((1,)), (Estimate(300.0), Estimate(0.8)), 0.05),
         Term(GEARS((1,)), (Estimate(900.0), Estimate(0.004))),
@@ -147,4 +152,4 @@ def test_what_is_kept_of_the_links_holds_for_other_models(arm):
             whole = along(physics.model.motor_inverse, *physics.inputs(recording), *values)
             np.testing.assert_allclose(physics.torques(recording), whole, rtol=1e-12, atol=1e-12)
     changed = [np.abs(load - loads[0]).max() > 1e-3 for load in loads[: len(models)]]
-    assert changed == [False, True, True, False, True, True, False, True, True, True, True, True]
+    assert changed == [False, True, True, False, True, True, False, True, True, True, True, True, True]

@@ -102,6 +102,7 @@ def series(**changes):
         (("effects", 0, "joints"), [], "effects[0].joints: found []; 1 different joint are required by dry_friction"),
         (("effects", 0, "joints"), ["joint1", "joint2"], "effects[0].joints: found ['joint1', 'joint2']; 1 different"),
         (("effects",), [TILT | {"joints": ["joint1"]}], "effects[0].joints: found ['joint1']; no joint is required"),
+        (("effects",), [{**TILT, "effect": "torque_gain", "joints": ["joint1", "joint2"]}], "effects[0].joints: found"),
         (("effects",), [TILT, TILT], "effects[1]: gravity_tilt stands in effects[0] already"),
         (("effects", 0, "recordings"), "0.csv", "effects[0].recordings: found '0.csv'; allowed is 'all'"),
         (("effects", 0, "options"), {"turn": 3}, "effects[0].options.turn: found 3; a text is required"),

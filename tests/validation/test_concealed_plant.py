@@ -61,6 +61,7 @@ CONTRACT = {
     "viscous_asymmetry": {"asymmetry"},
     "missing_gravity": {"share"},
     "motor_dependent_friction": {"mu", "follows"},
+    "common_gain": {"gain"},
     "spring_stiffness": {"scale"},
     "spring_preload": {"offset"},
     "spring_hysteresis": {"loss"},

@@ -28,6 +28,27 @@ class TorqueGain(Effect):
 
 
 @dataclass(frozen=True)
+class CommonGain(Effect):
+    """One gain of the torque channels of all joints."""
+
+    name = "common_gain"
+    told = "torque_gain"
+    equation = "recorded torque = (1 + gain) true, of all joints"
+    global_effect = True
+    largest = 0.8
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        return cls((), 0.05, {"direction": float(rng.choice([-1, 1]))})
+
+    def sense(self, x: Signals, arm: Arm) -> None:
+        x.tau *= 1 + self.mask[:, None, None] * self.shape["direction"] * self.strength
+
+    def parameters(self, arm: Arm):
+        return {"gain": (self.shape["direction"] * self.strength, "1")}
+
+
+@dataclass(frozen=True)
 class TorqueOffset(Effect):
     name = "torque_offset"
     equation = "recorded torque = true + offset"

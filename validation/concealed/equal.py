@@ -65,6 +65,7 @@ class Jacobian:
             yield from self.joint_candidates(j, joint)
         yield from self.body_candidates()
         yield from self.pair_candidates()
+        yield Candidate("torque_gain", None, self.x.tau[..., None])
         yield Candidate("time_delay", None, np.gradient(self.x.tau, self.x.t, axis=2)[..., None])
 
     def joint_candidates(self, j: int, joint: str) -> Iterator[Candidate]:

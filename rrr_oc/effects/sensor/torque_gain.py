@@ -5,7 +5,7 @@ from rrr_oc.robot.parameters import Parameter
 
 
 class TorqueGain(Effect):
-    """recorded = (1 + gain) true."""
+    """recorded = (1 + gain) true, of one joint, or of all joints alike: currents in another unit, one wrong torque constant."""
 
     name = "torque_gain"
     equation = "recorded torque = (1 + gain) true"
@@ -14,6 +14,7 @@ class TorqueGain(Effect):
     amplitudes = ("gain",)
     side = "sensor"
     scope = "set_up"
+    placement = "joint or arm"
     prior = Prior(0.02, {"gain": (0.1, "")}, "data sheets: torque constants within 10 %, torque sensors within some per cent")
 
     def possible(self, theta, payload):
@@ -21,4 +22,8 @@ class TorqueGain(Effect):
         return gain.lower < theta["gain"] < gain.upper
 
     def torque(self, signals, theta, width):
-        return (theta["gain"] * signals.load[self.joints[0]],)
+        return tuple(theta["gain"] * signals.load[j] for j in self.on(signals.load.shape[0]))
+
+    @classmethod
+    def sentence(cls, joints, values):
+        return super().sentence(joints or ("all joints",), values)
