@@ -139,6 +139,7 @@ class View:
             "dry/speed²": self.dry / self.speed**2,
             "torque": self.torque,
             "torque/travel": self.torque / travel,
+            "torque/travel³": self.torque / travel**3,
             "travel": travel,
             "mass": self.mass,
             "arm's mass": np.full(self.n, self.mass.sum()),

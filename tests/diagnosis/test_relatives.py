@@ -1,9 +1,11 @@
 """Relatives of laws that the catalogue had first: each is told as itself, with its size, and not as two others."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from chains import joint, link, robot
 from recorded import Plant, as_set, multisine, record
 
 from rrr_oc.diagnosis.files.diagnosis_file import to_json
@@ -18,6 +20,15 @@ def told(plant: Plant, recordings) -> tuple[Diagnosis, dict[tuple, dict[str, flo
     """A diagnosis, and what it claims: parameters by name and joints."""
     found = diagnose(as_set(plant, recordings))
     return found, {f.key: f.term.named for f in found.findings}
+
+
+def upright(folder: Path, joints: int) -> Plant:
+    """An arm with little friction whose first axis is vertical, the others horizontal."""
+    names, axes = ["base", "l1", "l2"][: joints + 1], ["0 0 1", "0 -1 0"]
+    parts = [link(name, mass) for name, mass in zip(names, (0.0, 1.0, 1.0), strict=False)]
+    parts += [joint(f"j{i + 1}", names[i], names[i + 1], axis=axes[i]) for i in range(joints)]
+    (folder / "upright.urdf").write_text(robot(*parts))
+    return Plant(folder / "upright.urdf", *(np.full(joints, size) for size in (0.1, 0.05, 0.01)))
 
 
 def test_a_spring_across_two_joints_that_pulls_both_ways(planar):
@@ -65,11 +76,25 @@ def test_one_gain_of_all_joints_in_one_set_up(planar):
     assert (entry["joint"], entry["recordings"]) == (None, ["1.csv", "3.csv"])
 
 
+def test_a_harness_that_hardens_in_pieces_of_one_slow_sweep(tmp_path):
+    """Each piece covers angles that the others lack; the law holds there too. Gravity does not turn the joint."""
+    plant, rng = upright(tmp_path, 1), np.random.default_rng(36)
+    t, slow = np.arange(4000) / 100, np.pi / 40
+    motion = 1.4 * np.cos(slow * t), -1.4 * slow * np.sin(slow * t), -1.4 * slow**2 * np.cos(slow * t)
+    parts = [tuple(x[None, k : k + 1000] for x in motion) for k in range(0, 4000, 1000)]
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, part) for i, part in enumerate(parts)]
+    found, claimed = told(plant, [replace(r, tau=r.tau + 2.0 * r.q + 1.5 * r.q**3) for r in made])
+    assert list(claimed) == [("cable_harness", (0,))]
+    named = claimed["cable_harness", (0,)]
+    assert named["hardening"] == pytest.approx(1.5, rel=0.1)
+    assert named["stiffness"] == pytest.approx(2.0, abs=0.5)
+    assert found.held_out[1][0] < 0.1 * found.held_out[0][0]
+
+
 @pytest.mark.parametrize("share", [0.5, 1.0])
-def test_efforts_that_leave_out_gravity(planar, share):
+def test_efforts_that_leave_out_gravity(tmp_path, share):
     """Of links whose inertia shows beside gravity; where it does not, lighter links equal it."""
-    drives = (np.full(2, size) for size in (0.1, 0.05, 0.01))
-    plant, rng = Plant(planar(2).urdf, *drives), np.random.default_rng(33)
+    plant, rng = upright(tmp_path, 2), np.random.default_rng(33)
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.003) for i in range(3)]
     still = np.zeros(made[0].q.shape)
     found, claimed = told(plant, [replace(r, tau=r.tau - share * plant.load(r.q, still, still)) for r in made])

@@ -41,6 +41,7 @@ from rrr_oc.effects.elastic.biarticular_spring import (
     pick_hardware,
     reduced,
 )
+from rrr_oc.effects.elastic.cable_harness import CableHarness
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.elastic.two_sided_biarticular_spring import TwoSidedBiarticularSpring
 from rrr_oc.effects.friction.coupled_friction import CoupledFriction
@@ -232,6 +233,24 @@ def test_a_spring_across_two_joints_pulls_both_ways_as_two_of_one_way_do():
         found = torques(spring, q, theta, 0.0)
         np.testing.assert_allclose(found, [0, 1, -0.8] * np.array(-6.0 * (q[1] - 0.8 * q[2] - 0.3)), atol=1e-12)
         np.testing.assert_allclose(found, sum(torques(one, q, numbers, 0.0) for one, numbers in pair), atol=1e-12)
+
+
+def test_a_harness_may_harden_and_has_a_third_parameter_only_then(arm, tmp_path):
+    """−k x − h x³ about its rest, whose energy it gives back; it is the linear law where h is 0; `model.json` keeps which it is."""
+    plain, hard = CableHarness((1,)), CableHarness((1,), True)
+    assert [p.name for p in plain.parameters] == ["stiffness", "rest"]
+    assert [p.name for p in hard.parameters] == ["stiffness", "rest", "hardening"]
+    q, theta = np.random.default_rng(23).uniform(-2, 2, (30, 3)), np.array([3.0, 0.4, -0.7])
+    for at in q:
+        found, x = torques(hard, at, theta, 0.0), at[1] - 0.4
+        np.testing.assert_allclose(found, [0, -3.0 * x + 0.7 * x**3, 0], atol=1e-12)  # rounding
+        np.testing.assert_allclose(torques(plain, at, theta[:2], 0.0), torques(hard, at, theta * [1, 1, 0], 0.0), atol=1e-12)
+        named = dict(zip(("stiffness", "rest", "hardening"), theta, strict=True))
+        sides = [float(hard.energy(Signals(at + step * np.eye(3)[1]), named, None)) for step in (1e-5, -1e-5)]
+        assert -(sides[0] - sides[1]) / 2e-5 == pytest.approx(found[1], abs=1e-8)  # rounding over the step
+    terms = tuple(Term(e, tuple(map(Estimate, theta[: len(e.parameters)]))) for e in (plain, hard))
+    save_model(replace(arm[0], terms=terms, noise=np.ones(3), nrmse=np.ones(3)), tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json").terms == terms
 
 
 def test_torques_of_several_springs_add_up_in_a_model():

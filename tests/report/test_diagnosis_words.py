@@ -112,6 +112,9 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
         ("load_dependent_friction", "a",
          {"mu": number(-0.05, "1"), "follows": {"value": "motor", "std": None, "unit": ""}},
          "Dry friction of a falls with the torque of its motor: 0.0500 Nm per Nm."),
+        ("cable_harness", "a", {"stiffness": number(2.0, "Nm/rad"), "rest": number(0.0, "rad"), "hardening": number(0.8, "Nm/rad³")},
+         "Something elastic, such as a cable or a hose, pulls a back towards 0.00°: 2.00 Nm/rad, and 0.800 Nm/rad³ times the third "
+         "power of the angle."),
         ("torque_gain", None, {"gain": number(0.4, "1")}, "The recorded torque of all joints is 40.0 % too large."),
         ("gravity_tilt", None, {"about_x": number(0.01745329, "rad", 0.0035), "about_y": number(0.0, "rad", 0.0035)},
          "The arm's base is not level: turned by 1.0° (95 %: 0.8 to 1.2°) about x and 0.0° (95 %: -0.2 to 0.2°) about y of the base "

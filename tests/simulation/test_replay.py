@@ -28,6 +28,7 @@ FOUND = {
     "torque_ripple": ((1,), (1.5, 9.0, 0.4)),
     "friction_drift": ((1,), (0.8, 3.0)),
     "cable_harness": ((2,), (3.0, 0.2)),
+    "cable_harness/hard": ((2,), (3.0, 0.2, 4.0)),
     "two_sided_biarticular_spring": ((1, 2), (3.0, -0.8, 0.2)),
     "viscous_asymmetry": ((1,), (3.0,)),
     "spring_stiffness": ((1,), (1.3,)),
@@ -43,6 +44,7 @@ FOUND = {
 OPTIONS: dict[str, dict] = {
     "load_dependent_friction/motor": {"follows": "motor"},
     "load_dependent_friction/rotor": {"follows": "motor without friction"},
+    "cable_harness/hard": {"hardens": True},
     # over the accelerations of another joint, and while its own moves upwards
     "empirical": {"variables": (("ddq", 2),), "low": (-8.0,), "high": (8.0,), "orders": (2,), "direction": "upwards"},
 }

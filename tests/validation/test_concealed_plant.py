@@ -62,6 +62,7 @@ CONTRACT = {
     "missing_gravity": {"share"},
     "motor_dependent_friction": {"mu", "follows"},
     "common_gain": {"gain"},
+    "hardening_harness": {"stiffness", "rest", "hardening"},
     "spring_stiffness": {"scale"},
     "spring_preload": {"offset"},
     "spring_hysteresis": {"loss"},

@@ -12,7 +12,14 @@ def effect_types(module) -> dict[str, type[Effect]]:
 CATALOGUE = effect_types(effects_friction) | effect_types(effects_body) | effect_types(effects_sensor)
 OUTSIDE = effect_types(effects_outside)
 # Relatives of laws that the catalogue had first; mixtures are drawn from the others, so that the cases of a seed stay what they are
-RELATIVES = ("two_sided_biarticular_spring", "viscous_asymmetry", "missing_gravity", "motor_dependent_friction", "common_gain")
+RELATIVES = (
+    "two_sided_biarticular_spring",
+    "viscous_asymmetry",
+    "missing_gravity",
+    "motor_dependent_friction",
+    "common_gain",
+    "hardening_harness",
+)
 FIRST = tuple(name for name in CATALOGUE if name not in RELATIVES)
 TWO_JOINTS = {
     "coupled_friction",

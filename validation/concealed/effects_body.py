@@ -30,6 +30,28 @@ class CableHarness(Effect):
 
 
 @dataclass(frozen=True)
+class HardeningHarness(CableHarness):
+    """As stiff again at the ends of the motion as in its middle, or up to four times; the strength is the stiffness in its middle."""
+
+    name = "hardening_harness"
+    told = "cable_harness"
+    equation = "tau = -stiffness (q - rest) - hardening (q - rest)^3"
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        drawn = super().draw(arm, motion, rng)
+        end = float(np.abs(motion.q[:, drawn.j] - drawn.shape["rest"]).max())
+        return replace(drawn, shape=drawn.shape | {"ratio": rng.uniform(1.0, 4.0) / end**2})
+
+    def push(self, s: State, f: Forces, memory: Any) -> None:
+        x = s.q[:, self.j] - self.shape["rest"]
+        f.link[:, self.j] -= self.mask * self.strength * (x + self.shape["ratio"] * x**3)
+
+    def parameters(self, arm: Arm):
+        return {**super().parameters(arm), "hardening": (self.strength * self.shape["ratio"], "Nm/rad³")}
+
+
+@dataclass(frozen=True)
 class ParallelSpring(Effect):
     """Unilateral; its equilibrium lies inside the motion, so that it engages and lets go."""
 

@@ -82,6 +82,9 @@ class Jacobian:
         for motor in (rotor, rotor + drives[0] * s + drives[1] * dq):
             yield Candidate("load_dependent_friction", joint, self.on(j, np.abs(motor) * s))
         yield Candidate("cable_harness", joint, self.on(j, q, one))
+        for rest in np.quantile(q, [0.1, 0.3, 0.5, 0.7, 0.9]):
+            off = q - rest
+            yield Candidate("cable_harness", joint, self.on(j, off, off**3, one, off**2))
         shifted = x.q.copy()
         shifted[:, j] -= EPS
         yield Candidate("encoder_offset", joint, ((self.torque(self.models, shifted) - self.base) / EPS)[..., None])

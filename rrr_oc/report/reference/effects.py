@@ -22,6 +22,7 @@ UNITS = {
     "dry/speed²": "the joint's dry friction over the square of its largest speed",
     "torque": "the standard deviation of the joint's torque",
     "torque/travel": "the standard deviation of the joint's torque over its range of positions",
+    "torque/travel³": "the standard deviation of the joint's torque over the third power of its range of positions",
     "travel": "the joint's range of positions",
     "mass": "the mass of the link",
     "arm's mass": "the mass of all links",
