@@ -314,6 +314,10 @@ class Effect:
         """What the entry of a diagnosis says beside joints, recordings and parameters."""
         return {}
 
+    def derived(self, found: Mapping[str, tuple[float, float | None]]) -> Mapping[str, Any]:
+        """What follows from parameters (value, standard error) and is told beside them, as `diagnosis.json` has parameters."""
+        return {}
+
     @classmethod
     def sentence(cls, joints: Sequence[str], values: Mapping[str, Any]) -> str:
         """What was found, for people, on joints of these names; `values` holds `words.Number` and options by name."""

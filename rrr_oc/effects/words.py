@@ -68,6 +68,11 @@ class Several:
     numbers: tuple[Any, ...]
     unit: str = ""
 
+    @property
+    def values(self) -> list[float]:
+        """The numbers of a vector, without their errors."""
+        return [one.value for one in self.numbers]
+
     def __format__(self, spec: str) -> str:
         chosen = [row.numbers[i] for i, row in enumerate(self.numbers)] if spec == "diag" else self.numbers
         parts = [f"{n:bare}" if isinstance(n, Number) else f"{n}" for n in (_within_error(n) for n in chosen)]

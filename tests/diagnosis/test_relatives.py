@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from chains import joint, link, robot
 from recorded import Plant, as_set, multisine, record
@@ -89,6 +90,23 @@ def test_a_harness_that_hardens_in_pieces_of_one_slow_sweep(tmp_path):
     assert named["hardening"] == pytest.approx(1.5, rel=0.1)
     assert named["stiffness"] == pytest.approx(2.0, abs=0.5)
     assert found.held_out[1][0] < 0.1 * found.held_out[0][0]
+
+
+def test_an_arm_on_a_wall_is_turned_by_one_angle_about_one_axis(tmp_path):
+    """By 90°, an angle that has no neighbour of less in a sum of turns about x and y; the recordings say that it stands level."""
+    plant, rng = upright(tmp_path, 2), np.random.default_rng(37)
+    wall = Plant(plant.urdf, plant.dry, plant.viscous, plant.armature)
+    wall.model.gravity.linear = np.array([-9.81 * 0.8, 9.81 * 0.6, 0.0])
+    found, claimed = told(plant, [record(wall, f"{i}.csv", rng, 10.0, 0.003) for i in range(3)])
+    assert list(claimed) == [("gravity_tilt", ())]
+    tilt = to_json(found)["effects"][0]["parameters"]
+    low, high = tilt["angle"]["interval"]
+    assert tilt["angle"]["value"] == pytest.approx(np.pi / 2, abs=0.003)
+    assert low < tilt["angle"]["value"] < high < low + 0.02
+    assert tilt["axis"]["value"] == pytest.approx([-0.6, -0.8, 0.0], abs=0.01)
+    turn = tilt["angle"]["value"] * np.array(tilt["axis"]["value"])
+    assert turn[:2] == pytest.approx([tilt["about_x"]["value"], tilt["about_y"]["value"]])
+    np.testing.assert_allclose(pin.exp3(turn).T @ [0, 0, -9.81], wall.model.gravity.linear, atol=0.1)
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])

@@ -517,8 +517,8 @@ def test_body_effects_are_those_of_pinocchio():
             held += theta["mass"]
         if name == "payload_com":
             point = point + [theta[k] for k in "xyz"]
-        if name == "gravity_tilt":  # the base turns about x, then about its old y; gravity stays
-            turn = pin.utils.rotate("y", theta["about_y"]) @ pin.utils.rotate("x", theta["about_x"])
+        if name == "gravity_tilt":  # the base turns about a horizontal axis; gravity stays
+            turn = pin.exp3(np.array([theta["about_x"], theta["about_y"], 0.0]))
             changed.gravity.linear = turn.T @ changed.gravity.linear
         if name == "missing_gravity":
             changed.gravity.linear = (1 - theta["share"]) * changed.gravity.linear

@@ -119,6 +119,10 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
         ("gravity_tilt", None, {"about_x": number(0.01745329, "rad", 0.0035), "about_y": number(0.0, "rad", 0.0035)},
          "The arm's base is not level: turned by 1.0° (95 %: 0.8 to 1.2°) about x and 0.0° (95 %: -0.2 to 0.2°) about y of the base "
          "frame."),
+        ("gravity_tilt", None, {"about_x": number(0.0, "rad"), "about_y": number(-1.570796, "rad"),
+                                "angle": number(1.570796, "rad", 0.001), "axis": {"value": [0.0, -1.0, 0.0], "std": None, "unit": "1"}},
+         "The arm's base is not level: turned by 90.00° (95 %: 89.94 to 90.06°) about the axis (0.00, -1.00, 0.00), which is 0.00° "
+         "about x and -90.0° about y of the base frame."),
         ("coupled_friction", ["a", "b"],
          {"coulomb": number(1.0, "Nm"), "viscous": number(0.25, "Nm s/rad"), "form": {"value": "other", "std": None, "unit": ""}},
          "Friction of a follows the speed of b: dry friction of 1.00 Nm and viscous friction of 0.250 Nm s/rad."),

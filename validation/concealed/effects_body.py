@@ -311,10 +311,10 @@ def inertial_parameters(p: np.ndarray) -> dict[str, tuple[Any, str]]:
 
 @dataclass(frozen=True)
 class GravityTilt(Effect):
-    """The base is rotated by R = R_y(about_y) R_x(about_x); gravity in the base frame is Rᵀ g."""
+    """The base is turned by the rotation vector w = (about_x, about_y, 0); gravity in the base frame is exp(w)ᵀ g."""
 
     name = "gravity_tilt"
-    equation = "gravity in the base frame = (R_y(about_y) R_x(about_x))^T g"
+    equation = "gravity in the base frame = exp((about_x, about_y, 0))^T g"
     global_effect = True
     largest = 0.5
 
@@ -324,8 +324,7 @@ class GravityTilt(Effect):
         return cls((), 0.02, {"axis": np.array([np.cos(angle), np.sin(angle)])})
 
     def edit(self, body: Body) -> None:
-        x, y = self.strength * self.shape["axis"]
-        base = pin.utils.rotate("y", y) @ pin.utils.rotate("x", x)
+        base = pin.exp3(np.array([*(self.strength * self.shape["axis"]), 0.0]))
         body.model.gravity.linear = base.T @ body.model.gravity.linear
 
     def parameters(self, arm: Arm):

@@ -492,6 +492,8 @@ def _parameters(term: Term) -> dict[str, Any]:
     for p, e in zip(term.effect.parameters, term.estimates, strict=True):
         interval = None if e.interval is None else list(e.interval)
         result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": interval}
+    numbers = zip(term.effect.parameters, term.estimates, strict=True)
+    result |= term.effect.derived({p.name: (e.value, e.std) for p, e in numbers})
     for option in term.effect.options:
         if option in term.effect.said:
             continue  # it stands in the entry itself
