@@ -383,7 +383,7 @@ def visible(oracle: Mapping[str, Any] | None) -> float | None:
 
 def files(recordings: Any, seen: Sequence[str]) -> set[str]:
     """Names of recordings among those that the tool saw."""
-    return set(seen) if recordings == "all" else set(recordings) & set(seen)
+    return set(seen) if recordings in ("all", "each") else set(recordings) & set(seen)
 
 
 def covered(truth: Mapping[str, Any], found: Mapping[str, Any]) -> list[bool]:
@@ -391,6 +391,8 @@ def covered(truth: Mapping[str, Any], found: Mapping[str, Any]) -> list[bool]:
     result = []
     for name, p in found["parameters"].items():
         true = truth["parameters"].get(name, {}).get("value")
+        if "value" not in p:
+            continue  # another in every recording
         for value, std, interval, t in zip(*map(flat, (p["value"], p["std"])), intervals(p), flat(true), strict=False):
             if not isinstance(t, float | int) or not isinstance(value, float | int):
                 continue

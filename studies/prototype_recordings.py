@@ -116,7 +116,7 @@ def report(recordings: RecordingSet, found: dict[str, dict[str, Any]]) -> str:
     for name, content in found.items():
         rows = []
         for e in content["effects"]:
-            values = ", ".join(f"{k} {_value(v['value'])} {v['unit']}" for k, v in e["parameters"].items())
+            values = ", ".join(f"{k} {_value(v['value'])} {v['unit']}" for k, v in e["parameters"].items() if "value" in v)
             where = e["recordings"] if isinstance(e["recordings"], str) else ", ".join(e["recordings"])
             rows.append([e["effect"], str(e["joint"]), where, values, f"{e['share_of_error']:.3f}"])
         for u in content["unexplained"]:

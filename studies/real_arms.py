@@ -255,8 +255,10 @@ def _claim(entry: Mapping[str, Any], recordings: RecordingSet) -> dict[str, Any]
     return {
         "effect": entry.get("effect", "unexplained"),
         "joint": entry["joint"],
-        "recordings": some if some == "all" else f"{len(some)} of {len(recordings.recordings)}",
-        "parameters": {k: {"value": v["value"], "unit": v["unit"]} for k, v in entry.get("parameters", {}).items()},
+        "recordings": some if isinstance(some, str) else f"{len(some)} of {len(recordings.recordings)}",
+        "parameters": {
+            k: {"value": v["value"], "unit": v["unit"]} for k, v in entry.get("parameters", {}).items() if "value" in v
+        },
         "depends_on": entry.get("depends_on", []),
         "probability": entry.get("probability"),
         "p_value": entry.get("p_value"),
@@ -452,7 +454,7 @@ def _cells(claim: Mapping[str, Any], joint: str | None) -> list[str]:
         f"{k} {_value(v['value'])} {v['unit'] if v['unit'] != '1' else ''}".strip() for k, v in claim["parameters"].items()
     )
     depends = f"depends on {', '.join(claim['depends_on'])}" if claim["depends_on"] else ""
-    word += "" if some == "all" else f" in {some} recordings"
+    word += "" if some in ("all", "each") else f" in {some} recordings"
     return [word, values or depends, chance(claim), claim.get("published", "")]
 
 

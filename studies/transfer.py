@@ -430,8 +430,10 @@ def brief(found: Mapping[str, Any]) -> dict[str, Any]:
     """Verdict, effects and unexplained torques of a diagnosis in a few words each, and its errors."""
     effects = []
     for e in found["effects"]:
-        values = ", ".join(f"{k} {shown(v['value'])}{spread(v['std'])} {v['unit']}".strip() for k, v in e["parameters"].items())
-        where = "" if e["recordings"] == "all" else f" in {', '.join(e['recordings'])}"
+        values = ", ".join(
+            f"{k} {shown(v['value'])}{spread(v['std'])} {v['unit']}".strip() for k, v in e["parameters"].items() if "value" in v
+        )
+        where = "" if isinstance(e["recordings"], str) else f" in {', '.join(e['recordings'])}"
         rivals = f" (or {', '.join(e['indistinguishable_from'])})" if e["indistinguishable_from"] else ""
         joint = e["joint"] if isinstance(e["joint"], str) else ", ".join(e["joint"] or ["the arm"])
         effects.append(f"{e['effect']} of {joint}: {values}{rivals}{where}")

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Effect, OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.shared_model import shared_model
@@ -120,6 +120,16 @@ class CalibratedModel:
     def values(self) -> np.ndarray:
         """The parameters of all terms, in their order."""
         return np.concatenate([np.zeros(0), *(term.values for term in self.terms)])
+
+    def without_values(self, recordings: RecordingSet) -> dict[str, list[str]]:
+        """Files of recordings for which effects with a value of its own in each have none, so that it counts as 0, by effect and joints."""
+        result = {}
+        for term in self.terms:
+            if isinstance(term.effect, OfEach) and term.effect.each:
+                unknown = [r.file for r in recordings.recordings if r.group not in term.effect.each]
+                label = f"{term.effect.name} of {', '.join(self.joints[j] for j in term.effect.joints)}"
+                result |= {label: unknown} if unknown else {}
+        return result
 
     def physics(self, recording: Recording) -> Physics:
         """What is at work in a recording: the springs it lists, then the terms that hold for it."""

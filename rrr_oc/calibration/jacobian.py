@@ -203,7 +203,7 @@ class Prediction:
     def of_motion(self) -> Signals:
         """The signals on which effects may depend, as arrays, without those that the model predicts."""
         r = self.recording
-        return Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload)
+        return Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload, group=r.group)
 
     @cached_property
     def signals(self) -> Signals:

@@ -35,6 +35,8 @@ def evaluate(
         check_folder(predictions)
     recordings = loaded(dataset, output)
     calibrated = load_model(model)
+    for what, unknown in calibrated.without_values(recordings).items():
+        output.note(f"{', '.join(unknown)}: the model has no {what} for {'it' if len(unknown) == 1 else 'them'}; 0 is taken")
     written = [] if out is None else [out]
     written += [] if predictions is None else [predictions / r.file for r in recordings.recordings]
     check_apart([model, *recordings.files], written)

@@ -12,6 +12,7 @@ from rrr_oc.codesign.springs import SavedSprings, saved_springs
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import check_apart, check_payload
+from rrr_oc.effects import OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.simulation.export import mjcf, urdf
@@ -76,7 +77,9 @@ def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings
     """The calibrated arm, or the task's, with springs; its parameters, and what is not in it, one sentence each."""
     terms = () if found is None else found.terms
     left_out = [f"{t.effect.name}: only some recordings have it" for t in terms if t.recordings != "all"]
-    terms = [t for t in terms if t.recordings == "all"]
+    each = [t for t in terms if isinstance(t.effect, OfEach) and t.effect.each]
+    left_out += [f"{t.effect.name}: another value in every recording" for t in each]
+    terms = [t for t in terms if t.recordings == "all" and t not in each]
     if task is not None:
         left_out += [f"{task.robot.joints[j]} is held by the task; here it moves" for j in _held(task)]
         left_out += [f"{t.effect.name}: scales the springs of the recordings" for t in terms if "springs" in t.effect.inputs]

@@ -14,7 +14,7 @@ from rrr_oc.calibration.term_fit import bounds, with_parameter_values
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.evidence import Posterior, Prior, Sizes, Start, solve
 from rrr_oc.diagnosis.knobs import EXCESS
-from rrr_oc.effects import Effect, MovesLink, Trial, View
+from rrr_oc.effects import Effect, MovesLink, OfEach, Trial, View
 from rrr_oc.effects.priors import Priors
 
 STEPS = 10  # most steps of Gauss–Newton
@@ -59,7 +59,8 @@ def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -
         scales = {effect.amplitudes[0]: float(np.max(sizes))}
     zero, result = effect.combined(same.points, np.zeros(len(same.points))), []
     for p in effect.parameters:
-        if p.name in scales and (p.name in typical or effect.black_box or not typical):
+        each = isinstance(effect, OfEach) and effect.each
+        if p.name in scales and (p.name in typical or effect.black_box or each or not typical):
             result.append(Span(float(scales[p.name]), True, zero[p.name]))
             continue
         values = np.array([point[p.name] for t in own for point in t.points], float)

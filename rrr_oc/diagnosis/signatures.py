@@ -15,7 +15,7 @@ from scipy.sparse import block_diag, csr_matrix
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import REST_SPEED, Prepared
-from rrr_oc.effects import CATALOGUE, BlackBox, Delay, Signals, Trial, View
+from rrr_oc.effects import CATALOGUE, BlackBox, Delay, OfEach, Signals, Trial, View
 from rrr_oc.effects.base import SOUGHT
 from rrr_oc.robot.rigid_body import rigid_body
 
@@ -54,6 +54,7 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         dry=dry_friction(model, torque, np.maximum(np.quantile(np.abs(dq), 0.99, axis=1), 1e-3)),
         torque=torque,
         mass=np.maximum(model.robot.inertial[0], 1e-3),
+        groups=tuple(dict.fromkeys(p.recording.group for p in prepared)),
     )
 
 
@@ -134,6 +135,7 @@ class Along:
         """As `Prediction.before_sensors` for all recordings: by joint (m, K) [Nm], where it is not 0."""
         effect = trial.effect
         alone = effect.states or isinstance(effect, Delay) or "springs" in effect.inputs
+        alone = alone or (isinstance(effect, OfEach) and effect.each)
         if alone or effect.side not in ("link", "drive", "sensor"):
             dense = np.concatenate([at.before_sensors(trial) for at in self.parts], axis=2)
             return {j: dense[:, j] for j in np.flatnonzero(dense.any(axis=(0, 2))).tolist()}

@@ -20,6 +20,7 @@ from rrr_oc.effects.capabilities import (
     MotionShift,
     MovesLink,
     NativeTwin,
+    OfEach,
     OnlyRecorded,
     WithStates,
 )
@@ -93,6 +94,7 @@ __all__ = [
     "MotionShift",
     "MovesLink",
     "NativeTwin",
+    "OfEach",
     "OnlyRecorded",
     "Prior",
     "Signals",

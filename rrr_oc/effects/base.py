@@ -53,6 +53,7 @@ class Signals:
         friction: Torque of the plain dry and viscous friction of each joint's drive [Nm].
         rotor: Torque of the inertia of each joint's rotor [Nm].
         springs: The springs that a recording lists, by their joints: (effect, its parameters, its width).
+        group: Label of the recording's set-up.
     """
 
     q: Any
@@ -65,6 +66,7 @@ class Signals:
     friction: Any = None
     rotor: Any = None
     springs: Any = None
+    group: Any = None
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,7 @@ class View:
         dry: Dry friction of each joint [Nm], (n,); where drives have none, as where the load torque is recorded, a share of `torque`.
         torque: Standard deviation of each joint's recorded torque [Nm], (n,).
         mass: Mass of each joint's link [kg], (n,).
+        groups: Labels of the set-ups.
     """
 
     low: np.ndarray
@@ -118,6 +121,7 @@ class View:
     dry: np.ndarray
     torque: np.ndarray
     mass: np.ndarray
+    groups: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:

@@ -5,13 +5,15 @@ can do is in `effects/springs.py`.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rrr_oc.effects.base import Effect, Signals, Trial, View
+from rrr_oc.effects.words import ByRecording, listed
 from rrr_oc.errors import UserError
+from rrr_oc.robot.parameters import Parameter
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,60 @@ class BodyChange(Effect):
 
 class OnlyRecorded(BodyChange):
     """The torque is recorded as if the rigid body were another one; the arm itself is as without the effect."""
+
+
+@dataclass(frozen=True)
+class OfEach(Effect):
+    """What has one parameter, and may have another value of it in every set-up, as a zero that is found anew at each start.
+
+    Attributes:
+        each: Labels of the set-ups with a value of their own, after which the parameters are then called; in others it is 0. Empty:
+            one value for all.
+        plain_each: As `plain`, for another value in each; the parameter is the values with their recordings (`words.ByRecording`).
+    """
+
+    plain_each: ClassVar[str] = ""
+
+    each: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.each:
+            (one,) = self.parameters
+            object.__setattr__(self, "parameters", tuple(replace(one, name=label) for label in self.each))
+            object.__setattr__(self, "amplitudes", self.each)
+
+    @property
+    def of_all(self) -> Parameter:
+        """The parameter that is the same in all set-ups."""
+        return type(self).parameters[0]
+
+    def value(self, signals: Signals, theta: Mapping[str, Any]) -> Any:
+        """The parameter in the set-up of `signals`."""
+        return theta.get(signals.group, 0.0) if self.each else theta[self.of_all.name]
+
+    @property
+    def partly(self):
+        return 0.0 if self.each else super().partly
+
+    def scales(self, view, trial, prior=None):
+        if not self.each:
+            return super().scales(view, trial, prior)
+        number, unit = (prior or self.prior).typical[self.of_all.name]
+        return np.full(len(trial.points), number * view.unit(unit, self.joints))
+
+    @classmethod
+    def trials(cls, view):
+        yield from super().trials(view)
+        if len(view.groups) > 1:
+            for j in range(view.n):
+                yield cls((j,), view.groups).trial(view)
+
+    @classmethod
+    def sentence(cls, joints, values):
+        value = values.get(cls.parameters[0].name)
+        if isinstance(value, ByRecording):
+            return cls.plain_each.format(joints=listed(joints), **values)
+        return super().sentence(joints, values)
 
 
 class MotionShift(Effect):

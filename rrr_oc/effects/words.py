@@ -25,7 +25,7 @@ class Number:
     """A value in its unit with the 95 % interval, None where there is none.
 
     In a format string, `{}` is "0.12 Nm (95 %: 0.10 to 0.14 Nm)". The format may have "abs" for the size without its sign, then one
-    of `READ_AS` for another unit; or "bare" to leave out the interval. "less|more" is the first word where the value is 0 or
+    of `READ_AS` for another unit; "bare" before either leaves out the interval. "less|more" is the first word where the value is 0 or
     above, else the second.
     """
 
@@ -41,7 +41,7 @@ class Number:
             return spec.split("|")[self.value < 0]
         parts, shown = spec.split(), self
         for name, (factor, unit) in READ_AS.items():
-            if name == spec.removeprefix("abs "):
+            if name == spec.removeprefix("bare ").removeprefix("abs "):
                 shown = shown._times(factor, unit)
         if "abs" in parts and self.value < 0:
             shown = shown._times(-1.0, shown.unit)
@@ -83,6 +83,19 @@ class Several:
         return format(self, "")
 
 
+@dataclass(frozen=True)
+class ByRecording:
+    """Numbers that differ between recordings, by file; a format as of `Number` is that of each."""
+
+    numbers: Mapping[str, Number]
+
+    def __format__(self, spec: str) -> str:
+        return listed([f"{number:{spec}} in {file}" for file, number in self.numbers.items()])
+
+    def __str__(self) -> str:
+        return format(self, "bare")
+
+
 def _within_error(one: Any) -> Any:
     """A component as "0.12 ± 0.03", a row of a matrix as itself."""
     if not isinstance(one, Number):
@@ -110,6 +123,9 @@ def rounded(value: float, uncertainty: float = 0.0) -> str:
 
 def read(entry: Mapping[str, Any]) -> Any:
     """A parameter as `diagnosis.json` has it: a `Number`, `Several`, or the value of an option as a text."""
+    if entry.get("by_recording"):
+        unit = {"unit": entry.get("unit", "")}
+        return ByRecording({file: read({**one, **unit}) for file, one in entry["by_recording"].items()})
     value, std, unit = entry["value"], entry.get("std"), entry.get("unit", "")
     if isinstance(value, list) and not any(isinstance(v, str) for v in value) and unit:
         stds = std if isinstance(std, list) else [None] * len(value)

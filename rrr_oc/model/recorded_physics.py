@@ -261,7 +261,7 @@ class Physics:
         for effect, theta, width in self.named():
             if effect.side == "sensor":
                 delay += effect.delay(theta) if isinstance(effect, Delay) else 0.0
-                more = effect.torque(Signals(motion.q, load=torque), theta, width)
+                more = effect.torque(Signals(motion.q, load=torque, group=group_of(motion)), theta, width)
                 for j, one in zip(effect.on(len(torque)), more, strict=True):
                     result[j] += one
         return later(motion, result, delay) if delay else result
@@ -315,6 +315,11 @@ def _summed(shifts: Shifts, motion: Motion) -> np.ndarray:
     return sum((shift for _, shift in shifts.values()), np.zeros((3 * len(motion.q), len(motion.t))))
 
 
+def group_of(motion: Motion) -> str | None:
+    """Label of the set-up of a recorded motion."""
+    return getattr(motion, "group", None)
+
+
 def felt_load(motion: Motion, effect: MovesLink, load: np.ndarray) -> np.ndarray:
     """The load torque (K,) [Nm] that `MovesLink.motion` is given: smoothed where the effect says so."""
     return motion.smoothing(effect.window) @ load if effect.window else load
@@ -343,7 +348,7 @@ def moved(
         for s in motion.segments:
             result[[j, n + j, 2 * n + j], s] = effect.motion(motion.t[s], felt[s], stiffness[s], inertia[s], theta)
     if isinstance(effect, MotionShift):
-        for j, shift in zip(effect.joints, effect.shift(Signals(motion.q), theta, width), strict=True):
+        for j, shift in zip(effect.joints, effect.shift(Signals(motion.q, group=group_of(motion)), theta, width), strict=True):
             result[j] = np.array(shift).reshape(-1)
     return result
 

@@ -143,7 +143,7 @@ def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         body.append(
             [
                 placed(e),
-                ", ".join(some_recordings(e)) or "all",
+                ", ".join(some_recordings(e)) or e["recordings"],
                 percent(e["probability"]),
                 *("–" if x is None else f"{x:.1%}" for x in (without, having)),
                 lowered(e["lowers_error"]),
@@ -248,4 +248,4 @@ def _joints(e: Mapping[str, Any]) -> list[str]:
 
 def some_recordings(entry: Mapping[str, Any]) -> list[str]:
     """The recordings that have it, none if all do."""
-    return [] if entry["recordings"] == "all" else entry["recordings"]
+    return [] if entry["recordings"] in ("all", "each") else entry["recordings"]

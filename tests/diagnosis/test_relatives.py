@@ -9,6 +9,7 @@ import pytest
 from chains import joint, link, robot
 from recorded import Plant, as_set, multisine, record
 
+from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.diagnosis.files.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
@@ -107,6 +108,35 @@ def test_an_arm_on_a_wall_is_turned_by_one_angle_about_one_axis(tmp_path):
     turn = tilt["angle"]["value"] * np.array(tilt["axis"]["value"])
     assert turn[:2] == pytest.approx([tilt["about_x"]["value"], tilt["about_y"]["value"]])
     np.testing.assert_allclose(pin.exp3(turn).T @ [0, 0, -9.81], wall.model.gravity.linear, atol=0.1)
+
+
+@pytest.mark.parametrize("what", ["encoder_offset", "torque_offset"])
+def test_a_zero_that_is_another_in_every_recording(planar, what, tmp_path):
+    """One entry with a value for each; a model predicts a recording that it does not know with 0, and says so."""
+    plant, rng, zeros = planar(1), np.random.default_rng(38), np.array([0.05, -0.03, 0.08, -0.04, 0.0])
+    made = [record(plant, f"{i}.csv", rng, 12.0, 0.005) for i in range(5)]
+    shifted = {
+        "encoder_offset": [replace(r, q=r.q + zero) for r, zero in zip(made, zeros, strict=True)],
+        "torque_offset": [replace(r, tau=r.tau + 10 * zero) for r, zero in zip(made, zeros, strict=True)],
+    }[what]
+    found, claimed = told(plant, shifted)
+    assert list(claimed) == [(what, (0,))]
+    (entry,) = to_json(found)["effects"]
+    assert entry["recordings"] == "each"
+    each = entry["parameters"]["offset"]["by_recording"]
+    scale = 1.0 if what == "encoder_offset" else 10.0
+    off = np.array([each[r.file]["value"] for r in made]) - scale * zeros
+    assert np.abs(off - off.mean()).max() < 0.005 * scale  # of a common zero links and gravity may take a part
+    assert np.abs(off.mean()) < 0.02 * scale
+    save_model(found.model, tmp_path / "model.json")
+    model = load_model(tmp_path / "model.json")
+    assert model.terms == found.model.terms
+    other = as_set(plant, [replace(shifted[0], file="new.csv", group="new"), shifted[1]])
+    assert model.without_values(other) == {f"{what} of j1": ["new.csv"]}
+    bare = replace(model, terms=tuple(t for t in model.terms if t.effect.name != what))
+    unknown, known = other.recordings
+    np.testing.assert_array_equal(model.output_torque(unknown), bare.output_torque(unknown))
+    assert np.abs(model.output_torque(known) - bare.output_torque(known)).max() > 0.02
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])

@@ -134,6 +134,17 @@ def test_a_finding_is_a_sentence_with_number_unit_and_interval(effect, joint, pa
     assert plain(found_effect(effect, joint, **parameters)) == said
 
 
+def test_a_value_of_each_recording_is_told_with_it():
+    each = {
+        "0.csv": {"value": 0.05, "std": 0.001, "interval": [0.048, 0.052]},
+        "1.csv": {"value": -0.03, "std": 0.001, "interval": None},
+    }
+    said = plain(found_effect("encoder_offset", "a", "each", offset={"unit": "rad", "by_recording": each}))
+    assert said == (
+        "The zero of the encoder of a is another in every recording: it reads 2.9° in 0.csv and -1.72° in 1.csv too much."
+    )
+
+
 def test_a_finding_names_the_recordings_that_have_it_and_the_frame_of_a_vector():
     vector = {"value": [0.1, -0.2, 1 / 3], "std": [0.01, 0.02, None], "unit": "kg m"}
     matrix = {"value": [[0.5, 0, 0], [0, 0.25, 0], [0, 0, 2 / 3]], "std": [[0.1] * 3] * 3, "unit": "kg m²"}

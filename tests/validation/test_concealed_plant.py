@@ -62,6 +62,8 @@ CONTRACT = {
     "missing_gravity": {"share"},
     "motor_dependent_friction": {"mu", "follows"},
     "common_gain": {"gain"},
+    "torque_zeros": {"offset"},
+    "encoder_zeros": {"offset"},
     "hardening_harness": {"stiffness", "rest", "hardening"},
     "spring_stiffness": {"scale"},
     "spring_preload": {"offset"},

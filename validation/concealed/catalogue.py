@@ -19,6 +19,8 @@ RELATIVES = (
     "motor_dependent_friction",
     "common_gain",
     "hardening_harness",
+    "torque_zeros",
+    "encoder_zeros",
 )
 FIRST = tuple(name for name in CATALOGUE if name not in RELATIVES)
 TWO_JOINTS = {

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from validation.concealed.arms import Arm
-from validation.concealed.effect import Effect, Signals, any_joint, loaded_joint
+from validation.concealed.effect import Effect, Motion, Signals, any_joint, loaded_joint
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,56 @@ class MissingGravity(Effect):
 
     def parameters(self, arm: Arm):
         return {"share": (self.strength, "1")}
+
+
+@dataclass(frozen=True)
+class Zeros(Effect):
+    """A zero that is found anew before every recording; the strength is the spread of what it is off by."""
+
+    @classmethod
+    def of_recordings(cls, joint: int, strength: float, motion: Motion, rng: np.random.Generator) -> "Zeros":
+        return cls((joint,), strength, {"zeros": rng.normal(size=len(motion.payload))})
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """Of each recording, (B, 1)."""
+        return (self.mask * self.strength * self.shape["zeros"])[:, None]
+
+
+@dataclass(frozen=True)
+class TorqueZeros(Zeros):
+    name = "torque_zeros"
+    told = "torque_offset"
+    equation = "recorded torque = true + offset, another in every recording"
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        j = any_joint(motion, rng)
+        return cls.of_recordings(j, 0.1 * arm.coulomb[j], motion, rng)
+
+    def sense(self, x: Signals, arm: Arm) -> None:
+        x.tau[:, self.j] += self.offsets
+
+    def parameters(self, arm: Arm):
+        return {"offset": (self.offsets[:, 0].tolist(), "Nm")}
+
+
+@dataclass(frozen=True)
+class EncoderZeros(Zeros):
+    name = "encoder_zeros"
+    told = "encoder_offset"
+    equation = "recorded position = true + offset, another in every recording"
+    largest = 0.3
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        return cls.of_recordings(loaded_joint(motion, rng), 0.02, motion, rng)
+
+    def sense(self, x: Signals, arm: Arm) -> None:
+        x.q[:, self.j] += self.offsets
+
+    def parameters(self, arm: Arm):
+        return {"offset": (self.offsets[:, 0].tolist(), "rad")}
 
 
 @dataclass(frozen=True)

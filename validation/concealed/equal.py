@@ -72,6 +72,7 @@ class Jacobian:
         x, s = self.x, self.sign[:, j]
         q, dq, one = x.q[:, j], x.dq[:, j], np.ones_like(s)
         yield Candidate("torque_offset", joint, self.on(j, one))
+        yield Candidate("torque_offset", joint, self.on(j, *(one * of[:, None] for of in np.eye(len(q)))))  # another in each
         yield Candidate("torque_gain", joint, self.on(j, x.tau[:, j]))
         yield Candidate("coulomb_asymmetry", joint, self.on(j, s**2))
         yield Candidate("viscous_asymmetry", joint, self.on(j, dq * s))
@@ -87,7 +88,9 @@ class Jacobian:
             yield Candidate("cable_harness", joint, self.on(j, off, off**3, one, off**2))
         shifted = x.q.copy()
         shifted[:, j] -= EPS
-        yield Candidate("encoder_offset", joint, ((self.torque(self.models, shifted) - self.base) / EPS)[..., None])
+        turned = ((self.torque(self.models, shifted) - self.base) / EPS)[..., None]
+        yield Candidate("encoder_offset", joint, turned)
+        yield Candidate("encoder_offset", joint, turned * np.eye(len(q))[:, None, None, :])
         fast = np.abs(dq).max()
         for v in fast * np.array([0.08, 0.15, 0.22, 0.3]):
             e = np.exp(-((dq / v) ** 2)) * s

@@ -10,12 +10,12 @@ from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.findings import Finding, named
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
-from rrr_oc.effects import BlackBox
+from rrr_oc.effects import BlackBox, OfEach
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
 FORMAT = "rrr_oc-diagnosis/1"
-Files = Literal["all"] | tuple[str, ...]  # recordings
+Files = Literal["all", "each"] | tuple[str, ...]  # recordings; "each": all, with another value in each
 Joint = str | tuple[str, ...] | None  # one joint, several, or the arm as a whole
 
 
@@ -73,16 +73,18 @@ class Estimate(Struct, forbid_unknown_fields=True):
     """An estimated parameter, or an option that the effect was found with.
 
     Attributes:
-        value: The estimate, in `unit`; of a vector or a matrix a list.
+        value: The estimate, in `unit`; of a vector or a matrix a list; null where every recording has its own.
         std: Its standard error, in the same shape; null for options, and where the recordings do not determine it.
         unit: Its unit; "1" or nothing for none.
         interval: 95 % interval; null as well.
+        by_recording: The value, its standard error and interval by recording, where `recordings` is "each".
     """
 
-    value: Any
-    std: Any
     unit: str
+    value: Any = None
+    std: Any = None
     interval: tuple[float, float] | None = None
+    by_recording: dict[str, dict[str, Any]] | None = None
 
 
 class HeldOut(Struct, forbid_unknown_fields=True):
@@ -430,7 +432,7 @@ def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
         "recordings": files_of(finding.term, diagnosis.recordings),
         "equation": finding.term.effect.law,
         **finding.term.effect.said,
-        "parameters": _parameters(finding.term),
+        "parameters": _parameters(finding.term, diagnosis.recordings),
         "share_of_error": shares.share[i],
         "p_value": finding.p_value,
         "probability": finding.probability,
@@ -471,6 +473,8 @@ def _variable(kind: str, j: int, joints: Sequence[str]) -> str:
 
 def files_of(term: Term, recordings: RecordingSet) -> str | list[str]:
     """The recordings that have an effect, as in the file."""
+    if isinstance(term.effect, OfEach) and term.effect.each:
+        return "each"
     if term.recordings == "all":
         return "all"
     return [r.file for r in recordings.recordings if term.holds_for(r)]
@@ -480,8 +484,15 @@ def _files(recordings: RecordingSet, groups: Sequence[str]) -> str | list[str]:
     return [r.file for r in recordings.recordings if r.group in groups] if groups else "all"
 
 
-def _parameters(term: Term) -> dict[str, Any]:
+def _parameters(term: Term, recordings: RecordingSet) -> dict[str, Any]:
     """Values with standard errors and intervals; the components of a vector or matrix under one name."""
+    if isinstance(term.effect, OfEach) and term.effect.each:
+        by_group = dict(zip(term.effect.each, term.estimates, strict=True))
+        each = {r.file: by_group[r.group] for r in recordings.recordings if r.group in by_group}
+        shown = {
+            file: {"value": e.value, "std": e.std, "interval": e.interval and list(e.interval)} for file, e in each.items()
+        }
+        return {term.effect.of_all.name: {"unit": term.effect.of_all.unit, "by_recording": shown}}
     by_name = {p.name: (e.value, e.std, p.unit) for p, e in zip(term.effect.parameters, term.estimates, strict=True)}
     result: dict[str, Any] = {
         shown: {"value": _nested(names, by_name, 0), "std": _nested(names, by_name, 1), "unit": by_name[_first(names)][2]}

@@ -1,15 +1,17 @@
 """A torque channel with a wrong zero."""
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import OfEach
 from rrr_oc.robot.parameters import Parameter
 
 
-class TorqueOffset(Effect):
+class TorqueOffset(OfEach):
     """recorded = true + offset."""
 
     name = "torque_offset"
     equation = "recorded torque = true + offset"
     plain = "The recorded torque of {joints} is off by a constant {offset}."
+    plain_each = "The zero of the recorded torque of {joints} is another in every recording: off by {offset:bare}."
     parameters = (Parameter("offset", "Nm", 0.0),)
     amplitudes = ("offset",)
     side = "sensor"
@@ -20,4 +22,4 @@ class TorqueOffset(Effect):
     )
 
     def torque(self, signals, theta, width):
-        return (theta["offset"] + 0 * signals.load[self.joints[0]],)
+        return (self.value(signals, theta) + 0 * signals.load[self.joints[0]],)
