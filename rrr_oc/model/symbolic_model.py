@@ -190,8 +190,8 @@ class Model:
         """
         body = Body(ca.SX(inertial), ca.SX(self.robot.gravity), payload, list(self.tool.position))
         for effect, named, _ in self._unpacked(theta, widths):
-            changes = isinstance(effect, BodyChange) and not isinstance(effect, without)
-            body = effect.change(body, named) if changes else body
+            if isinstance(effect, BodyChange) and not isinstance(effect, without):
+                body = effect.change(body, named)
         gravity = ca.vertcat(*body.gravity) if isinstance(body.gravity, list) else body.gravity
         return with_payload(body.inertial, self.tool.joint, body.payload, body.position), gravity
 

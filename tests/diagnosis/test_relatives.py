@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """Relatives of laws that the catalogue had first: each is told as itself, with its size, and not as two others."""
 
 from dataclasses import replace

@@ -9,7 +9,8 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.smooth import fabs, sign
 from rrr_oc.robot.parameters import Parameter
 
-LAWS = {
+Follows = Literal["load", "motor", "motor without friction"]
+LAWS: dict[Follows, str] = {
     "load": "tau = -mu |tau_l| sgn(dq)",
     "motor": "tau = -mu |tau_m| sgn(dq), tau_m the motor's torque with rotor inertia, friction and tau itself",
     "motor without friction": "tau = -mu |tau_l + J ddq| sgn(dq), tau_l + J ddq the motor's torque without its friction",
@@ -48,7 +49,7 @@ class LoadDependentFriction(Effect):
         "Bittencourt & Gunnarsson 2012; Hamon, Gautier & Garrec 2010: some per cent",
     )
 
-    follows: Literal["load", "motor", "motor without friction"] = "load"
+    follows: Follows = "load"
 
     def __post_init__(self) -> None:
         if self.follows not in LAWS:
