@@ -21,7 +21,7 @@ from rrr_oc.diagnosis.fitting import Fitted, Fitter
 from rrr_oc.diagnosis.structures.linear import Structure
 from rrr_oc.diagnosis.structures.neighbours import Levels, Neighbours
 from rrr_oc.diagnosis.structures.search import Search, terms_of
-from rrr_oc.effects import Effect, OfEach
+from rrr_oc.effects import Effect
 from rrr_oc.errors import reason
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.storage import number

@@ -175,7 +175,7 @@ class Search:
         A shape may be better than it is predicted on the grid of its trials. By as much as a change of a structure missed its
         prediction when it was fitted last, it is expected to miss it again.
         """
-        best = None
+        best, chosen = None, None
         hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_bent]
         for p in hopeful[:FITTED]:
             most = at.score + (1 + SLACK) * (p.score - here.score) + CLOSE
@@ -185,8 +185,9 @@ class Search:
             found = self._fitted(at, p)
             self._missed[here.key ^ p.key] = max(at.score + p.score - here.score - found.score, 0.0)
             if found.score > (at if best is None else best).score:
-                best = found
-        if best is not None:
+                best, chosen = found, p
+        if best is not None and chosen is not None:
+            best = self._restarted(best, chosen)
             self.report(f"{_said(at.fitted, best.fitted)}: {best.score - at.score:+.1f}", len(self.visited))
         return best
 
@@ -199,11 +200,15 @@ class Search:
         rest = len(about.links) + len(self.fitter.widths(model))
         step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
         model, links = self.fitter.moved(model, about.links, step)
-        fitted = self.fitter.with_signs(self.fitter.fit(model, links, at.fitted.posterior))
+        return self.scored(self.fitter.with_signs(self.fitter.fit(model, links, at.fitted.posterior)))
+
+    def _restarted(self, found: State, p: Predicted) -> State:
+        """The most probable of a fit and of those from other starts of what is new in it."""
+        fitted = found.fitted
         for i, a in enumerate(p.structure):
             if isinstance(a.source, Candidate):
                 fitted = self.fitter.restarted(fitted, i)
-        return self.scored(fitted)
+        return found if fitted is found.fitted else self.scored(fitted)
 
 
 def terms_of(fitted: Fitted, structure: Structure, labels: Sequence[str]) -> tuple[Term, ...]:
