@@ -29,6 +29,7 @@ from rrr_oc.numerics.rank import condition, undetermined
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import links_from_log_cholesky, prior
 from rrr_oc.robot.robot import BUNDLED, urdf_text
+from rrr_oc.robot.urdf import posed
 from rrr_oc.storage import number
 
 PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
@@ -67,7 +68,7 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
     return CalibratedModel(
         robot=robot,
         source=str(recordings.source) if str(recordings.source) in BUNDLED else "urdf",
-        urdf=urdf_text(recordings.source),
+        urdf=posed(urdf_text(recordings.source), robot.held),
         tool=recordings.tool,
         torque=recordings.torque,
         torque_constant=recordings.torque_constant,

@@ -67,13 +67,14 @@ class Header(Schema, frozen=True):
     Attributes:
         format: What the file is.
         robot: A bundled model or the path of a URDF or MJCF, relative to this file.
-        joints: The recorded joints, in the order of the chain; all others stay at zero.
+        joints: The recorded joints, in the order of the chain; all others are held still.
         recordings: The recordings.
         torque: What the effort columns hold: motor or load torque [Nm], or current [A] with a `torque_constant` in `actuators`.
         inertial: Whether the URDF's masses and inertias are used ("nominal") or estimated ("identify").
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where a payload is held; by default the last link's tool frame.
         actuators: Drives by joint.
+        fixed_deg: Angles of joints that are not recorded [°]; 0 for those left out, or the middle of a range that lacks 0.
     """
 
     format: Literal["rrr_oc-recordings/1"]
@@ -85,6 +86,7 @@ class Header(Schema, frozen=True):
     gravity: Vector | None = None
     tool: Tool | None = None
     actuators: dict[str, Actuator] = field(default_factory=dict)
+    fixed_deg: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(set(self.joints)) != len(self.joints):

@@ -49,7 +49,8 @@ def load_recordings(path: str | Path, robot: str | Path | None = None) -> Record
 
 def _robot(file: Path, source: str | Path, header: Header) -> tuple[Robot, ToolPoint]:
     try:
-        robot = load_robot(source, header.joints, header.inertial == "nominal", header.gravity)
+        fixed = {joint: float(np.radians(degrees)) for joint, degrees in header.fixed_deg.items()}
+        robot = load_robot(source, header.joints, header.inertial == "nominal", header.gravity, fixed)
         return robot, robot.tool if header.tool is None else robot.point(header.tool.link, header.tool.position)
     except UserError as error:
         raise UserError(f"{file}: {error}") from None

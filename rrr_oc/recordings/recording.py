@@ -102,7 +102,9 @@ class RecordingSet:
         for names, found in self._by("turned").items():
             notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
         for names, found in self._by("ignored").items():
-            locked = "; joints that are not listed are taken to stay at 0" * any(name.startswith("q_") for name in names)
+            locked = "; joints that are not listed are held still, where 'fixed_deg' says" * any(
+                name.startswith("q_") for name in names
+            )
             notes.append(f"{_named(found)}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
         notes += self._doubts()
         default = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)

@@ -30,6 +30,7 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
         "gravity": robot.gravity.tolist(),
         "tool": {"link": robot.links[tool.joint], "position": (pose[:3, :3].T @ (tool.position - pose[:3, 3])).tolist()},
         "actuators": constants({j: k for j, k in zip(robot.joints, recordings.torque_constant, strict=True) if k is not None}),
+        "fixed_deg": {joint: float(np.degrees(angle)) for joint, angle in robot.held.items()},
     }
     tables = {r.file: _table(r, robot.joints, recordings.torque) for r in recordings.recordings}
     entries = []

@@ -8,7 +8,7 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,15 @@ import pinocchio as pin
 
 from rrr_oc.errors import UserError
 from rrr_oc.robot.mjcf import ENDLESS, mjcf_as_urdf
-from rrr_oc.robot.urdf import Elements, possible
+from rrr_oc.robot.urdf import TURNS, Elements, axis, fix, possible
+from rrr_oc.schema import check_names
 from rrr_oc.storage import read_regular
 
 # pyright: reportAttributeAccessIssue=false
 # (pin's wheel has no stubs)
 
 BUNDLED = ("rrr", "rrr_prototype")
+ROUNDED = 1e-6  # [rad] by which an angle may lie outside a range that is told in few digits; doubled, nothing changes
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s²] in the base frame, where nothing says another
 _TOOL = re.compile(  # usual names of a tool frame
     r"(^|[_/])(tool0?|tcp|ee|end_effector|flange|attachment|attachment_site)($|[_/])", re.IGNORECASE
@@ -58,7 +60,7 @@ class Robot:
             rotational inertia about the frame's origin xx, xy, yy, xz, yz, zz [kg m²] (Pinocchio's order).
         lower, upper: Joint ranges [rad], shape (n,).
         velocity: Speed limits [rad/s], shape (n,).
-        effort: Torque limits [Nm], shape (n,).
+        effort: Torque limits [Nm], infinite where the file says none or 0, shape (n,).
         tool: Origin of the last link's tool frame: a link fixed to it with a usual name such as tool0, else the last link fixed
             to it, else the link's own frame.
         frames: For each link of the URDF, or body and site of the MJCF, the joint that moves it (-1: the base) and its pose in
@@ -66,6 +68,7 @@ class Robot:
         gravity: Acceleration of gravity in the base frame [m/s²], shape (3,).
         notes: What a user should know of the file, a sentence each: limits that it does not give, of any of its joints, links whose
             inertia no body has, and what it says beyond kinematics, inertia and limits, which is not used.
+        held: Angles [rad] of the joints that are locked and not at zero, by name.
     """
 
     name: str
@@ -82,6 +85,7 @@ class Robot:
     frames: Mapping[str, tuple[int, np.ndarray]]
     gravity: np.ndarray
     notes: tuple[str, ...] = ()
+    held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -112,32 +116,46 @@ class Robot:
 
 
 def load_robot(
-    source: str | Path, joints: Sequence[str] | None = None, inertial: bool = True, gravity: Sequence[float] | None = None
+    source: str | Path,
+    joints: Sequence[str] | None = None,
+    inertial: bool = True,
+    gravity: Sequence[float] | None = None,
+    fixed: Mapping[str, float] | None = None,
 ) -> Robot:
     """Read a robot.
 
     Args:
         source: Name of a bundled model (`BUNDLED`) or path of a URDF or MJCF.
-        joints: Joints to keep, in the order of the chain; the others, of whatever type, are locked at zero. Default: all.
+        joints: Joints to keep, in the order of the chain; the others, of whatever type, are locked. Default: all.
         inertial: Whether the links' masses are used, and so must be there.
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's, or `GRAVITY`.
+        fixed: Angles of joints that are not kept [rad]. Default: zero, or the middle of a range that lacks zero.
 
     Raises:
         UserError: The file is missing or neither URDF nor MJCF; a number in it is missing or not finite; a joint kept is not revolute, or
-            its limits are crossed; the chain branches; a moving link has no mass; `joints` names one that is not there or is out of order.
+            its limits are crossed; the chain branches; a moving link has no mass; `joints` names one that is not there or is out of order;
+            `fixed` names one that does not turn or is kept, or an angle outside its range.
     """
     name = str(source) if str(source) in BUNDLED else Path(source).stem
     elements = Elements(name, urdf_text(source))
     root = elements.root
+    missing = _missing_limits(root)
+    turning, held = _lock(name, elements, joints, fixed or {})
+    elements.check_numbers()
     notes = (
-        *_missing_limits(root),
+        *missing,
+        *(
+            f"joint {j!r} is held at {np.degrees(q):.4g}°, the middle of its range, which lacks 0"
+            for j, q in held.items()
+            if j not in (fixed or {})
+        ),
         *(str(note.text) for note in root.findall("note")),
         *(elements.doubts() if inertial else ()),
     )
     masses, own = _masses(root), root.find("gravity")
     if gravity is None:
         gravity = GRAVITY if own is None else [float(x) for x in own.get("xyz", "").split()]
-    model = _lock_all_but(name, _parse(name, elements, joints), joints)
+    model = _chain(name, _parse(name, elements, joints), joints, turning)
     if model.nq == 0:
         raise UserError(f"robot {name!r} has no revolute joint; at least one is needed")
     parameters = np.array([model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]).T  # (10, n)
@@ -156,11 +174,12 @@ def load_robot(
         lower=_with_infinities(model.lowerPositionLimit),
         upper=_with_infinities(model.upperPositionLimit),
         velocity=_with_infinities(model.upperVelocityLimit),
-        effort=_with_infinities(model.upperEffortLimit),
+        effort=np.where(model.upperEffortLimit > 0, _with_infinities(model.upperEffortLimit), np.inf),
         tool=ToolPoint(last, frames[_tool_link(frames, last)][1][:3, 3]),
         frames=frames,
         gravity=np.asarray(gravity, float),
         notes=notes,
+        held=held,
     )
 
 
@@ -186,16 +205,19 @@ def _decoded(path: Path, data: bytes) -> str:
 
 
 def _missing_limits(root: ElementTree.Element) -> tuple[str, ...]:
-    """A sentence on the joints whose <limit> has no range, and on those whose limit of speed is 0; without <limit> is an error."""
-    limits = [(j.get("name"), j.find("limit")) for j in root.iter("joint") if j.get("type") == "revolute"]
-    given = [(name, limit) for name, limit in limits if limit is not None]
-    ranges = [str(name) for name, limit in given if _number(limit, "lower", "0") == _number(limit, "upper", "0")]
-    speeds = [str(name) for name, limit in given if _number(limit, "velocity", "") == 0]
+    """A sentence on the joints whose <limit> has no range, and on those whose limits of speed or torque are 0."""
+    limits = [(j.get("name"), j.get("type"), j.find("limit")) for j in root.iter("joint") if j.get("type") in TURNS]
+    given = [(str(name), kind, limit) for name, kind, limit in limits if limit is not None]
+    ends = {
+        name: (_number(limit, "lower", "0"), _number(limit, "upper", "0")) for name, kind, limit in given if kind == "revolute"
+    }
+    ranges = [name for name, (lower, upper) in ends.items() if lower == upper]
     notes = []
     if ranges:
         notes.append(f"the URDF gives no range of {', '.join(ranges)}: 'lower' and 'upper' of <limit> are missing or the same")
-    if speeds:
-        notes.append(f"the URDF gives no speed of {', '.join(speeds)}: 'velocity' of <limit> is 0")
+    for key, what in (("velocity", "speed"), ("effort", "limit of torque")):
+        if names := [name for name, _, limit in given if _number(limit, key, "") == 0]:
+            notes.append(f"the URDF gives no {what} of {', '.join(names)}: '{key}' of <limit> is 0")
     return tuple(notes)
 
 
@@ -225,14 +247,56 @@ def _masses(root: ElementTree.Element) -> dict[str, str]:
     return wrong
 
 
+def _lock(
+    name: str, elements: Elements, joints: Sequence[str] | None, fixed: Mapping[str, float]
+) -> tuple[tuple[str, ...], dict[str, float]]:
+    """Make the joints that are not kept fixed ones, so that nothing is asked of their numbers but their place.
+
+    Returns the names of all joints that turn on their own, in the order of the file, and the angles of the locked ones that are not 0.
+    """
+    free = [
+        j
+        for j in elements.root.findall("joint")
+        if j.get("type") in TURNS and j.find("mimic") is None and j.find("tied") is None
+    ]
+    turning = tuple(str(joint.get("name")) for joint in free)
+    locked = [joint for joint in turning if joints is not None and joint not in joints]
+    check_names(fixed, locked, f"robot {name!r}: fixed_deg", "locked joint that turns")
+    held = {}
+    for joint in elements.root.findall("joint"):
+        own = str(joint.get("name"))
+        if joints is None or own in joints or joint.get("type") == "fixed":
+            continue
+        if own in locked and (angle := _held_at(name, elements, joint, fixed)):
+            _check_axis(name, joint)
+            held[own] = angle
+        fix(joint, held.get(own, 0.0))
+    return turning, held
+
+
+def _held_at(name: str, elements: Elements, joint: ElementTree.Element, fixed: Mapping[str, float]) -> float:
+    """Angle of a locked joint [rad]: as given, or 0, or the middle of a range that lacks 0; a range that cannot be read is none."""
+    own, limit = str(joint.get("name")), joint.find("limit") if joint.get("type") == "revolute" else None
+    low, high = _number(limit, "lower", "0"), _number(limit, "upper", "0")
+    known = low is not None and high is not None and low < high
+    angle = fixed.get(own)
+    if angle is None:
+        return resting_angle(low, high) if known else 0.0
+    if known and not low - ROUNDED <= angle <= high + ROUNDED:
+        ends = f"{np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
+        raise UserError(f"robot {name!r}: fixed_deg.{own}: found {np.degrees(angle):g}; its range is {ends}")
+    return angle
+
+
+def resting_angle(low: float, high: float) -> float:
+    """Where a joint of this range is held if nothing says an angle: at 0, or in the middle of a range that lacks 0."""
+    return 0.0 if not low < high or low <= 0 <= high else (low + high) / 2
+
+
 def _parse(name: str, elements: Elements, joints: Sequence[str] | None) -> pin.Model:
     for joint in elements.root.findall("joint"):
         kind = joint.get("type")
-        turns, mimic, tied = kind in ("fixed", "revolute", "continuous"), joint.find("mimic"), joint.find("tied")
-        if joints is not None and joint.get("name") not in joints and not (turns and mimic is None and tied is None):
-            joint.set("type", "fixed")  # locked at zero, as a gripper's fingers
-            joint[:] = [part for part in joint if part.tag in ("parent", "child", "origin")]
-            continue
+        turns, mimic, tied = kind in ("fixed", *TURNS), joint.find("mimic"), joint.find("tied")
         if not turns:
             raise UserError(
                 f"robot {name!r}: joint {joint.get('name')!r} is {kind}; allowed are revolute, continuous and fixed"
@@ -278,16 +342,14 @@ def _check_limit(name: str, elements: Elements, joint: ElementTree.Element) -> N
 
 
 def _check_axis(name: str, joint: ElementTree.Element) -> None:
-    axis = joint.find("axis")
-    text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
     try:
-        given = np.array([float(x) for x in text.split()])
+        axis(joint)
     except ValueError:
-        given = np.zeros(0)
-    if given.shape != (3,) or not np.all(np.isfinite(given)) or not np.any(given):
+        element = joint.find("axis")
+        text = "" if element is None else element.get("xyz")
         raise UserError(
             f"robot {name!r}: joint {joint.get('name')!r} has the axis {text!r}; three numbers, not all 0, are required"
-        )
+        ) from None
 
 
 @contextmanager
@@ -308,14 +370,13 @@ def _captured_stderr(said: list[str]) -> Iterator[None]:
             said += [e.partition("Error:")[2].strip() for e in errors if "Error:" in e]
 
 
-def _lock_all_but(name: str, model: pin.Model, joints: Sequence[str] | None) -> pin.Model:
-    present = list(model.names)[1:]
+def _chain(name: str, model: pin.Model, joints: Sequence[str] | None, turning: Sequence[str]) -> pin.Model:
+    """The model, which must be a chain of the joints asked for; `turning` are all that could be."""
+    fixed_or_not = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    present = [f.name for f in model.frames if f.type in fixed_or_not and f.name in turning]  # in the order of the chain
     for joint in joints or ():
         if joint not in present:
             raise UserError(f"robot {name!r} has no joint {joint!r}; it has {', '.join(present)}")
-    locked = [model.getJointId(j) for j in present if joints is not None and j not in joints]
-    if locked:
-        model = pin.buildReducedModel(model, locked, pin.neutral(model))
     for i in range(1, model.njoints):
         if model.parents[i] != i - 1:
             raise UserError(

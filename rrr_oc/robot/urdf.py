@@ -5,9 +5,13 @@ from collections.abc import Iterator, Mapping
 from xml.parsers import expat
 
 import numpy as np
+import pinocchio as pin
 
 from rrr_oc.errors import UserError
 from rrr_oc.schema import decimal
+
+# pyright: reportAttributeAccessIssue=false
+# (pin's wheel has no stubs)
 
 LARGEST = 1e6  # magnitude of a mass, length or moment of inertia [SI]; ten times that, and dynamics still have no meaning
 DEEPEST = 100  # elements within each other; doubled, nothing changes for real files
@@ -19,23 +23,24 @@ NUMBERS: Mapping[str, Mapping[str, int]] = {
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
     "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
-    "dynamics": {"damping": 1, "friction": 1},
-    "mimic": {"multiplier": 1, "offset": 1},
-    "calibration": {"rising": 1, "falling": 1},
-    "safety_controller": dict.fromkeys(("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1),
 }
-_LOOKS = ("visual", "collision")  # of links; not used
+_USED = {  # elements within links and joints; others are not checked, and parsers do not see them
+    "link": ("inertial",),
+    "joint": ("parent", "child", "origin", "axis", "limit", "mimic", "tied"),
+}
+_FIXED = ("parent", "child", "origin")  # elements of a joint that does not move
+TURNS = ("revolute", "continuous")  # types of joints that turn
 
 
 class Elements:
-    """The elements of a URDF, less what is only seen, with the line of each for messages.
+    """The elements of a URDF that are used, with the line of each for messages.
 
     Attributes:
         root: The element <robot>.
     """
 
     def __init__(self, name: str, text: str) -> None:
-        """Raises `UserError` where the text is no well-formed XML, no URDF, or a number in it is missing or not finite."""
+        """Raises `UserError` where the text is no well-formed XML or no URDF."""
         self._name = name
         self._lines: dict[ElementTree.Element, int] = {}
         self.root = self._parsed(text)
@@ -44,9 +49,11 @@ class Elements:
         for part in list(self.root):
             if part.tag not in ("link", "joint", "gravity", "note"):
                 self.root.remove(part)
-        for link in self.root.iter("link"):
-            for looks in [part for part in link if part.tag in _LOOKS]:
-                link.remove(looks)
+            elif part.tag in _USED:
+                part[:] = [inner for inner in part if inner.tag in _USED[part.tag]]
+
+    def check_numbers(self) -> None:
+        """Raise `UserError` where a number that is used is missing, not finite or absurd."""
         for part in self.root:
             for parent in (part, *part.findall("inertial")):
                 self._check_numbers(part, parent)
@@ -123,3 +130,40 @@ class Elements:
 def possible(moments: np.ndarray) -> bool:
     """Whether principal moments of inertia (3,) [kg m²], in rising order, are those of a body, up to rounding in the file."""
     return bool(moments[0] >= -1e-9 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) + 1e-9)
+
+
+def fix(joint: ElementTree.Element, angle: float = 0.0) -> None:
+    """Make a joint one that does not move, at an angle [rad] about its axis, with nothing left of it but its place."""
+    if angle:
+        origin = joint.find("origin")
+        origin = ElementTree.SubElement(joint, "origin") if origin is None else origin
+        turned = pin.rpy.rpyToMatrix(numbers(origin, "rpy", (0.0, 0.0, 0.0))) @ pin.exp3(angle * axis(joint))
+        origin.set("rpy", " ".join(repr(float(x)) for x in pin.rpy.matrixToRpy(turned)))
+    joint.set("type", "fixed")
+    joint[:] = [part for part in joint if part.tag in _FIXED]
+
+
+def axis(joint: ElementTree.Element) -> np.ndarray:
+    """A joint's axis, of unit length, (3,); raises `ValueError` where it is none."""
+    element = joint.find("axis")
+    given = numbers(element, "xyz", (1.0, 0.0, 0.0))
+    if given.shape != (3,) or not np.all(np.isfinite(given)) or not np.any(given):
+        raise ValueError("an axis needs three numbers, not all 0")
+    return given / np.linalg.norm(given)
+
+
+def numbers(element: ElementTree.Element | None, key: str, default: tuple[float, ...]) -> np.ndarray:
+    """The numbers of an attribute; raises `ValueError` where one is none."""
+    text = None if element is None else element.get(key)
+    return np.array(default if text is None else [float(x) for x in text.split()], float)
+
+
+def posed(text: str, angles: Mapping[str, float]) -> str:
+    """A URDF whose joints of these names are fixed at these angles [rad]; the text itself where there are none."""
+    if not angles:
+        return text
+    root = ElementTree.fromstring(text)
+    for joint in root.findall("joint"):
+        if joint.get("name") in angles:
+            fix(joint, angles[str(joint.get("name"))])
+    return ElementTree.tostring(root, encoding="unicode") + "\n"

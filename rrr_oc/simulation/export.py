@@ -16,6 +16,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
 from rrr_oc.robot.robot import Robot
+from rrr_oc.robot.urdf import posed
 from rrr_oc.simulation.engine_model import Settings, assembled, controller
 from rrr_oc.simulation.generated_c import PAYLOAD
 
@@ -108,12 +109,12 @@ def _draw(spec: mujoco.MjSpec, robot: Robot, tool: np.ndarray) -> None:
 def urdf(text: str, robot: Robot) -> str:
     """The URDF with a robot's inertial parameters: each moved link has those of all links fixed to it, which have none of their own.
 
-    Joints that the robot does not have were locked at zero, and become fixed.
+    Joints that the robot does not have were locked, and become fixed where they are held.
 
     Args:
         text: URDF that the robot was read from.
     """
-    tree = ElementTree.fromstring(text)
+    tree = ElementTree.fromstring(posed(text, robot.held))
     for joint in tree.findall("joint"):
         if joint.get("name") not in robot.joints:
             joint.set("type", "fixed")

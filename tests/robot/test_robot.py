@@ -157,7 +157,18 @@ def test_limits_that_are_missing_are_said_of_joints_that_do_not_move_too(load):
     notes = load(text, joints=["j1", "j2"]).notes
     assert [note.partition(":")[0] for note in notes] == ["the URDF gives no range of j3", "the URDF gives no speed of j3"]
     endless = text.replace('type="revolute"', 'type="continuous"').replace("type='revolute'", "type='continuous'")
-    assert load(endless).notes == ()
+    (speed,) = load(endless).notes
+    assert speed.startswith("the URDF gives no speed of j3")
+
+
+def test_a_torque_limit_of_0_is_none(load):
+    """Of revolute and endless joints alike; files are made so where nobody knows the limit."""
+    text = arm(2).replace('effort="50"', 'effort="0"')
+    for kind in ("revolute", "continuous"):
+        found = load(text.replace("revolute", kind, 1))
+        np.testing.assert_array_equal(found.effort, [np.inf, np.inf])
+        (note,) = found.notes
+        assert note == "the URDF gives no limit of torque of j1, j2: 'effort' of <limit> is 0"
 
 
 def test_names_and_points_that_are_not_there(load):
@@ -319,3 +330,73 @@ def test_a_urdf_may_declare_its_encoding(tmp_path):
 def test_joints_that_cannot_be_kept(load, joints, message):
     with pytest.raises(UserError, match=message):
         load(arm(3), joints=joints)
+
+
+NAMES = {"of an earlier link": "l1", "of the base": "base", "of its own link": "l2"}
+
+
+@pytest.mark.parametrize("joints", [["j1"], None, "the other"])
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_a_joint_may_have_the_name_of_a_link(load, name, joints):
+    """Locked, kept, or the only one kept: the same robot as where it has a name of its own."""
+    own = arm(2)
+    found = load(own.replace('joint name="j2"', f'joint name="{name}"'), joints=[name] if joints == "the other" else joints)
+    expected = load(own, joints=["j2"] if joints == "the other" else joints)
+    assert found.joints == tuple(name if joint == "j2" else joint for joint in expected.joints)
+    np.testing.assert_array_equal(found.inertial, expected.inertial)
+    np.testing.assert_array_equal(found.placements, expected.placements)
+
+
+UNUSED = {
+    "a safety controller": '<safety_controller k_velocity="2000000" k_position="stiff"/>',
+    "large damping": '<dynamics damping="5e6" friction=""/>',
+    "an angle of calibration": '<calibration rising="nan"/>',
+}
+
+
+@pytest.mark.parametrize("unused", UNUSED.values(), ids=UNUSED)
+def test_a_number_that_is_not_used_is_not_checked(load, unused):
+    text = arm(2)
+    found = load(text.replace("</joint>", f"{unused}</joint>"))
+    np.testing.assert_array_equal(found.inertial, load(text).inertial)
+
+
+def test_of_a_joint_that_is_not_kept_only_the_place_is_asked(load):
+    """Its limits and its axis are not used; where it stands is."""
+    strange = '<limit lower="2" upper="-2" effort="all" velocity="-1"/><mimic joint="j1" multiplier="?"/>'
+    text = arm(2).replace("</robot>", link("f", 0.1) + joint("g", "l2", "f", "prismatic", strange, axis="0 0 0") + "</robot>")
+    assert load(text, joints=["j1", "j2"]).inertial[0, 1] == pytest.approx(1.1)
+    head, _, tail = text.rpartition('xyz="0.3 0 0"')
+    with pytest.raises(UserError, match=r"joint 'g' has <origin xyz='0.3 0 far'>; 3 finite numbers"):
+        load(head + 'xyz="0.3 0 far"' + tail, joints=["j1", "j2"])
+
+
+def test_locked_joints_stand_at_the_angles_that_are_given(load):
+    """Dynamics are those of the whole chain with these joints held there."""
+    text, angles = random_chain(5, 5), {"j1": 0.7, "j4": -1.2}
+    whole, part = load(text), load(text, joints=["j2", "j3", "j5"], fixed=angles)
+    assert dict(part.held) == angles
+    kept = [1, 2, 4]
+    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 3))
+    full = [np.array([0.7, 0, 0, -1.2, 0]), np.zeros(5), np.zeros(5)]
+    for vector, values in zip(full, (q, dq, ddq), strict=True):
+        vector[kept] = values
+    torques = rigid_body(whole).inverse_dynamics(*full, whole.inertial, whole.gravity)
+    found = np.array(rigid_body(part).inverse_dynamics(q, dq, ddq, part.inertial, part.gravity)).ravel()
+    np.testing.assert_allclose(found, np.array(torques).ravel()[kept], atol=1e-11)  # rounding
+
+
+def test_a_locked_joint_whose_range_lacks_0_stands_in_its_middle(load):
+    text = arm(3)
+    head, _, tail = text.rpartition('lower="-2"')
+    text = head + 'lower="0.5"' + tail
+    found = load(text, joints=["j1", "j2"])
+    assert dict(found.held) == {"j3": 1.25}
+    assert "joint 'j3' is held at 71.62°, the middle of its range, which lacks 0" in found.notes
+    assert dict(load(text, joints=["j1", "j2"], fixed={"j3": 2.0}).held) == {"j3": 2.0}
+    for fixed, said in (
+        ({"j3": 0.0}, r"fixed_deg\.j3: found 0; its range is 28\.65° … 114\.59°"),
+        ({"j1": 0.1}, "fixed_deg: unknown locked joint that turns 'j1'; allowed are j3"),
+    ):
+        with pytest.raises(UserError, match=said):
+            load(text, joints=["j1", "j2"], fixed=fixed)
