@@ -9,10 +9,11 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from rrr_oc.codesign.task import Task
+from rrr_oc.codesign.task import Task, overloads
 from rrr_oc.effects import Clutched, DesignSpring, Effect, design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
+from rrr_oc.kept import Listener
 from rrr_oc.schema import Interval, Schema, check_interval, check_names, read_json, validated
 from rrr_oc.storage import plain
 
@@ -33,6 +34,36 @@ def offered(task: Task) -> tuple[str, ...]:
     """The configurations whose springs a task offers, those of the fewest kinds first."""
     kinds = {entry.get("effect") for entry in task.springs}
     return tuple(name for name, needed in configurations().items() if kinds.issuperset(needed))
+
+
+def holding(task: Task, asked: Sequence[str] | None, names: Sequence[str], listener: Listener) -> tuple[str, ...]:
+    """The configurations to solve: those asked for, or else those of `names` that have a spring on each joint that needs one.
+
+    A joint needs one where its torque limit does not hold the arm and its load at an end of a phase; the listener is told.
+    Raises `UserError` where a configuration that is asked for lacks such a spring, or all do.
+    """
+    weak = overloads(task)
+    lacking = {name: [joint for joint in weak if joint not in _sprung(task, name)] for name in asked or names}
+    kept = tuple(name for name, joints in lacking.items() if not joints)
+    if not kept or (asked and len(kept) < len(lacking)):
+        name = next(name for name, joints in lacking.items() if joints)
+        told, others = weak[lacking[name][0]], ", ".join(n for n in names if n not in lacking or not lacking[n])
+        mend = "a smaller payload, a greater limit or a spring on that joint is needed"
+        raise UserError(
+            f"task {task.name!r}: {told}; {name} has no spring there: {mend}{f', as in {others}' if others else ''}"
+        )
+    for told in weak.values():
+        left = ", ".join(name for name in lacking if name not in kept)
+        listener.note(f"Note: task {task.name!r}: {told}, so a spring has to help{f'; {left} is left out' if left else ''}.")
+    return kept
+
+
+def _sprung(task: Task, configuration: str) -> set[str]:
+    """The joints on which the springs of a configuration act; one between drive and link takes no load from the drive."""
+    kinds = {kind.name: kind for kind in design_forms().values()}
+    names = [kind for kind in configurations().get(configuration, ()) if not kinds[kind].moves_link]
+    entries = [entry for entry in task.springs if entry.get("effect") in names]
+    return {str(joint) for entry in entries for joint in (entry.get("joints") or [entry.get("joint")])}
 
 
 @dataclass(frozen=True, eq=False)

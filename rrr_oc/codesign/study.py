@@ -37,7 +37,7 @@ from rrr_oc.codesign.optimum import (
 from rrr_oc.codesign.purchasable import search_catalogue
 from rrr_oc.codesign.search.multistart import SHARES, SearchResult, best_arranged, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import allowed_configurations, arrangements, offered
+from rrr_oc.codesign.springs import allowed_configurations, arrangements, holding, offered
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
 from rrr_oc.errors import UserError
@@ -146,7 +146,7 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
     twin = None if request.model is None else Twin(load_model(request.model), drives)
     needed = None if request.cost == "load" else drives
     designs = {}
-    for name in request.configurations or offered(task):
+    for name in holding(task, request.configurations, offered(task), listener):
         ways = [CoDesign(task, springs, request.cost, needed) for springs in arrangements(task, name)]
         designs[name] = ways if twin is None or not request.repaired else [repaired(way, twin.model, ("", "")) for way in ways]
     own, shop = next(iter(designs.values()))[0].task, None if request.catalogue is None else load_catalogue(request.catalogue)

@@ -14,7 +14,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.csv_table import read_table
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, upwards
-from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
+from rrr_oc.robot.robot import Robot, ToolPoint, load_robot, resting_angle
 from rrr_oc.schema import (
     Interval,
     NonNegative,
@@ -31,6 +31,8 @@ from rrr_oc.schema import (
 
 PRESETS = ("paper", "prototype", "more_springs", "further_springs", "series_springs")
 PHASES = ("go", "return")
+NEAR = 1e-3  # [m] between the tool and a position that it reaches; angles and positions in files are rounded; doubled, nothing changes
+NO_LIMIT = 1e6  # [Nm]; a robot file's torque limit of this or more means that none is known
 Speed = Literal["rest", "moving", "free"]
 
 
@@ -66,19 +68,19 @@ class End(Schema, frozen=True):
 
 
 class Limits(Schema, frozen=True):
-    """Limits of a joint; those left out are the URDF's range and speed, and no limit of acceleration and torque.
+    """Limits of a joint; those left out are the robot file's range, speed and torque, and no limit of acceleration.
 
     Attributes:
         range_deg: Least and greatest angle.
         speed_deg_per_s: Greatest speed.
         acceleration_deg_per_s2: Greatest acceleration.
-        torque_Nm: Greatest load torque.
+        torque_Nm: Greatest load torque; by default the robot file's, and with "none" there is no limit.
     """
 
     range_deg: Interval | None = None
     speed_deg_per_s: Positive | None = None
     acceleration_deg_per_s2: Positive | None = None
-    torque_Nm: Positive | None = None
+    torque_Nm: Positive | Literal["none"] | None = None
 
     def __post_init__(self) -> None:
         check_interval("range_deg", self.range_deg)
@@ -102,8 +104,8 @@ class TaskFile(Schema, frozen=True):
         path_margin: If given, the joints' ranges become the way between both ends, widened on each side by this share of it [1].
         floor_m: Height that the tool stays above; by default none.
         springs: Springs that a design may use, each with bounds of its quantities.
-        locked_deg: Angles of joints that do not move; 0 for those left out.
-        joints: The arm's joints, in the order of the chain; others stay at zero, whatever their type, such as a gripper's fingers.
+        locked_deg: Angles of joints that do not move; 0 for those left out, or the middle of a range that lacks 0.
+        joints: The arm's joints, in the order of the chain; others are held still, whatever their type, such as a gripper's fingers.
             By default all are the arm's.
     """
 
@@ -306,9 +308,13 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
 
 
 def _locked(where: str, robot: Robot, given: TaskFile) -> tuple[float, ...]:
-    """Angles of the locked joints [rad], (n,), those of the moving ones zero; raises `UserError` for one outside its range."""
+    """Angles of the locked joints [rad], (n,), those of the moving ones zero; raises `UserError` for one outside its range.
+
+    One that the task does not say is 0, or the middle of a range that lacks 0.
+    """
     check_names(given.locked_deg, [j for j in robot.joints if j not in given.moving], f"{where}: locked_deg", "locked joint")
-    angles = np.zeros(robot.n)
+    free = zip(robot.joints, robot.lower, robot.upper, strict=True)
+    angles = np.array([0.0 if joint in given.moving else resting_angle(low, high) for joint, low, high in free])
     for joint, degrees in given.locked_deg.items():
         j = robot.index(joint)
         angles[j] = np.radians(degrees)
@@ -332,8 +338,29 @@ def _limits(where: str, robot: Robot, given: TaskFile) -> dict[str, np.ndarray]:
         if not speed > 0:
             raise UserError(f"{where}: limits.{joint}: key 'speed_deg_per_s' is missing; the URDF allows no speed")
         acceleration = own.acceleration_deg_per_s2 or np.inf
-        rows.append([*np.radians([low, high, speed, acceleration]), own.torque_Nm or np.inf])
+        rows.append([*np.radians([low, high, speed, acceleration]), _torque_limit(own, robot.effort[j])])
     return dict(zip(("lower", "upper", "speed", "acceleration", "torque"), np.array(rows).T, strict=True))
+
+
+def _torque_limit(own: Limits, effort: float) -> float:
+    """The limit of a joint's torque [Nm], from a task and the robot's file; infinite where there is none."""
+    if isinstance(own.torque_Nm, float):
+        return own.torque_Nm
+    return np.inf if own.torque_Nm == "none" or effort >= NO_LIMIT else effort
+
+
+def overloads(task: Task) -> dict[str, str]:
+    """By joint, a sentence on the torque that it needs to stand at an end of a phase where its limit is less; without springs."""
+    gravity_torque, found = task.model().inverse, dict[str, str]()
+    for end, q in (("start", task.start), ("release", task.release)):
+        for payload in task.payloads:
+            torque, _ = gravity_torque(task.full(q), np.zeros(task.robot.n), np.zeros(task.robot.n), payload, [], [])
+            needed = np.abs(np.array(torque).ravel()[list(task.moving)])
+            for joint, tau, limit in zip(task.joints, needed, task.torque, strict=True):
+                if tau > limit:
+                    told = f"{joint} needs {tau:.4g} Nm to hold {payload:g} kg at the {end}, and its limit is {limit:.4g} Nm"
+                    found.setdefault(joint, told)
+    return found
 
 
 def _angles(where: str, task: Task, body: RigidBody, end: End) -> np.ndarray:
@@ -351,7 +378,7 @@ def _angles(where: str, task: Task, body: RigidBody, end: End) -> np.ndarray:
 
 
 def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where: str = "position") -> np.ndarray:
-    """Angles of the moving joints that put the tool at `position` [m], elbow up, within the joint ranges.
+    """Angles of the moving joints that put the tool at `position` [m], within `NEAR`, elbow up, within the joint ranges.
 
     Of all solutions, the one whose joints lie highest against gravity is taken, which is what "elbow up" means.
     Raises `UserError` with the nearest distance if the tool does not reach the position.
@@ -372,7 +399,7 @@ def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where:
         least_squares(error, s, cast(Any, slope), bounds=(low - 1e-9, high + 1e-9), xtol=1e-15, ftol=1e-15, gtol=1e-15)
         for s in starts
     ]
-    reached = [fit.x for fit in fits if np.abs(fit.fun).max() < 1e-8]
+    reached = [fit.x for fit in fits if fit.success and np.linalg.norm(fit.fun) < NEAR]
     if not reached:
         nearest = min(fits, key=lambda fit: float(np.linalg.norm(fit.fun)))
         told = f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges"

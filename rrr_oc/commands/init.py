@@ -3,7 +3,7 @@
 import json
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +15,10 @@ from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Joints, named
 from rrr_oc.effects import design_forms, listed_springs
 from rrr_oc.errors import UserError
+from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.header import FORMAT, HEADER
 from rrr_oc.robot.rigid_body import rigid_body, upwards
-from rrr_oc.robot.robot import BUNDLED, Robot, load_robot, urdf_text
+from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, arm_of, load_robot, resting_angle, urdf_text
 from rrr_oc.storage import new_folder, write_text
 
 app = typer.Typer(add_completion=False)
@@ -46,14 +47,22 @@ def init(
     output.result({"folder": str(out), "joints": made.joints, "moving": made.moving, "no_task": made.no_task})
 
 
-PAYLOAD = 1.0  # [kg] of the example; any arm from a few kilograms on carries it
+CARRIED = 0.1  # payload of the example as a share of the moved mass; twice as much, and some arms' motors do not hold it
+HELD = 0.7  # share of a torque limit that holding the payload takes at most; nearer to 1, nothing is left for the motion
 SPEED = 90.0  # [°/s] of a joint whose URDF gives no speed
 MIDDLE = 0.7  # share of a joint's range in which the task's ends are looked for; nearer to 1, ends lie at the limits
 WAY = (0.15, 0.5)  # least and greatest distance between both ends over the arm's reach
-HIGH = 0.3  # height of both ends over the reach from which on higher ones are no better; at 0.6, ends would be above the arm
+HEIGHT = (0.1, 0.5)  # height of both ends over the reach: above a table, and not above the arm
+FRONT = 0.1  # both ends are so far in front of the base, over the reach; at 0, ends would be above it
 OFFERS = 20  # pairs of ends that the task's reader is asked about; it refuses few
 TRIALS = 400  # random pairs of ends; the best that the task's reader accepts is taken
+ALONG = 0.3  # share of the tool's greatest travel that it must have along x for this to be the front; doubled, skewed planes are not
 LEVEL = 0.1  # largest cosine between a horizontal axis and the vertical; doubled, axes 11° off would count
+IN_THE_WAY = (
+    "allowed are revolute",
+    "no serial chain",
+    "every joint must move on its own",
+)  # of errors that naming joints mends
 SET = "recordings"  # folder of the recording set within the example
 RECORDING = "first.csv"
 
@@ -86,7 +95,7 @@ def write_example(source: str | Path, folder: str | Path, joints: Sequence[str] 
     try:
         robot = load_robot(source, joints)
     except UserError as error:  # without masses its kinematics still say what to record
-        robot, why, exact = load_robot(source, joints, inertial=False), str(error), False
+        robot, why, exact = _without_masses(source, joints), str(error), False
     name = str(source) if bundled else f"{Path(source).stem}.urdf"
     moving: tuple[str, ...] = ()
     if folder.is_dir() and any(folder.iterdir()):
@@ -104,6 +113,21 @@ def write_example(source: str | Path, folder: str | Path, joints: Sequence[str] 
                 why = str(error).replace(str(temporary), str(folder))
         write_text(temporary / "README.md", _readme(folder, robot, why))
     return Example(folder, robot.joints, moving, why, robot.notes)
+
+
+def _without_masses(source: str | Path, joints: Sequence[str] | None) -> Robot:
+    """The arm's kinematics; raises `UserError`, which names the joints of the arm where a hand or another arm is in the way."""
+    try:
+        return load_robot(source, joints, inertial=False)
+    except UserError as error:
+        if joints is not None or not any(said in str(error) for said in IN_THE_WAY):
+            raise
+        hint = (
+            f"--joints {shlex.quote(','.join(arm))} leaves the others still"
+            if (arm := arm_of(source))
+            else "--joints names those of one arm"
+        )
+        raise UserError(f"{error}; {hint}") from None
 
 
 def _header(name: str, robot: Robot, exact: bool) -> str:
@@ -182,25 +206,76 @@ rrr-oc diagnose {shown(SET)} --out {shown("diagnosis")}
 """
 
 
+@dataclass(frozen=True)
+class Moved:
+    """How the arm moves in the task.
+
+    Attributes:
+        robot: The arm, with the tool that the task has.
+        joints: Indices of the moving joints (m).
+        limits: Least and greatest angle [°] and speed [°/s] of each.
+        locked: Angles of the others [°], and 0 for the moving ones (n,).
+        tool: Place of the tool in the frame of its link [m] where it is not the robot's own, (3,).
+    """
+
+    robot: Robot
+    joints: tuple[int, ...]
+    limits: tuple[tuple[float, float, float], ...]
+    locked: np.ndarray
+    tool: np.ndarray | None = None
+
+    def full(self, degrees: np.ndarray) -> np.ndarray:
+        """Angles of all joints [rad], (n,), from those of the moving ones [°]."""
+        q = self.locked.copy()
+        q[list(self.joints)] = degrees
+        return np.radians(q)
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Both ends of a task, as they stand in the file, and the payload [kg] that the arm can hold at them."""
+
+    start: str
+    release: str
+    payload: float
+
+
 def _write_task(path: Path, name: str, robot: Robot) -> tuple[str, ...]:
     """Write a task whose ends are in reach, and return its moving joints; raises `UserError` where none is found."""
-    moving = _lifting(robot)
-    limits = [_limits(robot, j) for j in moving]
+    moved = _moved(robot)
     said = "no two ends of a task were found"
-    for ends in _ends(robot, moving, limits):
-        write_text(path, _task(name, robot, (moving, limits), ends))
+    for ends in _ends(moved):
+        write_text(path, _task(name, moved, ends))
         try:
             load_task(path)
-            return tuple(robot.joints[j] for j in moving)
+            return tuple(robot.joints[j] for j in moved.joints)
         except UserError as error:
             said = str(error)
     path.unlink(missing_ok=True)
     raise UserError(said)
 
 
-def _lifting(robot: Robot) -> tuple[int, ...]:
-    """The first joint whose axis is horizontal while all stand at zero, and the next one parallel to it; else the first two."""
-    frames = np.array(rigid_body(robot).joint_frames(np.zeros(robot.n))).reshape(12, -1)
+def _moved(robot: Robot) -> Moved:
+    """The joints that lift, their limits, where the others stand, and a tool that the last joint moves if the file has none."""
+    locked = np.degrees([resting_angle(low, high) for low, high in zip(robot.lower, robot.upper, strict=True)])
+    joints, tool = _lifting(robot, np.radians(locked)), None
+    if (
+        robot.n - 1 in joints
+        and robot.tool.joint == robot.n - 1
+        and not np.any(robot.tool.position)
+        and robot.inertial[0, -1] > 0
+    ):
+        tool = np.round(
+            2 * robot.inertial[1:4, -1] / robot.inertial[0, -1], 3
+        )  # as far again as the last link's centre of mass
+        robot = replace(robot, tool=ToolPoint(robot.n - 1, tool))
+    locked = np.array([0.0 if j in joints else np.round(angle, 1) for j, angle in enumerate(locked)])
+    return Moved(robot, joints, tuple(_limits(robot, j) for j in joints), locked, tool)
+
+
+def _lifting(robot: Robot, q: np.ndarray) -> tuple[int, ...]:
+    """The first joint whose axis is horizontal while all stand at q [rad], and the next one parallel to it; else the first two."""
+    frames = np.array(rigid_body(robot).joint_frames(q)).reshape(12, -1)
     axes = np.array([frames[:9, j].reshape(3, 3, order="F") @ robot.axes[j] for j in range(robot.n)])
     level = [j for j in range(robot.n) if abs(axes[j] @ upwards(robot.gravity)) < LEVEL]
     parallel = [j for j in level if abs(axes[j] @ axes[level[0]]) > 1 - LEVEL]
@@ -216,69 +291,102 @@ def _limits(robot: Robot, j: int) -> tuple[float, float, float]:
     return float(low), float(high), float(np.floor(10 * speed) / 10)
 
 
-def _ends(robot: Robot, moving: Sequence[int], limits: Sequence[tuple[float, float, float]]) -> Iterator[tuple[str, str]]:
-    """Both ends of tasks, as they stand in the file, the best first: high above the base, and with little way of the joints.
+def _ends(moved: Moved) -> Iterator[Ends]:
+    """Both ends of tasks, the best first: in front of the base, above a table, and with little way of the joints.
 
     The best pair is offered as positions, which a few digits can tell where the moving joints' plane is that of two coordinates,
     then all pairs as angles.
     """
-    body, rng = rigid_body(robot), np.random.default_rng(0)
-    low, high = np.array(limits)[:, :2].T
-    drawn = (low + high) / 2 + MIDDLE * (high - low) / 2 * (2 * rng.random((TRIALS, 2, len(moving))) - 1)
-    angles = np.round(drawn, 1)
-    reach = float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum() + np.linalg.norm(robot.tool.position))
-    found = []
-    for pair in angles:
-        q = np.zeros((2, robot.n))
-        q[:, list(moving)] = np.radians(pair)
-        places = np.array([np.array(body.tool_position(one, robot.tool.position)).ravel() for one in q])
-        if WAY[0] * reach < np.linalg.norm(places[1] - places[0]) < WAY[1] * reach:
-            height = float(np.min(places @ upwards(robot.gravity)))
-            found.append((-min(height, HIGH * reach), float(np.abs(pair[0] - pair[1]).sum()), pair, places))
-    found.sort(key=lambda one: one[:2])
-    for _, _, _, places in found[:1]:
+    pairs = _pairs(moved)
+    for pair, places in pairs[:1]:
         for digits in (3, 4):
             first, second = (
                 f'{{"position_m": {json.dumps((np.round(p, digits) + 0.0).tolist())}}}, // of the tool' for p in places
             )
-            yield f"{first} in the base frame, in reach of the moving joints", f'{second}, or "angles_deg" of the moving joints'
-    for _, _, pair, places in found[:OFFERS]:
+            said = f'{second}, or "angles_deg" of the moving joints'
+            yield Ends(f"{first} in the base frame, in reach of the moving joints", said, _payload(moved, pair))
+    for pair, places in pairs[:OFFERS]:
         told = [f", // the tool is at {json.dumps((np.round(p, 4) + 0.0).tolist())} m in the base frame" for p in places]
         first, second = (f'{{"angles_deg": {json.dumps((a + 0.0).tolist())}}}{t}' for a, t in zip(pair, told, strict=True))
-        yield first, f'{second}; also "position_m"'
+        yield Ends(first, f'{second}; also "position_m"', _payload(moved, pair))
 
 
-def _task(name: str, robot: Robot, joints: tuple, ends: tuple[str, str]) -> str:
+def _pairs(moved: Moved) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Angles [°] (2, m) and places [m] (2, 3) of both ends of tasks, the best first."""
+    robot, body, rng = moved.robot, rigid_body(moved.robot), np.random.default_rng(0)
+    low, high = np.array(moved.limits)[:, :2].T
+    drawn = (low + high) / 2 + MIDDLE * (high - low) / 2 * (2 * rng.random((TRIALS, 2, len(moved.joints))) - 1)
+    angles = np.round(drawn, 1)
+    q = np.array([moved.full(one) for one in angles.reshape(-1, len(moved.joints))]).T
+    places = np.array(body.tool_position.map(q.shape[1])(q, robot.tool.position)).T.reshape(TRIALS, 2, 3)
+    reach = float(np.linalg.norm(robot.placements[:, :3, 3], axis=1).sum() + np.linalg.norm(robot.tool.position))
+    apart = np.linalg.norm(places[:, 1] - places[:, 0], axis=1)
+    height, front = places @ upwards(robot.gravity), places @ _front(robot, places)
+    outside = np.maximum(HEIGHT[0] * reach - height.min(axis=1), 0) + np.maximum(height.max(axis=1) - HEIGHT[1] * reach, 0)
+    behind, way = front.min(axis=1) < FRONT * reach, np.abs(angles[:, 1] - angles[:, 0]).sum(axis=1)
+    best = [i for i in np.lexsort((way, outside, behind)).tolist() if WAY[0] * reach < apart[i] < WAY[1] * reach]
+    return [(angles[i], places[i]) for i in best]
+
+
+def _front(robot: Robot, places: np.ndarray) -> np.ndarray:
+    """Direction in front of the base, (3,): its x where the tool's places (…, 3) lie along it, else where most of them are."""
+    level = np.eye(3) - np.outer(upwards(robot.gravity), upwards(robot.gravity))
+    flat = places.reshape(-1, 3) @ level
+    x, middle = level[0], flat.mean(axis=0)
+    if np.ptp(flat @ x) > ALONG * np.ptp(flat, axis=0).max() or not np.any(middle):
+        return x / max(float(np.linalg.norm(x)), LEVEL)
+    return middle / np.linalg.norm(middle)
+
+
+def _payload(moved: Moved, pair: np.ndarray) -> float:
+    """A payload [kg], of one digit, that suits the moved mass, and that the joints hold at both ends (2, m) [°] if they hold the arm."""
+    robot, joints = moved.robot, list(moved.joints)
+    inverse, still = Model(robot, robot.tool).inverse, np.zeros(robot.n)
+    most = CARRIED * float(robot.inertial[0, joints[0] :].sum())
+    for end in pair:
+        empty, heavy = (np.array(inverse(moved.full(end), still, still, kg, [], [])[0]).ravel()[joints] for kg in (0.0, 1.0))
+        for own, added, limit in zip(empty, heavy - empty, robot.effort[joints], strict=True):
+            room = HELD * limit - np.sign(added) * own
+            if added and room > 0:
+                most = min(most, room / abs(added))
+    digit = 10.0 ** np.floor(np.log10(max(most, 1e-3)))
+    return float(f"{np.floor(most / digit * (1 + 1e-9)) * digit:.1g}") or 1e-3
+
+
+def _task(name: str, moved: Moved, ends: Ends) -> str:
     """The content of task.json, with a hint of every optional key."""
-    moving, limits = joints
-    names = [robot.joints[j] for j in moving]
-    still = [joint for joint in robot.joints if joint not in names]
+    robot, limits = moved.robot, moved.limits
+    names = [robot.joints[j] for j in moved.joints]
+    still = [
+        f"{json.dumps(joint)}: {angle}"
+        for j, (joint, angle) in enumerate(zip(robot.joints, moved.locked, strict=True))
+        if j not in moved.joints
+    ]
     lines = [
         f'    {json.dumps(joint)}: {{"range_deg": [{low:g}, {high:g}], "speed_deg_per_s": {speed:g}}}'
         for joint, (low, high, speed) in zip(names, limits, strict=True)
     ]
     bounds = ",\n".join(lines)
-    springs = ",\n".join(_spring_bounds(robot, j, limit) for j, limit in zip(moving, limits, strict=True))
-    locked = (
-        f'\n  "locked_deg": {{{", ".join(f"{json.dumps(j)}: 0.0" for j in still)}}}, // angles of the others' if still else ""
-    )
+    springs = ",\n".join(_spring_bounds(robot, j, limit, ends.payload) for j, limit in zip(moved.joints, limits, strict=True))
+    locked = f'\n  "locked_deg": {{{", ".join(still)}}}, // angles of the others' if still else ""
     longest = max(5.0, np.ceil(max((high - low) / speed for low, high, speed in limits)))
+    place = [0.0, 0.0, 0.0] if moved.tool is None else (moved.tool + 0.0).tolist()
     return f"""{{
   // What the arm has to do. Comments go from // to the end of the line. Bounds are [least, greatest].
   "format": "rrr_oc-task/1",
   "name": "example", // in reports
   "robot": {json.dumps(name)}, // {_where(name)}
-  "joints": {json.dumps(list(robot.joints))}, // of the arm; others, such as a gripper's, stay at zero
+  "joints": {json.dumps(list(robot.joints))}, // of the arm; others, such as a gripper's, are held still
   "moving": {json.dumps(names)}, // base first; the others are locked{locked}
   "gravity": {json.dumps(robot.gravity.tolist())}, // in the base frame [m/s²]
-  // "tool": {{"link": {json.dumps(robot.tool_link)}, "position_m": [0.0, 0.0, 0.0]}}, // where the payload is held
-  "start": {ends[0]}
-  "release": {ends[1]}
-  "payload_kg": {PAYLOAD:g}, // from start to release; the arm comes back without it
+  {"// " * (moved.tool is None)}"tool": {{"link": {json.dumps(robot.tool_link)}, "position_m": {place}}}, // where the payload is held
+  "start": {ends.start}
+  "release": {ends.release}
+  "payload_kg": {ends.payload:g}, // from start to release; the arm comes back without it
   "duration_s": [0.5, {longest:g}], // of each way
   // "floor_m": 0.0, // the tool stays above
   // "path_margin": 0.25, // keep the joints' ranges to the way between both ends and this share of it
-  "limits": {{ // also "acceleration_deg_per_s2" and "torque_Nm"
+  "limits": {{ // also "acceleration_deg_per_s2", and "torque_Nm" in place of the robot file's
 {bounds}
   }},
   "springs": [ // that a design may use, each with bounds; make them those of springs that you can mount
@@ -289,10 +397,10 @@ def _task(name: str, robot: Robot, joints: tuple, ends: tuple[str, str]) -> str:
 """
 
 
-def _spring_bounds(robot: Robot, j: int, limit: tuple[float, float, float]) -> str:
+def _spring_bounds(robot: Robot, j: int, limit: tuple[float, float, float], payload: float) -> str:
     """A spring of one joint: adjustable quantities over the joint's range, others up to what the arm's weight asks for."""
     kind = next(k for k in design_forms().values() if k.placement != "pair" and not k.design.derived)
-    mass = float(robot.inertial[0, j:].sum()) + PAYLOAD
+    mass = float(robot.inertial[0, j:].sum()) + payload
     lever = float(np.linalg.norm(robot.placements[j + 1 :, :3, 3], axis=1).sum() + np.linalg.norm(robot.tool.position)) / 2
     most = float(f"{np.linalg.norm(robot.gravity) * mass * max(lever, 0.05):.2g}")
     low, high, _ = limit

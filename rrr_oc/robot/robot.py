@@ -142,16 +142,8 @@ def load_robot(
     missing = _missing_limits(root)
     turning, held = _lock(name, elements, joints, fixed or {})
     elements.check_numbers()
-    notes = (
-        *missing,
-        *(
-            f"joint {j!r} is held at {np.degrees(q):.4g}°, the middle of its range, which lacks 0"
-            for j, q in held.items()
-            if j not in (fixed or {})
-        ),
-        *(str(note.text) for note in root.findall("note")),
-        *(elements.doubts() if inertial else ()),
-    )
+    middle = {joint: angle for joint, angle in held.items() if joint not in (fixed or {})}
+    notes = missing + _notes(elements, middle, inertial)
     masses, own = _masses(root), root.find("gravity")
     if gravity is None:
         gravity = GRAVITY if own is None else [float(x) for x in own.get("xyz", "").split()]
@@ -181,6 +173,41 @@ def load_robot(
         notes=notes,
         held=held,
     )
+
+
+def _notes(elements: Elements, middle: Mapping[str, float], inertial: bool) -> tuple[str, ...]:
+    """A sentence on each locked joint in the middle of its range [rad], and on what the file says that is not used or cannot be."""
+    held = [f"joint {j!r} is held at {np.degrees(q):.4g}°, the middle of its range, which lacks 0" for j, q in middle.items()]
+    return (*held, *(str(note.text) for note in elements.root.findall("note")), *(elements.doubts() if inertial else ()))
+
+
+def arm_of(source: str | Path) -> tuple[str, ...]:
+    """The joints from the base on that turn on their own, up to where several chains of the same length go on, as a hand's fingers do.
+
+    None where the base itself has several such chains, or the file several bases. Raises `UserError` where the file is missing or no robot.
+    """
+    below: dict[str, list[ElementTree.Element]] = {}
+    joints = Elements(Path(source).stem, urdf_text(source)).root.findall("joint")
+    for joint in joints:
+        below.setdefault(_end(joint, "parent"), []).append(joint)
+
+    def longest(link: str, above: frozenset[str] = frozenset()) -> tuple[str, ...]:
+        ways = [] if link in above else [(j, longest(_end(j, "child"), above | {link})) for j in below.get(link, [])]
+        chains = sorted(((str(j.get("name")), *rest) if _turns(j) else rest for j, rest in ways), key=len, reverse=True)
+        return () if len(chains) > 1 and len(chains[0]) == len(chains[1]) else next(iter(chains), ())
+
+    roots = set(below) - {_end(joint, "child") for joint in joints}
+    return longest(roots.pop()) if len(roots) == 1 else ()
+
+
+def _end(joint: ElementTree.Element, which: str) -> str:
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
+
+
+def _turns(joint: ElementTree.Element) -> bool:
+    """Whether a joint turns, and on its own."""
+    return joint.get("type") in TURNS and joint.find("mimic") is None and joint.find("tied") is None
 
 
 def urdf_text(source: str | Path) -> str:
@@ -254,12 +281,7 @@ def _lock(
 
     Returns the names of all joints that turn on their own, in the order of the file, and the angles of the locked ones that are not 0.
     """
-    free = [
-        j
-        for j in elements.root.findall("joint")
-        if j.get("type") in TURNS and j.find("mimic") is None and j.find("tied") is None
-    ]
-    turning = tuple(str(joint.get("name")) for joint in free)
+    turning = tuple(str(joint.get("name")) for joint in elements.root.findall("joint") if _turns(joint))
     locked = [joint for joint in turning if joints is not None and joint not in joints]
     check_names(fixed, locked, f"robot {name!r}: fixed_deg", "locked joint that turns")
     held = {}

@@ -5,15 +5,18 @@ import importlib.resources
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from chains import joint, link, robot
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.springs import holding as able
 from rrr_oc.codesign.springs import spring_bounds
-from rrr_oc.codesign.task import load_task
+from rrr_oc.codesign.task import NEAR, load_task, overloads
 from rrr_oc.errors import UserError
 
 PAPER = json.loads(importlib.resources.files("rrr_oc.data").joinpath("paper.json").read_text())
@@ -300,3 +303,75 @@ def test_a_locked_joint_changes_what_holding_costs(tmp_path):
 def test_a_search_without_starts_is_refused():
     with pytest.raises(UserError, match="1 start or more, got starts=0"):
         SearchOptions(starts=0)
+
+
+def rounded_arm(folder: Path, **changes) -> Path:
+    """A task of an arm in whose file π/2 has five digits, so that no position of its plane is exactly in reach."""
+    first = joint("j1", "base", "l1", xyz="0 0 0.07", rpy="1.5708 0 0", axis="0 0 1", inside=LIMIT)
+    second = joint("j2", "l1", "l2", rpy="0.00003 0 0", axis="0 0 1", inside=LIMIT)
+    mount = joint("mount", "l2", "tool0", "fixed", "")
+    links = [link("base", 0), link("l1"), link("l2"), link("tool0", 0)]
+    (folder / "arm.urdf").write_text(robot(*links, first, second, mount))
+    limits = {"j1": {}, "j2": {}}
+    own = {
+        "robot": "arm.urdf",
+        "moving": ["j1", "j2"],
+        "limits": limits,
+        "springs": [],
+        "tool": None,
+        "payload_kg": 0.5,
+        "duration_s": [1.0, 9.0],
+    }
+    return task_file(folder, **own | changes)
+
+
+LIMIT = '<limit lower="-3" upper="3" effort="12" velocity="3"/>'
+
+
+def test_a_position_is_reached_as_nearly_as_files_say_it(tmp_path):
+    task = load_task(rounded_arm(tmp_path))
+    for q, position in ((task.start, [0.15, 0, 0.07]), (task.release, [0.4, 0, 0.07])):
+        found = np.array(task.model().body.tool_position(task.full(q), task.tool.position)).ravel()
+        assert 1e-8 < np.linalg.norm(found - position) < 1e-5  # what five digits of an angle leave, at this reach
+    load_task(rounded_arm(tmp_path, release__position_m=[0.4, 0.5 * NEAR, 0.07]))
+    with pytest.raises(UserError, match=r"release at .* is out of reach .* nearer than 0\.0030 m"):
+        load_task(rounded_arm(tmp_path, release__position_m=[0.4, 3 * NEAR, 0.07]))
+
+
+def test_torque_limits_are_the_robots_unless_the_task_says_others(tmp_path):
+    limits = {"j1": {"torque_Nm": 30.0}, "j2": {}}
+    np.testing.assert_array_equal(load_task(rounded_arm(tmp_path, limits=limits)).torque, [30, 12])
+    limits = {"j1": {"torque_Nm": "none"}, "j2": {}}
+    np.testing.assert_array_equal(load_task(rounded_arm(tmp_path, limits=limits)).torque, [np.inf, 12])
+    np.testing.assert_array_equal(load_task("paper").torque, [np.inf, np.inf])  # the paper says none
+    endless = (tmp_path / "arm.urdf").read_text().replace('effort="12"', 'effort="0"')
+    path = rounded_arm(tmp_path)
+    (tmp_path / "arm.urdf").write_text(endless)
+    np.testing.assert_array_equal(load_task(path).torque, [np.inf, np.inf])
+
+
+def test_a_load_that_cannot_be_held_is_said_before_a_search(tmp_path):
+    """Statics by hand: 1 kg links with their centre 0.1 m along, the tool 0.6 m away when stretched out."""
+    flat = {"start": {"angles_deg": [0, 0]}, "release": {"angles_deg": [60, -60]}}
+    spring = {"effect": "parallel_spring", "joint": "j1", "stiffness_Nm_per_rad": [0, 9], "equilibrium_deg": [-90, 90]}
+    said: list[str] = []
+    listener = SimpleNamespace(note=said.append)
+    light = load_task(rounded_arm(tmp_path, payload_kg=0.5, springs=[spring], **flat))
+    assert (overloads(light), able(light, None, ["SA", "PEA"], listener), said) == ({}, ("SA", "PEA"), [])
+    heavy = load_task(rounded_arm(tmp_path, payload_kg=2.0, springs=[spring], **flat))
+    needed = 9.81 * (1 * 0.1 + 1 * 0.4 + 2 * 0.6)
+    assert overloads(heavy) == {"j1": f"j1 needs {needed:.4g} Nm to hold 2 kg at the start, and its limit is 12 Nm"}
+    assert able(heavy, None, ["SA", "PEA"], listener) == ("PEA",)
+    assert said == [f"Note: task 'paper': {overloads(heavy)['j1']}, so a spring has to help; SA is left out."]
+    with pytest.raises(UserError, match=r"to hold 2 kg at the start.*SA has no spring there: .*, as in PEA"):
+        able(heavy, ["SA"], ["SA", "PEA"], listener)
+    with pytest.raises(UserError, match=r"j1 needs .* SA has no spring there: a smaller payload"):
+        able(load_task(rounded_arm(tmp_path, payload_kg=2000.0, **flat)), None, ["SA"], listener)
+
+
+def test_a_locked_joint_whose_range_lacks_0_stands_in_its_middle(tmp_path):
+    path = rounded_arm(tmp_path, moving=["j1"], limits={"j1": {}}, start={"angles_deg": [0]}, release={"angles_deg": [30]})
+    head, _, tail = (tmp_path / "arm.urdf").read_text().rpartition('lower="-3"')
+    (tmp_path / "arm.urdf").write_text(head + 'lower="1"' + tail)
+    task = load_task(path)
+    np.testing.assert_array_equal(task.locked, [0.0, 2.0])

@@ -9,7 +9,7 @@ import pytest
 
 from rrr_oc.cli import main
 from rrr_oc.codesign.springs import spring_bounds
-from rrr_oc.codesign.task import TaskFile, load_task
+from rrr_oc.codesign.task import TaskFile, load_task, overloads
 from rrr_oc.commands.init import write_example
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.header import Entry, Header, read_header
@@ -105,8 +105,15 @@ def test_an_arm_with_a_gripper_needs_its_joints_named(tmp_path):
     finger = '<link name="f{0}"/><joint name="finger {0}" type="prismatic"><parent link="l3"/><child link="f{0}"/>{1}</joint>'
     fingers = "".join(finger.format(i, LIMIT.format(0, 0.1, 1)) for i in range(2))
     arm.write_text(arm.read_text().replace("</robot>", f"{fingers}</robot>"))
-    with pytest.raises(UserError, match="finger 0"):
+    with pytest.raises(
+        UserError, match=r"'finger 0' is prismatic.*; --joints 'joint 0,joint 1,joint 2' leaves the others still"
+    ):
         write_example(arm, tmp_path / "without")
+    joint = '<joint name="joint {}" type="{}"><parent link="l{}"/>'.format
+    two = arm.read_text().replace(joint(1, "revolute", 1), joint(1, "revolute", 0))
+    (tmp_path / "two.urdf").write_text(two.replace(joint(2, "revolute", 2), joint(2, "fixed", 2)))
+    with pytest.raises(UserError, match="; --joints names those of one arm"):  # two arms of one joint: neither is the arm
+        write_example(tmp_path / "two.urdf", tmp_path / "without")
     joints = ["joint 0", "joint 1", "joint 2"]
     made = write_example(arm, tmp_path / "set", joints)
     assert list(made.joints) == joints
@@ -114,11 +121,56 @@ def test_an_arm_with_a_gripper_needs_its_joints_named(tmp_path):
     assert read_header(tmp_path / "set" / "recordings" / "recordings.json").joints == tuple(joints)
 
 
+def test_both_ends_are_in_front_of_the_arm_and_above_a_table(tmp_path):
+    for k, arm in enumerate(("rrr", an_arm(tmp_path, LIMIT.format(-3.0, 3.0, 2.0)))):
+        write_example(arm, tmp_path / str(k))
+        task = load_task(tmp_path / str(k) / "task.json")
+        body, reach = rigid_body(task.robot), 0.7 if arm == "rrr" else 0.9
+        for q in (task.start, task.release):
+            x, _, z = np.array(body.tool_position(task.full(q), task.tool.position)).ravel()
+            assert x > 0
+            assert 0 < z < 0.6 * reach
+
+
+@pytest.mark.parametrize(("scale", "effort"), [(1.0, "50"), (0.01, "2"), (1.0, "17")], ids=["2 kg links", "20 g links", "weak"])
+def test_the_payload_suits_the_arm(tmp_path, scale, effort):
+    """Its motors hold it without springs, so that nothing has to be said before a search."""
+    limit = LIMIT.format(-2.0, 2.5, 2.0).replace("50", effort)
+    text = an_arm(tmp_path, limit, mass=f'<mass value="{2 * scale}"/>')
+    text.write_text(re.sub(r'(i[xyz]{2})="(0\.0\d)"', lambda m: f'{m[1]}="{float(m[2]) * scale}"', text.read_text()))
+    write_example(text, tmp_path / "set")
+    task = load_task(tmp_path / "set" / "task.json")
+    assert 0.001 <= task.payload <= 0.1 * 4 * scale + 1e-12
+    assert overloads(task) == {}
+
+
+def test_a_locked_joint_stands_within_its_range(tmp_path):
+    """The first joint's range lacks 0; so does a finger's, which is no joint of the arm."""
+    arm = an_arm(tmp_path, LIMIT.format(-2.0, 2.5, 2.0))
+    text = arm.read_text().replace("-2.0", "0.5", 1)
+    finger = '<link name="f"/><joint name="f" type="revolute"><parent link="l3"/><child link="f"/>' + LIMIT.format(0.2, 0.4, 1)
+    arm.write_text(text.replace("</robot>", f"{finger}</joint></robot>"))
+    made = write_example(arm, tmp_path / "set", ["joint 0", "joint 1", "joint 2"])
+    assert made.no_task == ""
+    task = load_task(tmp_path / "set" / "task.json")
+    assert np.degrees(task.locked[0]) == pytest.approx(np.degrees(1.5), abs=0.05)
+    assert task.robot.held == pytest.approx({"f": 0.3})
+
+
+def test_an_arm_without_a_tool_frame_holds_the_payload_beyond_its_last_joint(tmp_path):
+    """Of one joint, whose own frame does not move."""
+    arm = an_arm(tmp_path, LIMIT.format(-2.0, 2.5, 2.0))
+    made = write_example(arm, tmp_path / "set", ["joint 2"])
+    assert made.moving == ("joint 2",)
+    np.testing.assert_allclose(load_task(tmp_path / "set" / "task.json").tool.position, [0.4, 0, 0])
+
+
 def test_limits_that_the_urdf_lacks_are_said_by_every_reader(tmp_path, capsys):
     made = write_example(an_arm(tmp_path, '<limit velocity="2" effort="50"/>'), tmp_path / "set")
     (note,) = made.notes
     assert note.startswith("the URDF gives no range of joint 0, joint 1, joint 2:")
     text = (tmp_path / "set" / "task.json").read_text()
+    text = re.sub(r'"position_m": \[[^\]]*\](?=\}, // of)', '"angles_deg": [10, 20]', text)  # in reach wherever joint 0 stands
     (tmp_path / "set" / "task.json").write_text(text.replace('"joint 0": 0.0', '"joint 0": 20.0'))
     task = load_task(tmp_path / "set" / "task.json")  # an angle of a joint without a range is allowed
     assert (task.locked[0], task.robot.notes) == (pytest.approx(np.radians(20)), made.notes)

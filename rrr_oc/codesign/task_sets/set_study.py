@@ -33,7 +33,7 @@ from rrr_oc.codesign.optimum import (
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SearchResult, arranged_costs, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import SpringBounds, arrangements, offered, ways_to_mount
+from rrr_oc.codesign.springs import SpringBounds, arrangements, holding, offered, ways_to_mount
 from rrr_oc.codesign.study import Request, Twin
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.codesign.task_sets.set_search import SetResult, front, solve_chosen, solve_set
@@ -104,7 +104,10 @@ def prepared_set(request: Request, points: int, price: float | None, listener: L
     model = None if request.model is None else load_model(request.model)
     like = CoDesign(tasks.tasks[0], (), request.cost, None if request.cost == "load" else drives)
     designs: dict[str, list[SetDesign]] = {}
-    for name in request.configurations or offered(tasks.tasks[0]):
+    names = offered(tasks.tasks[0])
+    for task in tasks.tasks:
+        names = holding(task, request.configurations, names, listener)
+    for name in names:
         designs[name] = []
         _check_clutches(tasks, name)
         for springs in _ways(tasks.tasks[0], name, price is not None):
