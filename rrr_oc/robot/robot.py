@@ -139,6 +139,7 @@ def load_robot(
     name = str(source) if str(source) in BUNDLED else Path(source).stem
     elements = Elements(name, urdf_text(source))
     root = elements.root
+    root.set("name", name)  # a file need not say one
     missing = _missing_limits(root)
     turning, held = _lock(name, elements, joints, fixed or {})
     elements.check_numbers()
@@ -287,6 +288,8 @@ def _lock(
     held = {}
     for joint in elements.root.findall("joint"):
         own = str(joint.get("name"))
+        if joint.get("type") == "fixed":
+            fix(joint)
         if joints is None or own in joints or joint.get("type") == "fixed":
             continue
         if own in locked and (angle := _held_at(name, elements, joint, fixed)):

@@ -361,6 +361,14 @@ def test_a_number_that_is_not_used_is_not_checked(load, unused):
     np.testing.assert_array_equal(found.inertial, load(text).inertial)
 
 
+def test_what_a_fixed_joint_says_beyond_its_place_is_not_used(load):
+    """Real grippers have fixed joints that mimic another; a robot may be without a name."""
+    inside = '<mimic joint="j1"/><limit lower="?"/><axis xyz="0 0 0"/>'
+    text = arm(2).replace("</robot>", link("f", 0.1) + joint("g", "l2", "f", "fixed", inside) + "</robot>")
+    for joints in (None, ["j1", "j2"]):
+        assert load(text.replace('name="made_up"', ""), joints=joints).inertial[0, 1] == pytest.approx(1.1)
+
+
 def test_of_a_joint_that_is_not_kept_only_the_place_is_asked(load):
     """Its limits and its axis are not used; where it stands is."""
     strange = '<limit lower="2" upper="-2" effort="all" velocity="-1"/><mimic joint="j1" multiplier="?"/>'
