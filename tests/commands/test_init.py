@@ -3,12 +3,15 @@
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from rrr_oc.cli import main
 from rrr_oc.codesign.springs import spring_bounds
+from rrr_oc.codesign.study import Request, prepared
 from rrr_oc.codesign.task import TaskFile, load_task, overloads
 from rrr_oc.commands.init import write_example
 from rrr_oc.errors import UserError
@@ -16,6 +19,7 @@ from rrr_oc.recordings.header import Entry, Header, read_header
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.schema import parsed
+from rrr_oc.simulation.export import mjcf
 from rrr_oc.storage import write_csv
 
 CHAIN7 = Path(__file__).resolve().parents[1] / "data" / "chain7.urdf"
@@ -163,6 +167,19 @@ def test_an_arm_without_a_tool_frame_holds_the_payload_beyond_its_last_joint(tmp
     made = write_example(arm, tmp_path / "set", ["joint 2"])
     assert made.moving == ("joint 2",)
     np.testing.assert_allclose(load_task(tmp_path / "set" / "task.json").tool.position, [0.4, 0, 0])
+
+
+def test_an_arm_whose_limits_are_0_gets_as_far_as_the_first_solve(tmp_path):
+    """MuJoCo refuses an actuator that may give no torque."""
+    arm = an_arm(tmp_path, '<limit effort="0" velocity="0"/>', "continuous")
+    notes = write_example(arm, tmp_path / "set").notes
+    assert "the URDF gives no limit of torque of joint 0, joint 1, joint 2: 'effort' of <limit> is 0" in notes
+    said: list[str] = []
+    listener = cast(Any, SimpleNamespace(note=said.append))
+    study = prepared(Request(str(tmp_path / "set" / "task.json"), tmp_path / "design"), None, listener)
+    assert list(study.designs) == ["SA", "PEA"]
+    assert said == []
+    assert "ctrlrange" not in mjcf(study.task.model(), []).text
 
 
 def test_limits_that_the_urdf_lacks_are_said_by_every_reader(tmp_path, capsys):
