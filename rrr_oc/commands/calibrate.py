@@ -1,12 +1,12 @@
 """`rrr-oc calibrate`: a calibrated model of recordings."""
 
 import json
+import shlex
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 from rich.table import Table
 
@@ -15,8 +15,9 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, check_apart, loaded
+from rrr_oc.commands.shared import Dataset, check_apart, loaded, unexplained_torques
 from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.robot.robot import too_dense
 from rrr_oc.storage import check_folder
 
 app = typer.Typer(add_completion=False)
@@ -35,7 +36,6 @@ WAYS: dict[Way, Callable[[RecordingSet], CalibratedModel]] = {
     Way.response: calibrate_response,
     Way.evolution: calibrate_evolution,
 }
-WORTHLESS = 1.0  # NRMSE above which a constant would explain the torque as well: a warning
 
 
 @app.command()
@@ -61,6 +61,14 @@ def calibrate(
     save_model(model, out / "model.json")
     output.result(json.loads((out / "model.json").read_text(encoding="utf-8")))
     _show_model(model, output)
+    for warning in unexplained_torques(model):
+        output.note(
+            f"{warning}; if they are right, the arm has physics that this model lacks, and rrr-oc diagnose {shlex.quote(str(dataset))} "
+            f"--out {shlex.quote(str(out))} says which."
+        )
+    if model.inertial == "identify":
+        for said in too_dense(model.robot):
+            output.note(f"Warning: the identified {said}. Check the units of torques and angles; rrr-oc check does.")
     output.show(f"{out / 'model.json'} holds the model.")
 
 
@@ -78,12 +86,6 @@ def _show_model(model: CalibratedModel, output: Output) -> None:
     for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
         joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
     output.show(joints)
-    for joint, nrmse in zip(model.joints, model.nrmse, strict=True):
-        if not nrmse <= WORTHLESS:
-            found = "never changes" if np.isnan(nrmse) else f"is explained no better than by a constant (NRMSE {nrmse:.3g})"
-            output.note(
-                f"Warning: the torque of {joint} {found}. Check units, signs and the order of columns, and gravity, tool and payload."
-            )
     base = model.report.get("base_parameters", [])
     if base:
         output.show(f"{len(base)} base inertial parameters were identified; model.json lists them with their intervals.")

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from rrr_oc import __version__, parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, command_line, loaded, shown
+from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, command_line, loaded, shown, unexplained_torques
 from rrr_oc.diagnosis.files.stages import SHARES
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import Diagnosis
@@ -65,6 +65,8 @@ def diagnose(
         content = write_diagnosis(replace(found, failed=failed), out, simulated, command_line(context))
     output.result(content)
     _show_diagnosis(content, output)
+    for warning in unexplained_torques(found.model):
+        output.note(f"{warning}.")
     output.show(f"{out} holds diagnosis.json, model.json and report.html.")
 
 

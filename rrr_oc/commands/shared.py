@@ -6,9 +6,11 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.table import Table
 
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
@@ -23,6 +25,9 @@ Jobs = Annotated[int, typer.Option(help="processes on this machine; -1: one a co
 Workers = Annotated[str, typer.Option(help="local, or the address of a Dask scheduler, as tcp://host:8786")]
 
 Joints = Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")]
+
+
+WORTHLESS = 1.0  # NRMSE above which a constant would explain the torque as well: a warning
 
 
 def named(joints: str | None) -> list[str] | None:
@@ -64,6 +69,17 @@ def loaded(dataset: Path, output: Output) -> RecordingSet:
     for note in recordings.notes:
         output.note(f"Note: {note}.")
     return recordings
+
+
+def unexplained_torques(model: CalibratedModel) -> list[str]:
+    """A warning for each joint whose torque a model explains no better than a constant does, without a full stop."""
+    warnings = []
+    for joint, nrmse in zip(model.joints, model.nrmse, strict=True):
+        if not nrmse <= WORTHLESS:
+            found = "never changes" if np.isnan(nrmse) else f"is explained no better than by a constant (NRMSE {nrmse:.3g})"
+            mend = "Check units, signs and the order of columns, and gravity, tool and payload"
+            warnings.append(f"Warning: the torque of {joint} {found}. {mend}")
+    return warnings
 
 
 def check_apart(read: Sequence[Path], written: Sequence[Path]) -> None:

@@ -1,6 +1,9 @@
-"""Checks of units: a recording is refused where it contradicts the robot, or itself, by the factor between two units."""
+"""Checks of units and columns: a recording is refused where it contradicts the robot, or itself, by the factor between two units.
 
-from collections.abc import Mapping
+A measured rate that contradicts its value in another way is not used; what looks wrong and is no error for certain is a sentence.
+"""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -21,6 +24,13 @@ FACTORS = (  # measured derivative over computed one, and the unit that explains
 # Every threshold decides whether a recording is refused; it lies far from what sensors and filters do to a right one.
 TOLERANCE = 0.1  # relative, of a factor; noise and filters change it by less; doubled, rates that are 20 % off would be taken for a unit
 CORRELATION = 0.95  # signals correlated above it are taken to be proportional; at 0.9, very noisy speeds would be judged, too
+LOW_RATE = (
+    20.0  # [Hz], below which a rate is said: derivatives need seven samples of a motion; doubled, usable logs are doubted
+)
+LONG_GAP, MISSING = 1.0, 0.05  # [s] of a gap, share of a recording's time in gaps, which is said; doubled, more passes
+SMALL_TRAVEL = (
+    3.5  # [°] below which the travel of all joints is said; a half turn told in radians reads as π°; doubled, small motions are
+)
 LONGEST_STEP = 10.0  # [s], of a median step; longer ones are another unit of time; doubled, slow logs in seconds would pass
 SLOW_STEP, SLOW_TRAVEL = 0.5, 0.05  # [s], [rad]: where a joint travels so far in so long steps, and it might be milliseconds …
 USUAL_SPEED = (
@@ -30,6 +40,18 @@ ALIKE = 300.0, 3000.0  # ratio of steps within a set from which one is in millis
 TORQUE_FACTOR = 10.0  # a median torque above so many effort limits is in mNm or mA; doubled, limits 50 times too low would pass
 ABSURD = 1e9  # in any unit: above it a number is no measurement, and its powers overflow; doubled, nothing changes
 STILL = 1e-3  # [rad] of travel, below which a joint stands still; doubled, slow short motions would be taken for standstill
+LAG = (
+    0.2,
+    10,
+)  # [s] and samples over which the change of a value and the integral of its rate are compared; doubled, slow drifts count
+LEAST_CHANGE = (
+    0.01,
+    0.05,
+)  # [rad], [rad/s] root mean square change over a lag from which they are compared; doubled, small motions are not
+BELIEVED = (
+    0.5,
+    2.0,
+)  # slope of the integral over the change within which a rate is used; real sets have 0.9 … 1.1; doubled, 0.25 … 4
 ROWS = 20_000  # first rows by which a derivative is judged; doubled, the check takes twice as long
 
 
@@ -111,6 +133,60 @@ def check_derivative(
         raise UserError(
             f"{column} is {ratio:.4g} times the derivative of '{value[0]}'; units are rad and s, it looks as if {looks}"
         )
+
+
+def contradiction(
+    t: np.ndarray, segments: tuple[slice, ...], value: np.ndarray, rate: np.ndarray, least: float
+) -> float | None:
+    """How many times the derivative of a value (K,) a measured rate (K,) is, where that is no measurement of it; None where it may be one.
+
+    The integral of the rate over a lag is regressed on the change of the value, which is insensitive to noise, resolution and delay.
+    `least` is the change [unit of the value] from which there is something to compare.
+    """
+    longest = max(segments, key=lambda s: s.stop - s.start)
+    part = slice(longest.start, min(longest.stop, longest.start + ROWS))
+    times, x, v = t[part], value[part], rate[part]
+    if len(times) < 2 * LAG[1]:
+        return None
+    lag = min(max(LAG[1], round(LAG[0] / float(np.median(np.diff(times))))), len(times) // 2)
+    integral = np.append(0.0, np.cumsum(np.diff(times) * (v[1:] + v[:-1]) / 2))
+    change, summed = x[lag:] - x[:-lag], integral[lag:] - integral[:-lag]
+    size = float(np.sqrt(np.mean(change**2)))
+    if not (np.isfinite(size) and size > least):
+        return None
+    slope = float(np.mean(change * summed)) / size**2
+    return None if BELIEVED[0] <= slope <= BELIEVED[1] else slope
+
+
+def is_derivative(t: np.ndarray, segments: tuple[slice, ...], rate: np.ndarray, values: Sequence[np.ndarray]) -> bool:
+    """Whether a rate (K,) is the derivative of one of some values (K,)."""
+    if not values or np.ptp(rate) == 0:
+        return False
+    return bool(swapped(t, segments, np.array([0 * rate, *values]), np.array([rate, *(0 * rate for _ in values)])))
+
+
+def check_changes(where: str, q: np.ndarray, tau: np.ndarray) -> None:
+    """Raise `UserError` where nothing was recorded: no position q (n, K) and no torque (n, K) ever changes."""
+    if not np.any(np.ptp(q, axis=1)) and not np.any(np.ptp(tau, axis=1)):
+        at = "0" if not (np.any(q) or np.any(tau)) else "the same"
+        raise UserError(f"{where}: all positions and torques are {at} in every row; nothing was recorded")
+
+
+def sampling_doubts(t: np.ndarray, segments: tuple[slice, ...]) -> list[str]:
+    """What is wrong with the times (K,) of a recording: a low rate, and time that is missing; a part of a sentence each."""
+    steps, doubts = np.diff(t), []
+    rate = 1 / float(np.median(steps))
+    if rate < LOW_RATE:
+        doubts.append(
+            f"is sampled at {rate:.3g} Hz; accelerations need {LOW_RATE:g} Hz or more, and friction at reversals needs more"
+        )
+    gaps = [float(t[s.start] - t[s.start - 1]) for s in segments[1:]]
+    if gaps and (max(gaps) > LONG_GAP or sum(gaps) > MISSING * (t[-1] - t[0])):
+        several = f"{len(gaps)} gaps, the longest" if len(gaps) > 1 else "a gap"
+        doubts.append(
+            f"has {several} of {max(gaps):.3g} s; {sum(gaps):.3g} of {t[-1] - t[0]:.3g} s are missing, and no derivative crosses a gap"
+        )
+    return doubts
 
 
 def stands_still(q: np.ndarray) -> bool:

@@ -19,6 +19,8 @@ from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 from rrr_oc.schema import HEAVIEST, Payload, one_spelling, spellings
 from rrr_oc.storage import resolved
 
+RATES = ("dq_", "ddq_")
+
 
 def load_recordings(path: str | Path, robot: str | Path | None = None) -> RecordingSet:
     """Read a recording set.
@@ -74,12 +76,15 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         plausibility.check_magnitudes(str(path), columns)
         segments = split(columns["t"])
         turned = _unwrap(columns, robot.joints, segments)
+        filled = _fill_rates(columns, robot.joints, segments)
+        plausibility.check_positions(str(path), robot, np.array([columns[f"q_{joint}"] for joint in robot.joints]))
+        wrong = _drop_wrong_rates(str(path), columns, robot.joints, segments)
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = np.array([columns[name] for name in recorded])
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
-            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, wrong=wrong,
         )  # fmt: skip
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
@@ -113,14 +118,15 @@ def _used_columns(table: Table, joints: Sequence[str], recorded: Sequence[str]) 
 
 
 def _usable_rows(table: Table, used: Sequence[str], values: np.ndarray) -> np.ndarray:
-    """Indices of the rows without a NaN; raises `UserError` where what is left is no motion."""
+    """Indices of the rows without a NaN, rates excepted; raises `UserError` where what is left is no motion."""
     if values.shape[1] == 0:
         raise UserError(f"{table.path}: no recordings yet: a header and no rows; at least {LEAST_ROWS} rows are required")
     infinite = np.argwhere(np.isinf(values).T)
     if len(infinite):
         row, column = map(int, infinite[0])
         raise _wrong_cell(table, row, used[column], "an infinite value", "numbers or nan are allowed")
-    rows = np.flatnonzero(~np.isnan(values).any(axis=0))
+    needed = [i for i, name in enumerate(used) if not name.startswith(RATES)]
+    rows = np.flatnonzero(~np.isnan(values[needed]).any(axis=0))
     if len(rows) < LEAST_ROWS:
         total = values.shape[1]
         raise UserError(f"{table.path}: {len(rows)} of {total} rows are without a NaN; at least {LEAST_ROWS} are required")
@@ -152,6 +158,47 @@ def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Seq
     for name in turned:
         columns[name] = np.unwrap(columns[name])
     return tuple(turned)
+
+
+def _fill_rates(
+    columns: dict[str, np.ndarray], joints: Sequence[str], segments: tuple[slice, ...]
+) -> tuple[tuple[str, int], ...]:
+    """Fill rows in which a rate is missing with the derivative; returns these columns and how many rows. One without a number is dropped."""
+    filled, t = [], columns["t"]
+    for joint in joints:
+        for kind in RATES:
+            name, rate = f"{kind}{joint}", columns.get(f"{kind}{joint}", np.zeros(0))
+            empty = np.isnan(rate)
+            if len(rate) and empty.all():
+                del columns[name]
+            elif empty.any():
+                derivative = 2 if kind == "ddq_" and f"dq_{joint}" not in columns else 1
+                source = columns[f"q_{joint}" if kind == "dq_" or derivative == 2 else f"dq_{joint}"]
+                columns[name] = np.where(empty, differentiate(t, source[None], segments, derivative)[0], rate)
+                filled.append((name, int(empty.sum())))
+    return tuple(filled)
+
+
+def _drop_wrong_rates(
+    where: str, columns: dict[str, np.ndarray], joints: Sequence[str], segments: tuple[slice, ...]
+) -> tuple[tuple[str, float], ...]:
+    """Drop measured rates that are no derivative of their values, unless they are of another joint's; returns how many times it they are.
+
+    Raises `UserError` where a unit explains how many times, or the sign is wrong.
+    """
+    t, wrong = columns["t"], []
+    for joint in joints:
+        for value, rate, least in zip(("q_", "dq_"), RATES, plausibility.LEAST_CHANGE, strict=True):
+            one, other = f"{value}{joint}", f"{rate}{joint}"
+            if one not in columns or other not in columns:
+                continue
+            plausibility.check_derivative(where, t, segments, (one, columns[one]), (other, columns[other]))
+            times = plausibility.contradiction(t, segments, columns[one], columns[other], least)
+            others = [f"{value}{j}" for j in joints if j != joint and f"{value}{j}" in columns]
+            if times is not None and not plausibility.is_derivative(t, segments, columns[other], [columns[o] for o in others]):
+                wrong.append((other, times))
+                del columns[other]
+    return tuple(wrong)
 
 
 def _motion(
@@ -192,14 +239,9 @@ def _without_short_segments(path: Path, recording: Recording) -> Recording:
 
 def _check_units(path: Path, recording: Recording, robot: Robot, header: Header, recorded: tuple[str, ...]) -> None:
     where, r = str(path), recording
-    plausibility.check_positions(where, robot, r.q)
-    for i, joint in enumerate(robot.joints):
-        signals = ((f"q_{joint}", r.q[i]), (f"dq_{joint}", r.dq[i]), (f"ddq_{joint}", r.ddq[i]))
-        for value, rate in itertools.pairwise(signals):
-            if rate[0] not in r.computed and value[0] not in r.computed:
-                plausibility.check_derivative(where, r.t, r.segments, value, rate)
     if all(f"dq_{joint}" in r.computed for joint in robot.joints):
         plausibility.check_slowness(where, robot, r.t, r.q, r.dq)
     unit = "A" if header.torque == "current" else "Nm"
     constants = np.array(header.torque_constant, float) if unit == "A" else np.ones(robot.n)
     plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)
+    plausibility.check_changes(where, r.q, r.tau)

@@ -1,5 +1,6 @@
 """Recordings of a robot's motion and torques, as data."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -27,6 +28,8 @@ class Recording(Motion):
         short: Number of rows dropped because their segment is too short for a derivative that had to be computed.
         ignored: Columns of the file that are not read.
         turned: Columns of positions that jumped by a whole turn and were unwrapped.
+        filled: Columns of rates that are missing in some rows, where derivatives fill them, and the number of these rows.
+        wrong: Columns of rates that are not used since they are no derivatives, and how many times the derivative they are.
     """
 
     file: str
@@ -38,6 +41,8 @@ class Recording(Motion):
     short: int = 0
     ignored: tuple[str, ...] = ()
     turned: tuple[str, ...] = ()
+    filled: tuple[tuple[str, int], ...] = ()
+    wrong: tuple[tuple[str, float], ...] = ()
 
     @classmethod
     def planned(cls, name: str, motion: Motion, springs: tuple[Spring, ...] = (), group: str | None = None) -> "Recording":
@@ -106,7 +111,7 @@ class RecordingSet:
                 name.startswith("q_") for name in names
             )
             notes.append(f"{_named(found)}: column{'s' * (len(names) > 1)} {', '.join(names)} mean nothing here{locked}")
-        notes += self._doubts()
+        notes += [*self._of_rates(), *self._doubts()]
         default = self.tool.joint == self.robot.tool.joint and np.array_equal(self.tool.position, self.robot.tool.position)
         if default and any(np.any(r.payload > 0) for r in self.recordings):
             notes.append(
@@ -115,16 +120,50 @@ class RecordingSet:
             )
         return tuple(notes)
 
+    def _of_rates(self) -> list[str]:
+        """Which measured rates are not used, or not everywhere, a sentence each."""
+        notes = []
+        for name in dict.fromkeys(name for r in self.recordings for name, _ in r.wrong):
+            found = {r: times for r in self.recordings for one, times in r.wrong if one == name}
+            low, high = (f"{0.0 + edge(found.values()):.3g}" for edge in (min, max))
+            times, of = (
+                low if low == high else f"{low} to {high}",
+                f"{'q' if name.startswith('dq') else 'dq'}_{name.partition('_')[2]}",
+            )
+            notes.append(
+                f"{_named(list(found))}: {name} is {times} times the derivative of {of} and is not used; the derivative is"
+            )
+        for r in self.recordings:
+            for name, count in r.filled:
+                notes.append(
+                    f"{r.file}: {name} is missing in {count} of {len(r.t) + r.short} rows, where the derivative takes its place"
+                )
+        return notes
+
     def _doubts(self) -> list[str]:
         """What looks wrong in the recorded motions and is no error for certain, a sentence each."""
         still = [r for r in self.recordings if plausibility.stands_still(r.q)]
         doubts = [f"{_named(still)}: no joint moves, which says nothing of friction and inertia"] if still else []
+        doubts += self._of_times_and_travel()
         for r in self.recordings:
             measured = not any(f"dq_{joint}" in r.computed for joint in self.joints)
             for i, j in plausibility.swapped(r.t, r.segments, r.q, r.dq) if measured and len(self.joints) > 1 else ():
                 columns = f"dq_{self.joints[i]} is the derivative of q_{self.joints[j]}, not of q_{self.joints[i]}"
                 doubts.append(f"{r.file}: {columns}; are columns swapped?")
         return doubts
+
+    def _of_times_and_travel(self) -> list[str]:
+        """Recordings of few samples or with gaps, torques that never change, and motions as of radians that were taken for degrees."""
+        found: dict[str, list[Recording]] = {}
+        for r in self.recordings:
+            for doubt in plausibility.sampling_doubts(r.t, r.segments):
+                found.setdefault(doubt, []).append(r)
+            for joint in itertools.compress(self.joints, np.ptp(r.tau, axis=1) == 0):
+                found.setdefault(f"the recorded torque of {joint} never changes; was it recorded?", []).append(r)
+        travel = np.degrees(max(float(np.max(np.ptp(r.q, axis=1))) for r in self.recordings))
+        small = [f"no joint travels more than {travel:.3g}°; were angles in rad taken for degrees?"]
+        still = travel < np.degrees(plausibility.STILL) or travel > plausibility.SMALL_TRAVEL
+        return [f"{_named(some)}: {doubt}" for doubt, some in found.items()] + small * (not still)
 
     def _by(self, names: str) -> dict[tuple[str, ...], list[Recording]]:
         """Recordings by one of their tuples of columns, where it is not empty."""

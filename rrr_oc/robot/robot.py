@@ -8,7 +8,7 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,8 @@ from rrr_oc.storage import read_regular
 # (pin's wheel has no stubs)
 
 BUNDLED = ("rrr", "rrr_prototype")
+DENSEST = 2e4  # [kg/m³] of a cube as large as a link, nearly that of osmium; doubled, fewer masses in g are found
+SMALLEST = 0.15  # [m] of such a cube, so that short heavy wrists pass; doubled, links below 500 kg do
 ROUNDED = 1e-6  # [rad] by which an angle may lie outside a range that is told in few digits; doubled, nothing changes
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s²] in the base frame, where nothing says another
 _TOOL = re.compile(  # usual names of a tool frame
@@ -157,7 +159,7 @@ def load_robot(
         _check_inertial(name, model, parameters)
     frames = {f.name: (f.parentJoint - 1, f.placement.homogeneous) for f in model.frames if f.type == pin.FrameType.BODY}
     last = model.njoints - 2
-    return Robot(
+    robot = Robot(
         name=name,
         joints=tuple(model.names)[1:],
         links=tuple(_moved_link(model, i) for i in range(1, model.njoints)),
@@ -174,6 +176,7 @@ def load_robot(
         notes=notes,
         held=held,
     )
+    return replace(robot, notes=(*notes, *(f"{said}; are masses in g?" for said in too_dense(robot)))) if inertial else robot
 
 
 def _notes(elements: Elements, middle: Mapping[str, float], inertial: bool) -> tuple[str, ...]:
@@ -443,6 +446,17 @@ def _check_inertial(name: str, model: pin.Model, parameters: np.ndarray) -> None
                 f"robot {name!r}: link {_moved_link(model, i + 1)!r} has principal moments of inertia "
                 f"{', '.join(f'{m:.3g}' for m in moments)} kg m²; they must be positive and none above the sum of the other two"
             )
+
+
+def too_dense(robot: Robot) -> tuple[str, ...]:
+    """A sentence on each link that is heavier than any material of its size, which is as far as the next joint or the tool is."""
+    ends, notes = [*robot.placements[1:, :3, 3], robot.tool.position], []
+    for link, parameters, end in zip(robot.links, robot.inertial.T, ends, strict=True):
+        mass = float(parameters[0])
+        size = max(SMALLEST, float(np.linalg.norm(end)), 2 * float(np.linalg.norm(parameters[1:4])) / mass if mass > 0 else 0.0)
+        if mass > DENSEST * size**3:
+            notes.append(f"link {link!r} weighs {mass:.4g} kg, which nothing of its size, {size:.2g} m, does")
+    return tuple(notes)
 
 
 def _tool_link(frames: Mapping[str, tuple[int, np.ndarray]], last: int) -> str:

@@ -264,6 +264,7 @@ def test_what_was_left_out_and_what_cannot_be_right_is_told(folder, monkeypatch,
     assert "0.csv: 50 of 600 rows are left out" in printed.err
     assert "0.csv: column vel_joint1 mean nothing here" in printed.err
     assert "the torque of joint2 is explained no better than by a constant" in printed.err
+    assert "if they are right, the arm has physics that this model lacks, and rrr-oc diagnose" in printed.err
     assert "out [/x]" in printed.out
 
 

@@ -178,7 +178,9 @@ def test_gaps_split_and_short_pieces_are_dropped(write):
     assert recording.short == 3
     assert recording.t[60] == 2.0
     columns = motion(t)
-    columns |= {f"{kind}_{joint}": 0 * t for kind in ("dq", "ddq") for joint in JOINTS}
+    phase = np.array([0.0, 0.4, 0.9])[:, None]
+    for kind, rates in (("dq", 2 * np.cos(5 * t + phase)), ("ddq", -10 * np.sin(5 * t + phase))):
+        columns |= {f"{kind}_{joint}": rates[i] for i, joint in enumerate(JOINTS)}
     kept = load_recordings(write(a=columns)).recordings[0]
     assert (kept.short, len(kept.segments), kept.computed) == (0, 3, ())
 
@@ -246,7 +248,7 @@ def test_round_trip_is_exact(write, tmp_path):
     rng = np.random.default_rng(3)
     t = np.cumsum(rng.uniform(0.009, 0.011, 120)) + (np.arange(120) > 70)
     columns = motion(t)
-    columns["dq_joint1"] = rng.normal(size=120)
+    columns["dq_joint1"] = 2 * np.cos(5 * t) + rng.normal(size=120)
     columns["payload"] = np.where(t > 0.5, 1 / 3, 0.0)
     columns["tau_joint1"][5] = np.nan
     original = load_recordings(write(EXAMPLE, sweep1=motion(t), sweep2=columns))

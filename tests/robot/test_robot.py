@@ -408,3 +408,14 @@ def test_a_locked_joint_whose_range_lacks_0_stands_in_its_middle(load):
     ):
         with pytest.raises(UserError, match=said):
             load(text, joints=["j1", "j2"], fixed=fixed)
+
+
+def test_masses_in_grams_are_said(load):
+    """Of a link of 1.869 kg that becomes one of 1869 kg; heavy links of large arms are no doubt."""
+    text = robot(
+        link("base", 0), link("l1", 1869.0, (20, 30, 40)), link("l2"), joint("j1", "base", "l1"), joint("j2", "l1", "l2")
+    )
+    (note,) = load(text).notes
+    assert note == "link 'l1' weighs 1869 kg, which nothing of its size, 0.3 m, does; are masses in g?"
+    assert load(text, inertial=False).notes == ()
+    assert load(text.replace('xyz="0.3 0 0"', 'xyz="1.2 0 0"')).notes == ()

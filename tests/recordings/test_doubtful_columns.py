@@ -1,0 +1,129 @@
+"""Recordings whose rates are none, or whose times, torques and travel look wrong: what is used, and what is said."""
+
+import json
+
+import numpy as np
+import pytest
+from recorded import Plant
+
+from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.errors import UserError
+from rrr_oc.recordings.reader import load_recordings
+from rrr_oc.storage import write_csv
+
+JOINTS = ("joint1", "joint2", "joint3")
+PLANT = Plant("rrr", np.array([3.0, 4.0, 2.0]), np.array([6.0, 5.0, 3.0]), np.array([0.1, 0.2, 0.1]))
+CENTRE, RATES = np.array([0.0, 1.2, -1.4])[:, None], np.array([1.1, 1.7, 2.3])[:, None]
+
+
+def columns(seconds: float = 12.0, rate: float = 100.0) -> dict[str, np.ndarray]:
+    """A motion of the bundled arm with its rates, and its torques with a little noise."""
+    t = np.arange(round(seconds * rate)) / rate
+    phases = RATES * t, 2.7 * RATES * t + 1
+    q = CENTRE + 0.6 * np.sin(phases[0]) + 0.15 * np.sin(phases[1])
+    dq = RATES * (0.6 * np.cos(phases[0]) + 0.405 * np.cos(phases[1]))
+    ddq = -(RATES**2) * (0.6 * np.sin(phases[0]) + 1.0935 * np.sin(phases[1]))
+    tau = PLANT.torque(q, dq, ddq) + np.random.default_rng(0).normal(0, 0.05, q.shape)
+    found = {"t": t}
+    for kind, values in (("q", q), ("dq", dq), ("ddq", ddq), ("tau", tau)):
+        found |= {f"{kind}_{joint}": values[i] for i, joint in enumerate(JOINTS)}
+    return found
+
+
+@pytest.fixture
+def load(tmp_path):
+    def of(**files):
+        for name, content in files.items():
+            write_csv(tmp_path / f"{name}.csv", content)
+        header = {"format": "rrr_oc-recordings/1", "robot": "rrr", "joints": list(JOINTS)}
+        header["recordings"] = [{"file": f"{name}.csv"} for name in files]
+        (tmp_path / "recordings.json").write_text(json.dumps(header))
+        return load_recordings(tmp_path)
+
+    return of
+
+
+def without(kinds: tuple[str, ...], of: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: values for name, values in of.items() if name.partition("_")[0] not in kinds}
+
+
+WRONG = {
+    "speeds are zero": ("dq", 0.0, "dq_joint2 is 0 times the derivative of q_joint2 and is not used; the derivative is"),
+    "accelerations are zero": (
+        "ddq",
+        0.0,
+        "ddq_joint2 is 0 times the derivative of dq_joint2 and is not used; the derivative is",
+    ),
+    "speeds of the motors": ("dq", 50.0, "dq_joint2 is 50 times the derivative of q_joint2 and is not used; the derivative is"),
+    "speeds of motors that turn the other way": ("dq", -50.0, None),
+}
+
+
+@pytest.mark.parametrize(("kind", "factor", "said"), WRONG.values(), ids=WRONG)
+def test_rates_that_are_none_are_not_used(load, kind, factor, said):
+    """As if their columns were not there; friction is that of the plant."""
+    right = columns() if kind == "ddq" else without(("ddq",), columns())
+    wrong = right | {name: factor * values for name, values in right.items() if name.startswith(f"{kind}_")}
+    if said is None:
+        with pytest.raises(UserError, match="dq_joint1' is minus the derivative of 'q_joint1'; one of them has the wrong sign"):
+            load(a=wrong)
+        return
+    found = load(a=wrong, b=wrong)
+    assert f"a.csv and 1 more: {said}" in found.notes
+    expected = load(a=without((kind,), right)).recordings[0]
+    np.testing.assert_array_equal(found.recordings[0].dq, expected.dq)
+    np.testing.assert_array_equal(found.recordings[0].ddq, expected.ddq)
+    friction = [e.value for term in calibrate(found).terms if "viscous" in term.effect.name for e in term.estimates]
+    np.testing.assert_allclose(friction, PLANT.viscous, rtol=0.05)  # noise and smoothing
+
+
+def test_rates_that_are_noisy_coarse_or_late_are_used(load):
+    """Speeds with noise as large as themselves, in steps of 0.1 rad/s, or 40 ms late; positions in steps of 0.1°."""
+    right, rng = without(("ddq",), columns()), np.random.default_rng(1)
+    for spoil in (lambda x: x + rng.normal(0, np.std(x), x.shape), lambda x: np.round(x, 1), lambda x: np.roll(x, 4)):
+        spoiled = {n: spoil(v) if n.startswith("dq") else np.round(v, 3) if n.startswith("q") else v for n, v in right.items()}
+        (recording,) = load(a=spoiled).recordings
+        assert recording.wrong == ()
+        np.testing.assert_array_equal(recording.dq, [spoiled[f"dq_{joint}"] for joint in JOINTS])
+
+
+def test_rows_without_a_speed_are_kept(load):
+    """Drivers leave speeds out of some messages; a column without any number is none."""
+    right = without(("ddq",), columns())
+    spoiled = {name: np.array(values) for name, values in right.items()}
+    spoiled["dq_joint1"][100:500:2] = np.nan
+    spoiled["dq_joint3"][:] = np.nan
+    found = load(a=spoiled)
+    (recording,) = found.recordings
+    assert (recording.dropped, recording.computed) == (0, ("dq_joint3", "ddq_joint1", "ddq_joint2", "ddq_joint3"))
+    assert "a.csv: dq_joint1 is missing in 200 of 1200 rows, where the derivative takes its place" in found.notes
+    truth = np.array([right[f"dq_{joint}"] for joint in JOINTS])
+    np.testing.assert_array_equal(recording.dq[0, 101:500:2], truth[0, 101:500:2])
+    np.testing.assert_allclose(recording.dq, truth, atol=0.02)  # bias of the filter at 2.7 · 2.3 rad/s
+    spoiled["tau_joint2"][7] = np.nan
+    assert load(a=spoiled).recordings[0].dropped == 1
+
+
+def notes_of(load, change) -> str:
+    right = without(("dq", "ddq"), columns())
+    assert load(a=right).notes == ()
+    return " ".join(load(a=change(right)).notes)
+
+
+def test_what_looks_wrong_is_said_once(load):
+    slow = {name: values[::25] for name, values in without(("dq", "ddq"), columns(60.0)).items()}
+    assert "a.csv: is sampled at 4 Hz; accelerations need 20 Hz or more" in notes_of(load, lambda _: slow)
+    gap = "a.csv: has a gap of 4 s; 4 of 12 s are missing, and no derivative crosses a gap"
+    assert gap in notes_of(load, lambda right: {name: np.delete(v, np.s_[401:800]) for name, v in right.items()})
+    flat = notes_of(load, lambda right: right | {"tau_joint2": 0 * right["t"]})
+    assert "a.csv: the recorded torque of joint2 never changes; was it recorded?" in flat
+    degrees = {f"q_{joint}": np.pi / 180 for joint in JOINTS}
+    small = notes_of(load, lambda right: {n: v * degrees.get(n, 1.0) for n, v in right.items()})
+    assert "no joint travels more than 1.48°; were angles in rad taken for degrees?" in small
+
+
+def test_a_recording_of_zeros_is_refused(load):
+    right = without(("dq", "ddq"), columns())
+    for value, said in ((0.0, "are 0 in every row"), (0.5, "are the same in every row")):
+        with pytest.raises(UserError, match=rf"b\.csv: all positions and torques {said}; nothing was recorded"):
+            load(a=right, b={name: v if name == "t" else 0 * v + value for name, v in right.items()})
