@@ -18,6 +18,7 @@ from rrr_oc.errors import STATUSES, ends_at_once
 COMMANDS = {
     "init": ("init", "Commented example files for an arm, and the next commands."),
     "design": ("design", "Springs and motion of a task, designed together."),
+    "check": ("check", "Signs, order, units and clocks of a recording set's columns, and what its motions do not show."),
     "calibrate": ("calibrate", "Friction and armature of every joint, and inertial parameters where the set asks for them."),
     "diagnose": ("diagnose", "Where a calibrated model fails, which physics it lacks, and how well it predicts with it."),
     "evaluate": ("evaluate", "How well a model predicts recordings, from the measured motion or in simulation."),

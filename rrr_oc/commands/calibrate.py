@@ -15,7 +15,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, check_apart, loaded, unexplained_torques
+from rrr_oc.commands.shared import Dataset, check_apart, doubted, loaded, unexplained_torques
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.robot import too_dense
 from rrr_oc.storage import check_folder
@@ -57,6 +57,7 @@ def calibrate(
     check_folder(out)
     recordings = loaded(dataset, output)
     check_apart(recordings.files, [out / "model.json"])
+    doubted(recordings, output)
     model = WAYS[way](recordings)
     save_model(model, out / "model.json")
     output.result(json.loads((out / "model.json").read_text(encoding="utf-8")))

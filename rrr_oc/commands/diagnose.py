@@ -9,7 +9,17 @@ from rich.table import Table
 
 from rrr_oc import __version__, parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Dataset, Jobs, Workers, check_apart, command_line, loaded, shown, unexplained_torques
+from rrr_oc.commands.shared import (
+    Dataset,
+    Jobs,
+    Workers,
+    check_apart,
+    command_line,
+    doubted,
+    loaded,
+    shown,
+    unexplained_torques,
+)
 from rrr_oc.diagnosis.files.stages import SHARES
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import Diagnosis
@@ -51,6 +61,7 @@ def diagnose(
     believed = None if priors is None else load_priors(priors)
     recordings = loaded(dataset, output)
     check_apart([*recordings.files, *([] if priors is None else [priors])], [out / name for name in FILES])
+    doubted(recordings, output)
     asked = {"recordings": hash_of(recordings.files), "priors": None if priors is None else hash_of([priors])}
     kept = Keeping(out, asked | {"version": __version__, "code": code()}, output)
     with parallel.workers(jobs, workers), output.stages() as tell, parallel.one_thread():

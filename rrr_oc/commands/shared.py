@@ -13,6 +13,7 @@ from rich.table import Table
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError
+from rrr_oc.recordings.consistency import Consistency, check_consistency
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.schema import HEAVIEST
@@ -69,6 +70,14 @@ def loaded(dataset: Path, output: Output) -> RecordingSet:
     for note in recordings.notes:
         output.note(f"Note: {note}.")
     return recordings
+
+
+def doubted(recordings: RecordingSet, output: Output) -> Consistency:
+    """What looks wrong in a set, each doubt noted."""
+    found = check_consistency(recordings)
+    for doubt in found.doubts:
+        output.note(f"Warning: {doubt.said}.")
+    return found
 
 
 def unexplained_torques(model: CalibratedModel) -> list[str]:

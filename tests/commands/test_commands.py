@@ -170,6 +170,7 @@ def test_excite_tells_which_limits_a_urdf_lacks(monkeypatch, tmp_path, capsys):
     notes = [line for line in printed.err.splitlines() if line.startswith("Note: ")]
     assert notes == [
         "Note: the URDF gives no speed of j2: 'velocity' of <limit> is 0.",
+        "Note: the URDF gives no limit of torque of j2: 'effort' of <limit> is 0.",
         "Note: j1: the URDF has no limit of the range; it is taken to turn by ±180°.",
         "Note: j2: the URDF has no limit of the speed; --speed gives one.",
         "Note: j2: the URDF has no limit of the torque; --torque gives one.",

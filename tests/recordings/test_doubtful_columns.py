@@ -1,50 +1,17 @@
 """Recordings whose rates are none, or whose times, torques and travel look wrong: what is used, and what is said."""
 
-import json
-
 import numpy as np
 import pytest
-from recorded import Plant
+from swung import JOINTS, PLANT, columns, without, written
 
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
-from rrr_oc.storage import write_csv
-
-JOINTS = ("joint1", "joint2", "joint3")
-PLANT = Plant("rrr", np.array([3.0, 4.0, 2.0]), np.array([6.0, 5.0, 3.0]), np.array([0.1, 0.2, 0.1]))
-CENTRE, RATES = np.array([0.0, 1.2, -1.4])[:, None], np.array([1.1, 1.7, 2.3])[:, None]
-
-
-def columns(seconds: float = 12.0, rate: float = 100.0) -> dict[str, np.ndarray]:
-    """A motion of the bundled arm with its rates, and its torques with a little noise."""
-    t = np.arange(round(seconds * rate)) / rate
-    phases = RATES * t, 2.7 * RATES * t + 1
-    q = CENTRE + 0.6 * np.sin(phases[0]) + 0.15 * np.sin(phases[1])
-    dq = RATES * (0.6 * np.cos(phases[0]) + 0.405 * np.cos(phases[1]))
-    ddq = -(RATES**2) * (0.6 * np.sin(phases[0]) + 1.0935 * np.sin(phases[1]))
-    tau = PLANT.torque(q, dq, ddq) + np.random.default_rng(0).normal(0, 0.05, q.shape)
-    found = {"t": t}
-    for kind, values in (("q", q), ("dq", dq), ("ddq", ddq), ("tau", tau)):
-        found |= {f"{kind}_{joint}": values[i] for i, joint in enumerate(JOINTS)}
-    return found
 
 
 @pytest.fixture
 def load(tmp_path):
-    def of(**files):
-        for name, content in files.items():
-            write_csv(tmp_path / f"{name}.csv", content)
-        header = {"format": "rrr_oc-recordings/1", "robot": "rrr", "joints": list(JOINTS)}
-        header["recordings"] = [{"file": f"{name}.csv"} for name in files]
-        (tmp_path / "recordings.json").write_text(json.dumps(header))
-        return load_recordings(tmp_path)
-
-    return of
-
-
-def without(kinds: tuple[str, ...], of: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name: values for name, values in of.items() if name.partition("_")[0] not in kinds}
+    return lambda **files: load_recordings(written(tmp_path, **files))
 
 
 WRONG = {

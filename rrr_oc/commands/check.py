@@ -1,0 +1,32 @@
+"""`rrr-oc check`: what looks wrong in a recording set before it is calibrated."""
+
+from dataclasses import asdict
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from rrr_oc.commands.output import Json, Output, Quiet
+from rrr_oc.commands.shared import Dataset, doubted, loaded
+from rrr_oc.storage import plain
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def check(dataset: Dataset, quiet: Quiet = False, as_json: Json = False) -> None:
+    """Say in seconds which columns have the wrong sign, order, unit or clock, and what the motions do not show."""
+    output = Output(quiet, as_json)
+    recordings = loaded(dataset, output)
+    found = doubted(recordings, output)
+    by_joint = {joint: x if np.isfinite(x) else None for joint, x in zip(recordings.joints, found.nrmse, strict=True)}
+    said = [asdict(doubt) for doubt in found.doubts]
+    output.result(plain({"doubts": said, "notes": recordings.notes, "nrmse": by_joint, "diagnosis_s": found.diagnosis_s}))
+    table = Table("joint", "NRMSE of the torque, rigid arm with friction")
+    for joint, nrmse in by_joint.items():
+        table.add_row(joint, "never changes" if nrmse is None else f"{nrmse:.2g}")
+    output.show(table)
+    if not found.doubts:
+        output.show("No column contradicts another or the robot.")
+    low, high = found.diagnosis_s
+    output.show(f"A diagnosis takes {low:.0f} to {high:.0f} s of processor time, the less the fewer effects are missing.")

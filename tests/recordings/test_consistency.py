@@ -1,0 +1,149 @@
+"""Columns of the wrong sign, order, unit or clock: each is put into a right set, found, and named with its mend."""
+
+import json
+
+import numpy as np
+import pytest
+from commands import rrr_oc
+from swung import CENTRE, JOINTS, columns, without, written
+
+from rrr_oc.recordings.consistency import check_consistency
+from rrr_oc.recordings.reader import load_recordings
+
+RIGHT = without(("ddq",), columns())
+
+
+def scaled(factor: float, *names: str) -> dict[str, np.ndarray]:
+    """The set with some columns times a factor."""
+    return RIGHT | {name: factor * RIGHT[name] for name in names}
+
+
+def exchanged(i: int, j: int, *kinds: str) -> dict[str, np.ndarray]:
+    """The set with columns of two joints in each other's place."""
+    one, other = JOINTS[i], JOINTS[j]
+    pairs = [(f"{kind}_{a}", f"{kind}_{b}") for kind in kinds for a, b in ((one, other), (other, one))]
+    return RIGHT | {to: RIGHT[of] for to, of in pairs}
+
+
+MISTAKES = {
+    "sign of a torque": (
+        scaled(-1, "tau_joint2"),
+        "sign",
+        "tau_joint2 fits with the opposite sign: NRMSE of the torque of joint2 ",
+    ),
+    "sign of a torque without gravity": (scaled(-1, "tau_joint1"), "sign", "tau_joint1 fits with the opposite sign: "),
+    "sign of a position": (scaled(-1, "q_joint2", "dq_joint2"), "sign", "q_joint2 and its rates fit with the opposite sign: "),
+    "a joint that turns the other way": (
+        scaled(-1, "q_joint3", "dq_joint3", "tau_joint3"),
+        "sign",
+        "q_joint3, its rates and tau_joint3 fit with the opposite signs: ",
+    ),
+    "torques swapped": (exchanged(1, 2, "tau"), "order", "tau_joint2 and tau_joint3 fit when they are swapped: "),
+    "positions swapped": (
+        exchanged(1, 2, "q", "dq"),
+        "order",
+        "q_joint2 and q_joint3, with their rates, fit when they are swapped: ",
+    ),
+    "joints swapped": (
+        exchanged(0, 1, "q", "dq", "tau"),
+        "order",
+        "all columns of joint1 and joint2 fit when they are swapped: ",
+    ),
+    "torque in Ncm": (
+        scaled(100, "tau_joint2"),
+        "unit",
+        "tau_joint2 is 99.8 times the torque that the arm needs, as if in Ncm: ",
+    ),
+    "angles in rad taken for degrees": (
+        without(("dq",), scaled(np.pi / 180, *(f"q_{joint}" for joint in JOINTS))),
+        "unit",
+        "positions fit when they are multiplied by 57.3, as angles in rad that were taken for degrees: ",
+    ),
+}
+
+
+def doubts(folder, header=None, **files):
+    return check_consistency(load_recordings(written(folder, header, **files))).doubts
+
+
+def test_a_right_set_is_not_doubted(tmp_path):
+    found = check_consistency(load_recordings(written(tmp_path, a=RIGHT, b=without(("dq",), RIGHT))))
+    assert found.doubts == ()
+    assert max(found.nrmse) < 0.2
+
+
+@pytest.mark.parametrize(("wrong", "kind", "said"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_named_with_its_mend(tmp_path, wrong, kind, said):
+    """And nothing else, but that a motion of degrees is too small to tell much."""
+    wrong = without(("dq",), wrong) if "multiplied" in said else wrong
+    found = [doubt for doubt in doubts(tmp_path, a=wrong) if doubt.kind != "excitation"]
+    assert [doubt.kind for doubt in found] == [kind]
+    (doubt,) = found
+    assert doubt.said.startswith(said)
+    assert doubt.after < 0.05 < 0.2 < doubt.before  # what is left is the noise and the width of dry friction
+    assert set(doubt.columns) <= set(RIGHT)
+
+
+def test_two_mistakes_are_named_one_after_the_other(tmp_path):
+    wrong = scaled(-1, "tau_joint2", "tau_joint3")
+    assert {doubt.columns for doubt in doubts(tmp_path, a=wrong)} == {("tau_joint2",), ("tau_joint3",)}
+
+
+def test_a_torque_that_is_late_is_named_with_its_lag(tmp_path):
+    wrong = RIGHT | {"tau_joint2": np.interp(RIGHT["t"] - 0.1, RIGHT["t"], RIGHT["tau_joint2"])}
+    (doubt,) = doubts(tmp_path, a=wrong)
+    assert (doubt.kind, doubt.columns) == ("clock", ("tau_joint2",))
+    assert doubt.said.startswith("tau_joint2 is 0.1 s late beside the positions: ")
+
+
+def test_what_no_motion_shows_is_said(tmp_path):
+    still = RIGHT | {"q_joint3": 0 * RIGHT["t"] + CENTRE[2], "dq_joint3": 0 * RIGHT["t"]}
+    said = [doubt.said for doubt in doubts(tmp_path, a=still) if doubt.kind == "excitation"]
+    assert any(one.startswith("joint3 never moves more than 0°: its friction and rotor inertia cannot be told") for one in said)
+    rng = np.random.default_rng(0)
+    noisy = RIGHT | {f"tau_{joint}": RIGHT[f"tau_{joint}"] + rng.normal(0, 30, RIGHT["t"].shape) for joint in JOINTS}
+    said = [doubt.said for doubt in doubts(tmp_path, a=noisy)]
+    assert len([one for one in said if "inertias are hardly seen; record it faster" in one]) == 3
+
+
+def test_missing_physics_is_no_mistake_in_columns(tmp_path):
+    """A spring across the elbow, 5 kg at the tool, and an arm on a wall: the diagnosis' to find."""
+    t = RIGHT["t"]
+    sprung = RIGHT | {"tau_joint3": RIGHT["tau_joint3"] + 15 * (RIGHT["q_joint3"] + 1.0)}
+    loaded = RIGHT | {f"tau_{j}": RIGHT[f"tau_{j}"] + m * np.cos(t) for j, m in (("joint2", 20.0), ("joint3", 8.0))}
+    assert doubts(tmp_path, a=sprung) == doubts(tmp_path, a=loaded) == ()
+    assert doubts(tmp_path, {"gravity": [-9.81, 0, 0]}, a=RIGHT) == ()
+
+
+def test_masses_that_are_not_known_explain_no_wrong_sign(tmp_path):
+    identify = {"inertial": "identify"}
+    assert doubts(tmp_path, identify, a=RIGHT) == ()
+    (doubt,) = doubts(tmp_path, identify, a=scaled(-1, "tau_joint2"))
+    assert doubt.columns == ("tau_joint2",)
+    (doubt,) = doubts(tmp_path, identify, a=exchanged(1, 2, "tau"))
+    assert doubt.columns == ("tau_joint2", "tau_joint3")
+
+
+def test_a_set_that_tells_nothing_ends_in_no_error(tmp_path):
+    """Five rows, torques of one value, and accelerations beyond all measure."""
+    short = {name: values[:5] for name, values in RIGHT.items()}
+    flat = RIGHT | {f"tau_{joint}": 0 * RIGHT["t"] for joint in JOINTS}
+    assert {doubt.kind for doubt in doubts(tmp_path, a=short)} <= {"excitation"}
+    assert {doubt.kind for doubt in doubts(tmp_path, a=flat)} <= {"excitation"}
+    fast = without(("dq",), RIGHT | {"t": RIGHT["t"] / 1e4})  # accelerations of 1e8 rad/s²
+    assert check_consistency(load_recordings(written(tmp_path, a=fast))).nrmse[0] >= 0
+
+
+def test_the_command_and_calibrate_say_it(tmp_path, monkeypatch, capsys):
+    folder = written(tmp_path, a=scaled(-1, "tau_joint2"))
+    assert rrr_oc(monkeypatch, "check", str(folder)) == 0
+    printed = capsys.readouterr()
+    warning = "Warning: tau_joint2 fits with the opposite sign: NRMSE of the torque of joint2"
+    assert warning in printed.err
+    assert "A diagnosis takes 6 to 90 s of processor time" in printed.out
+    assert rrr_oc(monkeypatch, "check", str(folder), "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [doubt["columns"] for doubt in found["doubts"]] == [["tau_joint2"]]
+    assert set(found) == {"doubts", "notes", "nrmse", "diagnosis_s"}
+    assert rrr_oc(monkeypatch, "calibrate", str(folder), "--out", str(tmp_path / "out")) == 0
+    assert warning in capsys.readouterr().err
