@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -305,14 +306,15 @@ def _lock(
 def _held_at(name: str, elements: Elements, joint: ElementTree.Element, fixed: Mapping[str, float]) -> float:
     """Angle of a locked joint [rad]: as given, or 0, or the middle of a range that lacks 0; a range that cannot be read is none."""
     own, limit = str(joint.get("name")), joint.find("limit") if joint.get("type") == "revolute" else None
-    low, high = _number(limit, "lower", "0"), _number(limit, "upper", "0")
-    known = low is not None and high is not None and low < high
+    ends = [_number(limit, key, "0") for key in ("lower", "upper")]
+    low, high = (-np.inf, np.inf) if None in ends else cast(list[float], ends)
+    low, high = (low, high) if low < high else (-np.inf, np.inf)
     angle = fixed.get(own)
     if angle is None:
-        return resting_angle(low, high) if known else 0.0
-    if known and not low - ROUNDED <= angle <= high + ROUNDED:
-        ends = f"{np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
-        raise UserError(f"robot {name!r}: fixed_deg.{own}: found {np.degrees(angle):g}; its range is {ends}")
+        return resting_angle(low, high)
+    if not low - ROUNDED <= angle <= high + ROUNDED:
+        shown = f"{np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
+        raise UserError(f"robot {name!r}: fixed_deg.{own}: found {np.degrees(angle):g}; its range is {shown}")
     return angle
 
 

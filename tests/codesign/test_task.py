@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -355,7 +356,7 @@ def test_a_load_that_cannot_be_held_is_said_before_a_search(tmp_path):
     flat = {"start": {"angles_deg": [0, 0]}, "release": {"angles_deg": [60, -60]}}
     spring = {"effect": "parallel_spring", "joint": "j1", "stiffness_Nm_per_rad": [0, 9], "equilibrium_deg": [-90, 90]}
     said: list[str] = []
-    listener = SimpleNamespace(note=said.append)
+    listener = cast(Any, SimpleNamespace(note=said.append))
     light = load_task(rounded_arm(tmp_path, payload_kg=0.5, springs=[spring], **flat))
     assert (overloads(light), able(light, None, ["SA", "PEA"], listener), said) == ({}, ("SA", "PEA"), [])
     heavy = load_task(rounded_arm(tmp_path, payload_kg=2.0, springs=[spring], **flat))
