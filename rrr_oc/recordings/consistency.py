@@ -28,19 +28,15 @@ SURE = 2.5  # fall of the summed logarithms with which a mend is for any error; 
 WORTH = 0.7  # fall of the summed logarithms of the errors that a mend must bring: a factor of two; doubled, one of four
 MENDS = 4  # most mends, one after the other; doubled, sets with more than four mistakes are told of more of them
 SCALES = (1 / 8, 8.0)  # a torque so much smaller or larger than the arm's is in another unit; at 3, a missing payload is one
-LEAST_LOAD = (
-    0.3  # share of a torque's deviation that the arm's must have to tell its unit; doubled, geared arms with friction do not
-)
+LEAST_LOAD = 0.3  # share of a torque's deviation that the arm's must have to tell its unit; doubled, geared arms have none
 LAGS = 0.3  # [s] up to which clocks are compared; doubled, slower links are seen and the check takes longer
 LATE = 0.04, 1.5  # [s] and sampling steps of a lag that is said; filters, drivers and friction at reversals have less
 LAG_GAIN = 0.6  # share of the error that a lag leaves at most; at 0.8, friction at reversals is taken for one
 LAG_STEP = 0.01  # [s] between two lags that are tried; doubled, a lag is told half as exactly
-ROTOR = (
-    30.0,
-    0.3,
-)  # most rotor inertia, over the link's own and over the arm's largest; doubled, springs pass for it in slow sweeps
+# Most rotor inertia, over the link's own and over the arm's largest; doubled, springs pass for it in slow sweeps
+ROTOR = 30.0, 0.3
 MOVES = 0.05  # [rad] of travel, below which a joint tells nothing of its friction
-SEEN = 0.3  # share of a torque's noise that accelerations must make to show inertia; doubled, usable recordings are warned of
+SEEN = 0.1  # share of a torque's noise that accelerations must make to show inertia; at 0.3, light wrists are warned of
 DIAGNOSIS = 2.0, 30.0  # [s] of a diagnosis for each joint, where nothing is missing and where much is (two and six joints)
 NOTHING = 1e-9  # [Nm], below which the robot's file has no inertia there
 UNITS = {1e3: "mNm", 1e2: "Ncm", 9.80665: "kgf m", 980.665: "gf m", 98.0665: "kgf cm", 1e-3: "kNm", 0.112985: "in lbf"}
@@ -406,7 +402,7 @@ def _excitation(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
     for joint, way, part, least in zip(recordings.joints, travel, inertial, SEEN * noise, strict=True):
         if way >= MOVES and NOTHING < part < least:
             said = f"accelerations change the torque of {joint} by {part:.2g} Nm, and its noise is {least / SEEN:.2g} Nm"
-            said += ": inertias are hardly seen; record it faster"
+            said += ": the inertia of the links is hardly seen there; record it faster"
             yield Doubt("excitation", (f"ddq_{joint}",), said)
 
 
