@@ -401,7 +401,7 @@ def oscillator_codesign() -> Case:
         "release": {"angles_deg": [-np.degrees(a)]},
         "payload_kg": payload,
         "duration_s": [T, T],
-        "limits": {"joint1": {"range_deg": [-90, 90], "speed_deg_per_s": 2000}},
+        "limits": {"joint1": {"range_deg": [-90, 90], "speed_deg_per_s": 2000, "torque_Nm": "none"}},
         "springs": [stiffness | {"active": "below"}, stiffness | {"active": "above"}],
     }
     with tempfile.TemporaryDirectory() as folder:

@@ -103,7 +103,7 @@ def task(joints: int) -> Task:
         "release": {"angles_deg": RELEASE[:joints]},
         "payload_kg": PAYLOAD,
         "duration_s": [1.0, 2.0],
-        "limits": {n: {"speed_deg_per_s": 90, "acceleration_deg_per_s2": 180} for n in names},
+        "limits": {n: {"speed_deg_per_s": 90, "acceleration_deg_per_s2": 180, "torque_Nm": "none"} for n in names},
     }
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "chain.urdf", chain(joints))
