@@ -174,7 +174,7 @@ def test_commands_read_mjcf_and_sets_hold_it_as_urdf(tmp_path, capfd, monkeypatc
     assert (tmp_path / "set" / "arm.urdf").is_file()
     header = tmp_path / "set" / "recordings" / "recordings.json"
     header.write_text(header.read_text().replace("../arm.urdf", "../../arm.xml"))
-    rows = "\n".join(",".join([f"{0.01 * k}", *["0.1"] * 6]) for k in range(20))
+    rows = "\n".join(",".join([f"{0.01 * k}", *[f"{0.1 + 0.001 * k}"] * 6]) for k in range(20))
     names = ("shoulder", "elbow", "wrist")
     head = ",".join(["t", *(f"q_{j}" for j in names), *(f"tau_{j}" for j in names)])
     (header.parent / "first.csv").write_text(f"{head}\n{rows}\n")
@@ -184,3 +184,21 @@ def test_commands_read_mjcf_and_sets_hold_it_as_urdf(tmp_path, capfd, monkeypatc
     np.testing.assert_array_equal(own.placements, copy.placements)
     assert own.notes == copy.notes
     assert any("armature" in note for note in read.notes)
+
+
+NAMED_ALIKE = """<mujoco><worldbody>
+  <body name="shoulder"><joint name="shoulder" axis="0 1 0" range="-1 1"/><geom size="0.05" mass="1"/>
+    <body name="gripper" pos="0.3 0 0"><joint name="elbow" axis="0 1 0"/><geom size="0.05" mass="2"/>
+      <body name="jaw" pos="0.3 0 0"><joint name="{0}" axis="0 1 0" range="0.2 1"/><geom size="0.05" mass="0.5"/>
+</body></body></body></worldbody><compiler angle="radian"/></mujoco>"""
+
+
+@pytest.mark.parametrize("name", ["gripper", "world", "jaw", "shoulder_of_mine"])
+def test_joints_may_have_the_names_of_bodies(tmp_path, name):
+    """Desktop arms name joints and bodies alike; the last joint is kept, or locked in the middle of its range, which lacks 0."""
+    path = tmp_path / "arm.xml"
+    path.write_text(NAMED_ALIKE.format(name))
+    assert load_robot(path).joints == ("shoulder", "elbow", name)
+    locked = load_robot(path, ["shoulder", "elbow"])
+    np.testing.assert_allclose(locked.inertial[0], [1, 2.5])
+    assert locked.held == pytest.approx({name: 0.6})
