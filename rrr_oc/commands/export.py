@@ -15,6 +15,7 @@ from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.effects import OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
+from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.simulation.export import mjcf, urdf
 from rrr_oc.storage import check_folder, write_text
 
@@ -31,6 +32,11 @@ def export(
     design: Annotated[Path | None, typer.Option(help="summary.json of a design, whose springs are mounted")] = None,
     configuration: Annotated[str | None, typer.Option(help="of --design: which one, such as PEA")] = None,
     task: Annotated[str | None, typer.Option(help="of --design: its task file, or a bundled task")] = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option(help="a recording set: the arm as it was in one of its recordings, with the springs that this lists"),
+    ] = None,
+    recording: Annotated[str | None, typer.Option(help="of --recordings: which one, such as sweep2.csv")] = None,
     payload: Annotated[float, typer.Option(help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -41,11 +47,12 @@ def export(
     check_payload(payload)
     found = None if model is None else load_model(model)
     wanted, springs = _designed(design, configuration, task)
+    as_recorded, recorded_files = _recorded(recordings, recording, found, wanted)
     if found is None and wanted is None:
         raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
     read = [path for path in (model, design) if path is not None]
-    check_apart([*read, *(() if wanted is None else wanted.files)], [out / "arm.xml", out / "arm.urdf"])
-    arm, theta, left_out = _arm(found, wanted, springs)
+    check_apart([*read, *(() if wanted is None else wanted.files), *recorded_files], [out / "arm.xml", out / "arm.urdf"])
+    arm, theta, left_out = as_recorded or _arm(found, wanted, springs)
     made = mjcf(arm, theta, payload)
     write_text(out / "arm.xml", made.text)
     files = {"mjcf": str(out / "arm.xml")}
@@ -71,6 +78,26 @@ def _designed(design: Path | None, configuration: str | None, name: str | None) 
     assert configuration is not None
     task = load_task(str(name))
     return task, saved_springs(design, configuration, task)
+
+
+def _recorded(
+    dataset: Path | None, name: str | None, found: CalibratedModel | None, task: Task | None
+) -> tuple[tuple[Model, np.ndarray, list[str]] | None, tuple[Path, ...]]:
+    """The arm as it was in a recording, as `_arm` gives it, and the files read; None without --recordings."""
+    if dataset is None and name is None:
+        return None, ()
+    if dataset is None or found is None or task is not None:
+        raise UserError("--recordings and --recording go together, with a model.json and without --design")
+    recordings = load_recordings(dataset)
+    if recordings.joints != found.joints:
+        own, other = ", ".join(found.joints), ", ".join(recordings.joints)
+        raise UserError(f"the model has the joints {own}, but {dataset} {other}; they must be the same")
+    chosen = next((r for r in recordings.recordings if r.file == name), None)
+    if chosen is None:
+        allowed = ", ".join(r.file for r in recordings.recordings)
+        raise UserError(f"--recording is {'missing' if name is None else repr(name)}; allowed are {allowed}")
+    physics = found.physics(chosen)
+    return (physics.built, physics.theta, []), recordings.files
 
 
 def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings) -> tuple[Model, np.ndarray, list[str]]:

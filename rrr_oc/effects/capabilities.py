@@ -4,6 +4,9 @@ An effect's file derives from those that it needs and overrides what it is about
 can do is in `effects/springs.py`.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# (mujoco's wheel has no stubs)
+
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -182,11 +185,41 @@ class MovesLink(Effect):
         yield from ()
 
 
-class NativeTwin(Effect):
-    """MuJoCo has the exact law as an element of its own."""
+class ExportTwin(Effect):
+    """MuJoCo has the law as an element of its own, which exported files have.
+
+    Simulations run the generated law all the same: it has the smoothing of the fits, and other laws depend on its torque.
+    """
 
     def native(self, spec: Any, joints: tuple[str, ...], theta: Mapping[str, float]) -> None:
-        """Put the law into a `mujoco.MjSpec` whose joints have these names."""
+        """Put the law into a `mujoco.MjSpec` whose joints, and the motors of these joints, have these names."""
+        raise NotImplementedError
+
+    def passive_motor(self, spec: Any, joint: str, **law: tuple[float, ...]) -> None:
+        """A motor of MuJoCo without input or winding, whose torque is its `cogging` (amplitude, order, phase) or its friction.
+
+        `lugre` are stiffness, damping, kinetic level, static level and speed of Stribeck's curve (Canudas de Wit et al. 1995).
+        """
+        import mujoco  # here: every command imports the effects, few the engine
+
+        motor = spec.add_actuator(name=f"{self.name}_{joint}", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        # the resistance must be above 0; without a motor constant it plays no part
+        motor.set_to_dcmotor(motorconst=[0.0, 0.0], resistance=1.0, ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE), **law)
+
+
+class NativeTwin(ExportTwin):
+    """MuJoCo has the exact law as an element of its own, which simulations use as well."""
+
+
+class SpringChange(Effect):
+    """A listed spring is not as listed."""
+
+    inputs = ("springs",)
+    scope = "set_up"
+    placement = "spring"
+
+    def added(self, spring: Any, values: Mapping[str, float], theta: Mapping[str, float]) -> list[dict[str, float]]:
+        """Parameters of springs of the same kind that, beside the listed one with these values, give the law; amplitudes may be negative."""
         raise NotImplementedError
 
 

@@ -13,6 +13,18 @@ from rrr_oc.errors import UserError
 PHASES = ("go", "return")  # of a task
 
 
+def two_sided_tendon(spec: Any, name: str, joint: str, stiffness: float, rest: float, hardening: float = 0.0) -> None:
+    """Add a spring to a `mujoco.MjSpec` that pulls a joint towards `rest` [rad] from both sides, with a stiffness [Nm/rad].
+
+    Args:
+        hardening: Torque by the third power of the distance [Nm/rad³].
+    """
+    tendon = spec.add_tendon(name=f"{name}_{joint}")
+    tendon.wrap_joint(joint, 1.0)
+    tendon.stiffness = [stiffness, 0.0, hardening]
+    tendon.springlength = [rest, rest]
+
+
 class LinkSpring(Effect):
     """A spring across one joint or more, beside their drives."""
 

@@ -13,7 +13,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from rrr_oc.effects import Body, BodyChange, MovesLink, NativeTwin
+from rrr_oc.effects import Body, BodyChange, ExportTwin, MovesLink, NativeTwin
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
@@ -200,15 +200,21 @@ def twin(
 
 
 def assembled(
-    model: Model, theta: np.ndarray, control: Controller, settings: Settings
+    model: Model, theta: np.ndarray, control: Controller, settings: Settings, forms: type[ExportTwin] = NativeTwin
 ) -> tuple[mujoco.MjSpec, Body, tuple[bool, ...]]:
-    """A model before it is compiled: robot, effects in MuJoCo's own forms and gears; its body; which effects remain for code."""
+    """A model before it is compiled: robot, effects in MuJoCo's own forms and gears; its body; which effects remain for code.
+
+    Args:
+        forms: Which effects take MuJoCo's own forms: those of simulations, `NativeTwin`, or those of files, `ExportTwin`.
+    """
     offset = np.array(ca.evalf(generated_c.shift(model, theta))).reshape(-1)
     body = _body(model, theta)
     robot = replace(model.robot, inertial=body.inertial, gravity=body.gravity)
     spec = build_spec(robot, replace(model.tool, position=body.position), control, settings)
     elastic = any(effect.moves_link for effect in model.effects)
-    generated = _add_effects(spec, model, theta, settings.effects == "native" and not (elastic or offset.any()))
+    sides = ("link", "drive") if settings.effects == "native" and not (elastic or offset.any()) else ("drive",)
+    own = _native(model, sides if forms is NativeTwin else (*sides, "sensor"), forms)
+    generated = _add_effects(spec, model, theta, own)
     _add_gears(spec, model, theta, robot.inertial, settings.timestep)
     for joint, zero in zip(robot.joints, offset, strict=True):
         spec.joint(joint).ref = -zero
@@ -313,21 +319,24 @@ def _add_actuator(spec: mujoco.MjSpec, joint: str, k_p: float, k_d: float, limit
         actuator.forcelimited, actuator.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
 
 
-def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, tendons: bool) -> tuple[bool, ...]:
+def _native(model: Model, sides: Sequence[str], forms: type[ExportTwin]) -> tuple[ExportTwin | None, ...]:
+    """For each effect itself, or None where generated code stands for it."""
+    return tuple(e if e.side in sides and isinstance(e, forms) else None for e in model.effects)
+
+
+def _add_effects(spec: mujoco.MjSpec, model: Model, theta: np.ndarray, own: Sequence[ExportTwin | None]) -> tuple[bool, ...]:
     """Add MuJoCo's own forms, and actuators for internal states, to a spec; returns which effects remain for generated code."""
     numbers, generated = iter(theta.tolist()), []
-    for i, effect in enumerate(model.effects):
+    for i, (effect, form) in enumerate(zip(model.effects, own, strict=True)):
         named = {p.name: next(numbers) for p in effect.parameters}
-        known = len(spec.tendons)
-        wanted = effect.side == "drive" or (effect.side == "link" and tendons)
-        own = wanted and isinstance(effect, NativeTwin)
-        if own:
-            effect.native(spec, model.robot.joints, named)
-        for tendon in spec.tendons[known:]:
-            tendon.name = f"{i}_{tendon.name}"  # two springs on one joint would get the same name
-        generated.append(effect.side in ("link", "drive") and not own)
-        for k in range(len(effect.states)):
-            _add_state(spec, f"{i}_{effect.states[k].name}", model.robot.joints[effect.joints[0]])
+        tendons, actuators = len(spec.tendons), len(spec.actuators)
+        if form is not None:
+            form.native(spec, model.robot.joints, named)
+        for element in (*spec.tendons[tendons:], *spec.actuators[actuators:]):
+            element.name = f"{i}_{element.name}"  # two of a kind on one joint would get the same name
+        generated.append(effect.side in ("link", "drive") and form is None)
+        for state in () if form is not None else effect.states:
+            _add_state(spec, f"{i}_{state.name}", model.robot.joints[effect.joints[0]])
     return tuple(generated)
 
 

@@ -6,12 +6,13 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
-from rrr_oc.effects import Clutched, OnlyRecorded
+from rrr_oc.effects import Clutched, Effect, ExportTwin, LinkSpring, NativeTwin, OnlyRecorded, SpringChange
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
@@ -48,26 +49,16 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     """
     clutched = [model.label(effect) for effect in model.effects if isinstance(effect, Clutched)]
     recorded = [model.label(effect) for effect in model.effects if isinstance(effect, OnlyRecorded)]
-    (model, theta), robot = _lasting(model, np.asarray(theta, float)), model.robot
-    spec, body, generated = assembled(model, theta, controller(model), Settings(effects="native", integrator="implicitfast"))
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
-    for joint, low, high, effort in zip(robot.joints, robot.lower, robot.upper, robot.effort, strict=True):
-        motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        if np.isfinite(effort):
-            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, [-effort, effort]
-        if np.isfinite(low) and np.isfinite(high):
-            spec.joint(joint).limited, spec.joint(joint).range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
+    (model, theta), robot = _springs_as_they_are(*_lasting(model, np.asarray(theta, float))), model.robot
+    settings = Settings(effects="native", integrator="implicitfast")
+    spec, body, generated = assembled(model, theta, controller(model), settings, ExportTwin)
+    _set_limits(spec, robot)
     spec.body(PAYLOAD).mass = payload + body.payload
     spec.option.disableflags = 0
     _draw(spec, robot, model.tool.position)
     left_out = [f"{label}: a clutch connects it in one phase of a task only" for label in clutched]
     left_out += [f"{label}: changes what is recorded, not the motion" for label in recorded]
-    left_out += [
-        f"{model.label(effect)}: {'changes what is recorded, not the motion' if effect.side == 'sensor' else 'MuJoCo has no form of it'}"
-        for effect, code in zip(model.effects, generated, strict=True)
-        if code or effect.side == "sensor"
-    ]
+    left_out += _without_form(model, generated)
     try:
         spec.compile()
     except ValueError as error:
@@ -89,6 +80,71 @@ def _lasting(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
     lasting = [not isinstance(effect, Clutched | OnlyRecorded) for effect in model.effects]
     kept = np.repeat(np.array(lasting, bool), [len(effect.parameters) for effect in model.effects])
     return replace(model, effects=tuple(itertools.compress(model.effects, lasting))), theta[kept]
+
+
+def _springs_as_they_are(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
+    """The model with its listed springs as effects have found them to be, in place of these effects, and its parameters.
+
+    Changes of springs that the model does not have, or that are no tendons, remain.
+    """
+    numbers = iter(theta.tolist())
+    pairs = [(e, {p.name: next(numbers) for p in e.parameters}) for e in model.effects]
+    springs = {e.joints: (e, named) for e, named in reversed(pairs) if isinstance(e, LinkSpring) and isinstance(e, NativeTwin)}
+    found = []
+    for effect, named in pairs:
+        if isinstance(effect, SpringChange) and effect.joints in springs:
+            spring, values = springs[effect.joints]
+            found += [(spring, one) for one in effect.added(spring, values, named)]
+        else:
+            found.append((effect, named))
+    kept = _merged(found)
+    parameters = [value for _, named in kept for value in named.values()]
+    return replace(model, effects=tuple(e for e, _ in kept)), np.array(parameters, float)
+
+
+def _merged(pairs: list[tuple[Effect, dict[str, float]]]) -> list[tuple[Effect, dict[str, float]]]:
+    """Effects with their parameters, where springs that differ in amplitude alone are one, and those of amplitude 0 are none.
+
+    So a spring of twice its listed stiffness is one number, and so is one with another equilibrium.
+    """
+    result: dict[Any, tuple[Effect, dict[str, float]]] = {}
+    for i, (effect, named) in enumerate(pairs):
+        if not isinstance(effect, LinkSpring):
+            result[i] = effect, named
+            continue
+        shape = (effect, *(value for name, value in named.items() if name not in effect.amplitudes))
+        _, before = result.get(shape, (effect, {}))
+        result[shape] = effect, named | {a: named[a] + before.get(a, 0.0) for a in effect.amplitudes}
+    return [(e, named) for e, named in result.values() if not isinstance(e, LinkSpring) or any(named[a] for a in e.amplitudes)]
+
+
+def _set_limits(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Torque motors in place of the controllers, with the robot's efforts as limits, and the joints' ranges."""
+    for actuator in list(spec.actuators):
+        if actuator.name not in robot.joints and actuator.dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+            spec.delete(actuator)  # internal states of generated code
+    for joint, low, high, effort in zip(robot.joints, robot.lower, robot.upper, robot.effort, strict=True):
+        motor = spec.actuator(joint)
+        motor.set_to_motor()
+        motor.biasprm[:] = motor.forcerange[:] = 0.0
+        motor.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        if np.isfinite(effort):
+            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, [-effort, effort]
+        if np.isfinite(low) and np.isfinite(high):
+            spec.joint(joint).limited, spec.joint(joint).range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
+
+
+def _without_form(model: Model, generated: Sequence[bool]) -> list[str]:
+    """The effects that a file does not have, one sentence each."""
+    result = []
+    for effect, code in zip(model.effects, generated, strict=True):
+        if isinstance(effect, SpringChange):
+            result.append(f"{model.label(effect)}: the spring that it changes is not in the file")
+        elif code:
+            result.append(f"{model.label(effect)}: MuJoCo has no form of it")
+        elif effect.side == "sensor" and not isinstance(effect, ExportTwin):
+            result.append(f"{model.label(effect)}: changes what is recorded, not the motion")
+    return result
 
 
 def _draw(spec: mujoco.MjSpec, robot: Robot, tool: np.ndarray) -> None:

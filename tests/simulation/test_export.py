@@ -12,16 +12,18 @@ import pinocchio as pin
 import pytest
 
 from rrr_oc import cli
-from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
 from rrr_oc.calibration.model_file import save_model
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.elastic.spring_stiffness import SpringStiffness
 from rrr_oc.effects.friction.dry_friction import DryFriction
 from rrr_oc.effects.friction.load_dependent_friction import LoadDependentFriction
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import BUNDLED, load_robot, urdf_text
 from rrr_oc.simulation.export import mjcf, urdf
+from rrr_oc.storage import write_csv
 
 STATES = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 3, 3))  # q, dq, ddq of each
 
@@ -112,13 +114,13 @@ def run(monkeypatch, *arguments) -> int:
     return int(ended.value.code or 0)
 
 
-def model_file(folder: Path, joints: int) -> Path:
-    """model.json of the paper's arm with as many joints, with dry friction of the last one."""
+def model_file(folder: Path, joints: int, terms: tuple[Term, ...] = ()) -> Path:
+    """model.json of the paper's arm with as many joints, by default with dry friction of the last one."""
     robot = load_robot("rrr", [f"joint{k + 1}" for k in range(joints)])
-    term = nominal_term(DryFriction((joints - 1,))).with_values(np.array([0.7]))
+    terms = terms or (nominal_term(DryFriction((joints - 1,))).with_values(np.array([0.7])),)
     nothing = np.zeros(joints)
     text, constants = urdf_text("rrr"), (None,) * joints
-    arm = CalibratedModel(robot, "rrr", text, robot.tool, "motor", constants, "nominal", (term,), nothing, nothing)
+    arm = CalibratedModel(robot, "rrr", text, robot.tool, "motor", constants, "nominal", terms, nothing, nothing)
     save_model(arm, folder / f"model{joints}.json")
     return folder / f"model{joints}.json"
 
@@ -147,6 +149,36 @@ def test_a_designs_springs_pull_on_the_arm_in_plain_mujoco(with_model, monkeypat
     assert 0 < np.mean(slack) < 1
 
 
+def recordings_of_two(folder: Path) -> Path:
+    """A recording set of the paper's arm at rest in two files, of which the second lists a spring."""
+    (folder / "set").mkdir()
+    t = np.arange(200) / 100
+    zeros = {f"{kind}_joint{k + 1}": np.zeros(200) for kind in ("q", "tau") for k in range(3)}
+    for name in ("bare.csv", "sprung.csv"):
+        write_csv(folder / "set" / name, {"t": t} | zeros)
+    spring = {"stiffness_Nm_per_rad": 10.0, "equilibrium_rad": 1.0}
+    every = [{"file": "bare.csv"}, {"file": "sprung.csv", "springs": {"pea": {"joint2": spring}}}]
+    header = {"format": "rrr_oc-recordings/1", "robot": "rrr", "joints": ["joint1", "joint2", "joint3"], "recordings": every}
+    (folder / "set" / "recordings.json").write_text(json.dumps(header))
+    return folder / "set"
+
+
+def test_the_arm_as_it_was_in_a_recording_has_the_springs_that_this_lists_as_they_were_found(monkeypatch, tmp_path, capsys):
+    terms = (
+        replace(nominal_term(SpringStiffness((1,))).with_values(np.array([1.5])), recordings=("sprung.csv",)),
+        nominal_term(DryFriction((2,))).with_values(np.array([0.7])),
+    )
+    model, folder = model_file(tmp_path, 3, terms), recordings_of_two(tmp_path)
+    for name, stiffness in (("bare.csv", []), ("sprung.csv", [15.0])):
+        out = tmp_path / name
+        assert run(monkeypatch, model, "--recordings", folder, "--recording", name, "--json", "--out", out) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["not_in_mjcf"] == []
+        mj = mujoco.MjModel.from_xml_path(found["mjcf"])
+        np.testing.assert_allclose(mj.tendon_stiffness, stiffness)
+        np.testing.assert_allclose(mj.dof_frictionloss, [0.0, 0.0, 0.7])
+
+
 DESIGN = ["--design", "{0}/summary.json", "--configuration", "PEA", "--task", "paper"]
 MISTAKES = {
     "nothing": ([], {}, "nothing to export: a model.json, or --design with --configuration and --task, is required"),
@@ -161,6 +193,22 @@ MISTAKES = {
         {"parameters": {"parallel_spring[joint2]": {"stiffness": 1.0}}},
         "configurations.PEA.parameters: parallel_spring[joint2]: equilibrium is missing",
     ),
+    "no recording": (["{model}", "--recordings", "{set}"], {}, "--recording is missing; allowed are bare.csv, sprung.csv"),
+    "other recording": (
+        ["{model}", "--recordings", "{set}", "--recording", "x.csv"],
+        {},
+        "--recording is 'x.csv'; allowed are bare.csv, sprung.csv",
+    ),
+    "recording and design": (
+        [*DESIGN, "--recording", "x.csv"],
+        {},
+        "--recordings and --recording go together, with a model.json and without --design",
+    ),
+    "recordings of other joints": (
+        ["{two}", "--recordings", "{set}", "--recording", "bare.csv"],
+        {},
+        "the model has the joints joint1, joint2, but",
+    ),
     "other joints": (["{two}", *DESIGN], {}, "the model has the joints joint1, joint2, but the task's robot joint1, joint2, joint3"),
 }  # fmt: skip
 
@@ -169,7 +217,8 @@ MISTAKES = {
 def test_a_mistake_is_one_sentence_and_leaves_no_file(mistake, monkeypatch, tmp_path, capsys):
     arguments, change, said = MISTAKES[mistake]
     saved(tmp_path, **change)
-    given = [a.format(tmp_path, model=model_file(tmp_path, 3), two=model_file(tmp_path, 2)) for a in arguments]
+    folder = recordings_of_two(tmp_path)
+    given = [a.format(tmp_path, model=model_file(tmp_path, 3), two=model_file(tmp_path, 2), set=folder) for a in arguments]
     assert run(monkeypatch, *given, "--out", tmp_path / "e") == 2
     printed = capsys.readouterr().err
     assert printed.startswith("Error: ")

@@ -4,15 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior, Trial
+from rrr_oc.effects.base import Prior, Trial
+from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.effects.elastic.parallel_spring import SIDES, ParallelSpring
+from rrr_oc.effects.springs import two_sided_tendon
 from rrr_oc.robot.parameters import Parameter
 
 RESTS = (0.1, 0.3, 0.5, 0.7, 0.9)  # of trials that harden, as shares of the range; fits move them
 
 
 @dataclass(frozen=True)
-class CableHarness(Effect):
+class CableHarness(NativeTwin):
     """tau = −stiffness x − hardening x³, x = q − rest: the two terms of an odd law, the second only where it `hardens`.
 
     Attributes:
@@ -59,6 +61,10 @@ class CableHarness(Effect):
     @property
     def law(self):
         return self.equation if self.hardens else "tau = -stiffness (q - rest)"
+
+    def native(self, spec, joints, theta):
+        """A fixed tendon over one joint, slack nowhere, its third coefficient the hardening."""
+        two_sided_tendon(spec, self.name, joints[self.joints[0]], theta["stiffness"], theta["rest"], theta.get("hardening", 0.0))
 
     @property
     def linear(self):

@@ -4,7 +4,7 @@ import numpy as np
 
 from rrr_oc.effects.capabilities import NativeTwin
 from rrr_oc.effects.design_form import DesignForm, Quantity
-from rrr_oc.effects.springs import DesignSpring, LinkSpring
+from rrr_oc.effects.springs import DesignSpring, LinkSpring, two_sided_tendon
 from rrr_oc.robot.parameters import Parameter
 
 
@@ -37,7 +37,4 @@ class TwoSidedSpring(LinkSpring, DesignSpring, NativeTwin):
 
     def native(self, spec, joints, theta):
         """A fixed tendon over one joint, so that several springs of a joint add up; its spring is slack nowhere."""
-        tendon = spec.add_tendon(name=f"{self.name}_{joints[self.joints[0]]}")
-        tendon.wrap_joint(joints[self.joints[0]], 1.0)
-        tendon.stiffness[0] = theta["stiffness"]
-        tendon.springlength = [theta["equilibrium"], theta["equilibrium"]]
+        two_sided_tendon(spec, self.name, joints[self.joints[0]], theta["stiffness"], theta["equilibrium"])

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 from rrr_oc.effects.base import Prior
-from rrr_oc.effects.capabilities import WithStates
+from rrr_oc.effects.capabilities import ExportTwin, WithStates
 from rrr_oc.numerics.smooth import fabs, fmax, sign
 from rrr_oc.robot.parameters import Parameter
 
 
-class PreslidingHysteresis(WithStates):
+class PreslidingHysteresis(WithStates, ExportTwin):
     """tau = −level z with dz/dt = |dq| (sgn(dq) − z) stiffness/level (Dahl 1968), beside the plain level.
 
     With a width the sign is tanh(dq / width). For a large stiffness the law tends to the plain one.
@@ -33,6 +33,12 @@ class PreslidingHysteresis(WithStates):
     def rate(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]
         return (fabs(dq) * (sign(dq, width) - signals.states[0]) * theta["stiffness"] / fmax(theta["level"], 1e-9),)
+
+    def native(self, spec, joints, theta):
+        """A passive motor's friction with equal static and kinetic levels, and bristles without damping."""
+        if theta["level"] > 0:
+            law = (theta["stiffness"], 0.0, theta["level"], theta["level"], 1.0)  # at equal levels no speed matters
+            self.passive_motor(spec, joints[self.joints[0]], lugre=law)
 
     @classmethod
     def trials(cls, view):

@@ -1,11 +1,12 @@
 """Friction with a part in the square of speed."""
 
-from rrr_oc.effects.base import Effect, Prior
+from rrr_oc.effects.base import Prior
+from rrr_oc.effects.capabilities import ExportTwin
 from rrr_oc.numerics.smooth import fabs
 from rrr_oc.robot.parameters import Parameter
 
 
-class QuadraticDrag(Effect):
+class QuadraticDrag(ExportTwin):
     """tau = −coefficient dq |dq|: c_v2 of Eq. 9, of either sign.
 
     With a negative coefficient friction falls with speed and would drive the joint beyond the speeds recorded: do not extrapolate.
@@ -27,3 +28,7 @@ class QuadraticDrag(Effect):
     def torque(self, signals, theta, width):
         dq = signals.dq[self.joints[0]]
         return (-theta["coefficient"] * dq * fabs(dq),)
+
+    def native(self, spec, joints, theta):
+        """The second of the coefficients of the joint's `damping`."""
+        spec.joint(joints[self.joints[0]]).damping[1] += theta["coefficient"]

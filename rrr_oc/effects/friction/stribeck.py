@@ -1,11 +1,16 @@
 """Dry friction that falls from a static to a kinetic level as speed rises."""
 
-from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
+from rrr_oc.effects.base import SIGN_WIDTH, Prior
+from rrr_oc.effects.capabilities import ExportTwin
 from rrr_oc.numerics.smooth import exp, sign
 from rrr_oc.robot.parameters import Parameter
 
+BEND = (
+    1e-3  # [rad] over which exported friction builds up; doubled, it holds half as stiffly; halved, it is as fast as the step
+)
 
-class Stribeck(Effect):
+
+class Stribeck(ExportTwin):
     """tau = −excess exp(−(dq/velocity)²) sgn(dq), beside the plain (kinetic) level (Armstrong-Hélouvry 1991)."""
 
     name = "stribeck"
@@ -29,3 +34,10 @@ class Stribeck(Effect):
     @classmethod
     def shapes(cls, view, joints):
         return [{"velocity": share * view.speed[joints[0]]} for share in (0.04, 0.08, 0.14, 0.22, 0.35)]
+
+    def native(self, spec, joints, theta):
+        """A passive motor's friction with a kinetic level of 0: bristles, in place of a smoothed sign, which hold the joint at rest."""
+        excess = theta["excess"]
+        if excess > 0:  # without, bristles have no stiffness
+            law = (excess / BEND, 0.0, 0.0, excess, theta["velocity"])
+            self.passive_motor(spec, joints[self.joints[0]], lugre=law)

@@ -1,11 +1,19 @@
 """A torque channel that lags the position channel."""
 
+# pyright: reportAttributeAccessIssue=false
+# (mujoco's wheel has no stubs)
+
+import math
+
 from rrr_oc.effects.base import Prior
-from rrr_oc.effects.capabilities import Delay
+from rrr_oc.effects.capabilities import Delay, ExportTwin
 from rrr_oc.robot.parameters import Parameter
 
+SHORTEST = 0.1  # of a file's step: a user may shorten the step as far; with fewer samples kept, the delay would be cut off
+LINEAR = 1  # interpolation between samples; MuJoCo's others hold a sample, or overshoot
 
-class TimeDelay(Delay):
+
+class TimeDelay(Delay, ExportTwin):
     """recorded torque(t) = true torque(t − delay), for all joints."""
 
     name = "time_delay"
@@ -19,3 +27,12 @@ class TimeDelay(Delay):
 
     def delay(self, theta):
         return theta["delay"]
+
+    def native(self, spec, joints, theta):
+        """Sensors `<joint>_torque` of the motors, delayed."""
+        import mujoco  # here: every command imports the effects, few the engine
+
+        for joint in joints:
+            sensor = spec.add_sensor(name=f"{joint}_torque", type=mujoco.mjtSensor.mjSENS_ACTUATORFRC)
+            sensor.objtype, sensor.objname, sensor.interp = mujoco.mjtObj.mjOBJ_ACTUATOR, joint, LINEAR
+            sensor.delay, sensor.nsample = theta["delay"], 2 + math.ceil(theta["delay"] / (SHORTEST * spec.option.timestep))

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior, Trial, View
+from rrr_oc.effects.base import Prior, Trial, View
+from rrr_oc.effects.capabilities import ExportTwin
 from rrr_oc.numerics.smooth import sin
 from rrr_oc.robot.parameters import Parameter
 
@@ -10,7 +11,7 @@ LEAST_CYCLES = 2  # that recordings must see of a trial; with fewer, it may be a
 FASTEST = 5.0  # [Hz] of a trial at the joint's usual speed: what the filter of the recordings lets through
 
 
-class TorqueRipple(Effect):
+class TorqueRipple(ExportTwin):
     """tau = amplitude sin(order q + phase); one effect an order."""
 
     name = "torque_ripple"
@@ -31,6 +32,11 @@ class TorqueRipple(Effect):
 
     def torque(self, signals, theta, width):
         return (theta["amplitude"] * sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
+
+    def native(self, spec, joints, theta):
+        """A passive motor's cogging."""
+        law = (theta["amplitude"], theta["order"], theta["phase"])
+        self.passive_motor(spec, joints[self.joints[0]], cogging=law)
 
     @classmethod
     def trials(cls, view):

@@ -7,7 +7,7 @@ import inspect
 import re
 import sys
 
-from rrr_oc.effects import CATALOGUE, DesignSpring, Effect, ListedSpring, NativeTwin
+from rrr_oc.effects import CATALOGUE, DesignSpring, Effect, ExportTwin, ListedSpring
 from rrr_oc.effects.base import PARTLY, PLACEMENTS, SIDES, SOUGHT
 from rrr_oc.effects.words import listed, words
 from rrr_oc.report.reference.effect_figures import AXES, svg
@@ -245,7 +245,7 @@ def _uses(kind: type[Effect]) -> list[str]:
         issubclass(kind, ListedSpring)
         and f"Recordings list it as `{kind.listing.key}` ([recordings.json](../reference/recordings.md)).",
         issubclass(kind, DesignSpring) and f"A co-design uses it in `{kind.design.label}` ([task.json](../reference/task.md)).",
-        issubclass(kind, NativeTwin) and "MuJoCo has its exact law as an element of its own.",
+        issubclass(kind, ExportTwin) and "MuJoCo has its law as an element of its own ([export](../export.md)).",
         kind.energy is not Effect.energy and "It stores energy.",
     ]
     return ["\n".join(f"- {use}" for use in uses if use)]
