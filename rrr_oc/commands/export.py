@@ -1,7 +1,7 @@
 """`rrr-oc export`: an arm, with the springs of a design, as files for other programs."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -17,6 +17,8 @@ from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.simulation.export import mjcf, urdf
+from rrr_oc.simulation.export_into import check_into
+from rrr_oc.simulation.export_into import into as into_mjcf
 from rrr_oc.storage import check_folder, write_text
 
 app = typer.Typer(add_completion=False)
@@ -37,6 +39,9 @@ def export(
         typer.Option(help="a recording set: the arm as it was in one of its recordings, with the springs that this lists"),
     ] = None,
     recording: Annotated[str | None, typer.Option(help="of --recordings: which one, such as sweep2.csv")] = None,
+    into: Annotated[
+        Path | None, typer.Option(help="MJCF of the same arm, into a copy of which the numbers and springs are written")
+    ] = None,
     payload: Annotated[float, typer.Option(help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -50,20 +55,42 @@ def export(
     as_recorded, recorded_files = _recorded(recordings, recording, found, wanted)
     if found is None and wanted is None:
         raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
-    read = [path for path in (model, design) if path is not None]
-    check_apart([*read, *(() if wanted is None else wanted.files), *recorded_files], [out / "arm.xml", out / "arm.urdf"])
+    read = [path for path in (model, design, into) if path is not None]
+    written = [out / "arm.xml", out / "arm.urdf", *([] if into is None else [_filled(out, into)])]
+    check_apart([*read, *(() if wanted is None else wanted.files), *recorded_files], written)
     arm, theta, left_out = as_recorded or _arm(found, wanted, springs)
     made = mjcf(arm, theta, payload)
     write_text(out / "arm.xml", made.text)
-    files = {"mjcf": str(out / "arm.xml")}
+    files: dict[str, Any] = {"mjcf": str(out / "arm.xml")}
     output.show(f"{out / 'arm.xml'} runs in plain MuJoCo: python -m mujoco.viewer --mjcf={out / 'arm.xml'}")
     if found is not None:
         write_text(out / "arm.urdf", urdf(found.urdf, found.robot))
         files["urdf"] = str(out / "arm.urdf")
         output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
+    if into is not None:
+        files |= _write_into(output, into, _filled(out, into), arm, theta, payload)
     for one in (*made.left_out, *left_out):
         output.note(f"Not in arm.xml: {one}.")
     output.result({**files, "not_in_mjcf": [*made.left_out, *left_out]})
+
+
+def _filled(out: Path, user: Path) -> Path:
+    return out / f"{user.stem}_with_model.xml"
+
+
+def _write_into(output: Output, user: Path, place: Path, arm: Model, theta: np.ndarray, payload: float) -> dict[str, Any]:
+    """A copy of a user's MJCF with the model's numbers, read again; its part of the result."""
+    made = into_mjcf(user, place, arm, theta, payload)
+    write_text(place, made.text)
+    try:
+        check_into(place, arm, theta, payload)
+    except UserError:
+        place.unlink()
+        raise
+    output.show(f"{place} is {user} with the model's numbers and springs.")
+    for one in made.left_out:
+        output.note(f"Not in {place.name}: {one}.")
+    return {"into": str(place), "not_in_into": list(made.left_out)}
 
 
 def _designed(design: Path | None, configuration: str | None, name: str | None) -> tuple[Task | None, SavedSprings]:

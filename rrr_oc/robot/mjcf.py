@@ -38,12 +38,7 @@ def mjcf_as_urdf(path: Path) -> str:
     Frames of links are those of bodies; a joint that is not at its body's origin gets a link of its own, and sites are links
     without mass. A joint's torque limit is the force range of its actuators, times their gear, or its own, whichever is less.
     """
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        _drop_looks(spec)
-        mj = spec.compile()
-    except (ValueError, FileNotFoundError) as error:
-        raise UserError(f"{path}: MuJoCo refuses it: {str(error).strip()}") from None
+    mj = compiled(path)
     root = ElementTree.Element("robot", name=path.stem)
     ElementTree.SubElement(root, "gravity", xyz=_text(mj.opt.gravity))
     for note in _notes(mj):
@@ -61,6 +56,16 @@ def mjcf_as_urdf(path: Path) -> str:
         _add_joint(root, f"{name}_fixed", "fixed", (parent, name), _pose(mj.site_pos[site], mj.site_quat[site]))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def compiled(path: Path) -> mujoco.MjModel:
+    """An MJCF file without what is only seen; raises `UserError` where MuJoCo refuses it."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        _drop_looks(spec)
+        return spec.compile()
+    except (ValueError, FileNotFoundError) as error:
+        raise UserError(f"{path}: MuJoCo refuses it: {str(error).strip()}") from None
 
 
 def _drop_looks(spec: mujoco.MjSpec) -> None:

@@ -47,18 +47,14 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     Raises:
         UserError: MuJoCo refuses the robot.
     """
-    clutched = [model.label(effect) for effect in model.effects if isinstance(effect, Clutched)]
-    recorded = [model.label(effect) for effect in model.effects if isinstance(effect, OnlyRecorded)]
-    (model, theta), robot = _springs_as_they_are(*_lasting(model, np.asarray(theta, float))), model.robot
+    (model, theta, left_out), robot = as_in_a_file(model, theta), model.robot
     settings = Settings(effects="native", integrator="implicitfast")
     spec, body, generated = assembled(model, theta, controller(model), settings, ExportTwin)
     _set_limits(spec, robot)
     spec.body(PAYLOAD).mass = payload + body.payload
     spec.option.disableflags = 0
     _draw(spec, robot, model.tool.position)
-    left_out = [f"{label}: a clutch connects it in one phase of a task only" for label in clutched]
-    left_out += [f"{label}: changes what is recorded, not the motion" for label in recorded]
-    left_out += _without_form(model, generated)
+    left_out += without_form(model, generated)
     try:
         spec.compile()
     except ValueError as error:
@@ -73,6 +69,18 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     if left_out:
         text = "<!-- Not in this file:\n" + "".join(f"  {one.replace('--', '-')}\n" for one in left_out) + "-->\n" + text
     return Exported(text, tuple(left_out))
+
+
+def as_in_a_file(model: Model, theta: Sequence[float] | np.ndarray) -> tuple[Model, np.ndarray, list[str]]:
+    """The model as files have it, its parameters, and what is left out of it, one sentence each.
+
+    Listed springs are as effects have found them to be, in place of these effects; those with a clutch, and what is only recorded, are left out.
+    """
+    clutched = [model.label(effect) for effect in model.effects if isinstance(effect, Clutched)]
+    left_out = [f"{label}: a clutch connects it in one phase of a task only" for label in clutched]
+    recorded = [model.label(effect) for effect in model.effects if isinstance(effect, OnlyRecorded)]
+    left_out += [f"{label}: changes what is recorded, not the motion" for label in recorded]
+    return *_springs_as_they_are(*_lasting(model, np.asarray(theta, float))), left_out
 
 
 def _lasting(model: Model, theta: np.ndarray) -> tuple[Model, np.ndarray]:
@@ -134,7 +142,7 @@ def _set_limits(spec: mujoco.MjSpec, robot: Robot) -> None:
             spec.joint(joint).limited, spec.joint(joint).range = mujoco.mjtLimited.mjLIMITED_TRUE, [low, high]
 
 
-def _without_form(model: Model, generated: Sequence[bool]) -> list[str]:
+def without_form(model: Model, generated: Sequence[bool]) -> list[str]:
     """The effects that a file does not have, one sentence each."""
     result = []
     for effect, code in zip(model.effects, generated, strict=True):
