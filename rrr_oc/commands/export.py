@@ -10,6 +10,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.springs import SavedSprings, saved_springs
 from rrr_oc.codesign.task import Task, load_task
+from rrr_oc.codesign.trajectory import FORMATS, sampled, saved_motion
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.effects import OfEach
@@ -42,6 +43,10 @@ def export(
     into: Annotated[
         Path | None, typer.Option(help="MJCF of the same arm, into a copy of which the numbers and springs are written")
     ] = None,
+    trajectory: Annotated[
+        str | None, typer.Option(help=f"of --design: its motion for controllers, comma-separated of {', '.join(FORMATS)}")
+    ] = None,
+    rate: Annotated[float, typer.Option(help="of --trajectory \\[Hz]")] = 500.0,
     payload: Annotated[float, typer.Option(help="mass held at the tool, for arm.xml \\[kg]")] = 0.0,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -56,7 +61,8 @@ def export(
     if found is None and wanted is None:
         raise UserError("nothing to export: a model.json, or --design with --configuration and --task, is required")
     read = [path for path in (model, design, into) if path is not None]
-    written = [out / "arm.xml", out / "arm.urdf", *([] if into is None else [_filled(out, into)])]
+    texts = _trajectories(out, trajectory, rate, design, configuration, wanted)
+    written = [out / "arm.xml", out / "arm.urdf", *([] if into is None else [_filled(out, into)]), *texts]
     check_apart([*read, *(() if wanted is None else wanted.files), *recorded_files], written)
     arm, theta, left_out = as_recorded or _arm(found, wanted, springs)
     made = mjcf(arm, theta, payload)
@@ -69,6 +75,11 @@ def export(
         output.show(f"{out / 'arm.urdf'} has the inertial parameters of the model.")
     if into is not None:
         files |= _write_into(output, into, _filled(out, into), arm, theta, payload)
+    for place, text in texts.items():
+        write_text(place, text)
+        output.show(f"{place} has the motion of the design at {rate:g} Hz.")
+    if texts:
+        files["trajectory"] = list(map(str, texts))
     for one in (*made.left_out, *left_out):
         output.note(f"Not in arm.xml: {one}.")
     output.result({**files, "not_in_mjcf": [*made.left_out, *left_out]})
@@ -91,6 +102,22 @@ def _write_into(output: Output, user: Path, place: Path, arm: Model, theta: np.n
     for one in made.left_out:
         output.note(f"Not in {place.name}: {one}.")
     return {"into": str(place), "not_in_into": list(made.left_out)}
+
+
+def _trajectories(
+    out: Path, formats: str | None, rate: float, design: Path | None, configuration: str | None, task: Task | None
+) -> dict[Path, str]:
+    """Texts of the motion of a design, by the file to write; none where no format is asked for."""
+    if formats is None:
+        return {}
+    if task is None or design is None:
+        raise UserError("--trajectory needs --design, --configuration and --task, whose motion is written")
+    names = [name.strip() for name in formats.split(",")]
+    for name in names:
+        if name not in FORMATS:
+            raise UserError(f"--trajectory: unknown format {name!r}; allowed are {', '.join(FORMATS)}")
+    found = sampled(saved_motion(design.parent / f"{configuration}.npz", task), task, rate)
+    return {out / f"trajectory.{FORMATS[name][0]}": FORMATS[name][1](found) for name in names}
 
 
 def _designed(design: Path | None, configuration: str | None, name: str | None) -> tuple[Task | None, SavedSprings]:
