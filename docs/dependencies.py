@@ -36,7 +36,7 @@ SPELLED = {
     "Python Software Foundation License": "PSF-2.0",
 }
 # Where metadata say nothing or too little; of what only the build needs.
-READ_IN_FILES = {"cmeel-eigen": "MPL-2.0", "cmeel-qhull": "Qhull", "partd": "BSD-3-Clause", "setuptools": "MIT"}
+READ_IN_FILES = {"apsw": "Zlib", "cmeel-eigen": "MPL-2.0", "cmeel-qhull": "Qhull", "partd": "BSD-3-Clause", "setuptools": "MIT"}
 PERMISSIVE = "0BSD Apache-2.0 BSD BSD-2-Clause BSD-3-Clause BSL-1.0 CC0-1.0 ISC MIT MIT-CMU PSF-2.0 Qhull Zlib"
 PERMITS = dict.fromkeys(PERMISSIVE.split(), "permissive") | {
     "LGPL-3.0-or-later": "weak copyleft",

@@ -41,7 +41,7 @@ def workers(jobs: int = -1, where: str = LOCAL) -> Iterator[None]:
     try:
         from dask.distributed import Client, KilledWorker
     except ImportError:
-        raise UserError("a Dask cluster needs the package distributed: pip install 'rrr_oc[cluster]'") from None
+        raise UserError("a Dask cluster needs two more packages: pip install dask distributed") from None
     try:
         client = Client(where, timeout=SCHEDULER_TIMEOUT)
     except (OSError, ValueError) as error:

@@ -94,6 +94,20 @@ def test_types_are_packaged():
     assert "py.typed" in setuptools["package-data"]["rrr_oc"]
 
 
+def test_advice_on_missing_packages_names_those_of_an_extra():
+    """This package is on no index, so that pip cannot install its extras by name."""
+    texts = [path.read_text() for path in (*(ROOT / "rrr_oc").rglob("*.py"), *(ROOT / "docs").glob("*.md"))]
+    advice = [
+        found
+        for text in texts
+        for found in re.findall(r"pip install ('?[a-z][\w\[\], -]*?)(?= brings|[`\"',;]| installs)", text)
+    ]
+    extras = [{Requirement(line).name for line in lines} for lines in EXTRAS.values()]
+    assert len(advice) >= 5
+    assert [one for one in advice if not one.startswith(("rrr_oc", "pre-commit")) and set(one.split()) not in extras] == []
+    assert not any("pip install 'rrr_oc[" in text for text in texts)
+
+
 REACHED = dependencies.reached()
 
 

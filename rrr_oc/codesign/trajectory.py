@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -46,7 +47,8 @@ def saved_motion(path: Path, task: Task) -> SampledMotion:
     missing = [name for name in SAVED if name not in file]
     if missing:
         raise UserError(f"{path}: has no array {missing[0]!r}; the npz of a design that `rrr-oc design` wrote is required")
-    motion = SampledMotion(**{name: file[name] for name in SAVED})
+    arrays: dict[str, Any] = {name: file[name] for name in SAVED}
+    motion = SampledMotion(**arrays)
     if len(motion.q) != len(task.joints):
         raise UserError(
             f"{path}: has {len(motion.q)} moving joints and task {task.name!r} {len(task.joints)}; they must be the same"
@@ -77,8 +79,8 @@ def sampled(motion: SampledMotion, task: Task, rate: float) -> Trajectory:
         rows.append(np.vstack([position(at), speed(at), between]))
     m = len(task.moving)
     q, dq, ddq, torque, payload = np.split(np.hstack(rows), [m, 2 * m, 3 * m, 4 * m])
-    rates = (task.full_rates(x) for x in (dq, ddq, torque))
-    return Trajectory(task.robot.joints, t, task.full(q), *rates, payload[0])
+    speeds, accelerations, torques = (task.full_rates(x) for x in (dq, ddq, torque))
+    return Trajectory(task.robot.joints, t, task.full(q), speeds, accelerations, torques, payload[0])
 
 
 def as_csv(trajectory: Trajectory) -> str:

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.importers import JointStates, import_csv, import_lerobot, import_mcap, import_prototype
+from rrr_oc.recordings.importers import JointStates, import_csv, import_lerobot, import_prototype, import_ros
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.schema import decimal
@@ -33,8 +33,11 @@ def prototype(
 
 
 @app.command()
-def mcap(
-    files: Annotated[list[Path], typer.Argument(help="MCAP files with sensor_msgs/JointState, each one recording")],
+def ros(
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="bags with sensor_msgs/JointState, each one recording: .bag, .db3, .mcap or folders of ROS 2"),
+    ],
     robot: Annotated[str, typer.Option(help="path of the robot's URDF or MJCF, or a bundled model")],
     out: Annotated[Path, typer.Option(help="folder to make")],
     joints: Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")] = None,
@@ -45,10 +48,10 @@ def mcap(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """ROS 2 bags in MCAP files."""
+    """Bags of ROS 1 and ROS 2."""
     names = None if joints is None else [name.strip() for name in joints.split(",")]
     states = JointStates(names, topic, torque, inertial, _constants(torque_constant))
-    _show_set(import_mcap(files, robot, out, states), Output(quiet, as_json))
+    _show_set(import_ros(files, robot, out, states), Output(quiet, as_json))
 
 
 @app.command(name="csv")

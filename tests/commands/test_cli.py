@@ -158,7 +158,7 @@ MISTAKES = {
     "window nan": (["evaluate", "{0}/out/model.json", "{0}/set", "--window", "nan"], "--window is nan s"),
     "column": (["calibrate", "{1}/column", "--out", "{1}/o"], "tau_joint2"),
     "folder taken": (["import", "prototype", "{1}/raw", "{0}/set"], "raw"),
-    "mcap": (["import", "mcap", "{1}/truncated/recordings.json", "--robot", "rrr", "--out", "{1}/m"], "MCAP"),
+    "no bag": (["import", "ros", "{1}/truncated/recordings.json", "--robot", "rrr", "--out", "{1}/m"], "bag"),
     "out under a file": (["calibrate", "{0}/set", "--out", "{0}/set/0.csv/o"], "cannot be written"),
     "diagnosis into a file": (["diagnose", "{0}/set", "--out", "{0}/set/0.csv"], "0.csv: is a file; a folder is required"),
     "no processes": (["diagnose", "{0}/set", "--out", "{1}/o", "--jobs", "0"], "--jobs is 0"),
@@ -188,11 +188,11 @@ MISTAKES = {
     ),
     "absurd": (["calibrate", "{1}/absurd", "--out", "{1}/o"], "q_joint2 reaches"),
     "constant no number": (
-        ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a=nan"],
+        ["import", "ros", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a=nan"],
         "--torque-constant is 'a=nan'",
     ),
     "constants": (
-        ["import", "mcap", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a:3"],
+        ["import", "ros", "{0}/x.mcap", "--robot", "rrr", "--out", "{1}/m", "--torque-constant", "a:3"],
         "--torque-constant is 'a:3'",
     ),
 }
@@ -367,7 +367,7 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
     ("typed", "offered"),
     [
         (["d"], {"design", "diagnose"}),
-        (["import", ""], {"prototype", "mcap", "csv", "lerobot"}),
+        (["import", ""], {"prototype", "ros", "csv", "lerobot"}),
         (["design", "--co"], {"--configurations", "--cost"}),
         (["diagnose", "somewhere"], set()),  # which leaves names of files to the shell
     ],

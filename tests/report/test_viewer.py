@@ -107,7 +107,7 @@ def test_a_page_is_served_until_ctrl_c(tmp_path):
     [
         (["paper", "--model", "m.json"], "--model goes with a folder"),
         (["nothing.json"], "nothing.json"),
-        (["paper"], "pip install 'rrr_oc[view]'"),
+        (["paper"], "pip install viser brings it"),
     ],
 )
 def test_a_mistake_is_one_sentence(monkeypatch, capsys, arguments, said):

@@ -148,7 +148,7 @@ def _episodes(folder: Path, features: set[str]) -> dict[int, dict[str, Any]]:
         import pyarrow as pa
         from pyarrow import parquet
     except ImportError:
-        raise UserError("reading data sets of LeRobot needs one more package: pip install 'rrr_oc[lerobot]'") from None
+        raise UserError("reading data sets of LeRobot needs one more package: pip install pyarrow") from None
     files = sorted(folder.glob(DATA))
     if not files:
         raise UserError(f"{folder}: no data; files like {DATA} are required")

@@ -45,7 +45,7 @@ def animate(scene: Scene, path: Path, renderer: Renderer = "mujoco") -> tuple[Re
     with plt.rc_context(_ffmpeg()), closing(rendered(scene, at)) as solid:
         if not writer.isAvailable():
             raise UserError(
-                f"{path}: needs ffmpeg, which is not installed; pip install 'rrr_oc[video]' brings it, "
+                f"{path}: needs ffmpeg, which is not installed; pip install imageio-ffmpeg brings it, "
                 "and a name that ends in .gif does without"
             )
         pictures = None

@@ -66,7 +66,7 @@ class Viewer:
             import viser  # an extra
             from viser import uplot
         except ImportError:
-            raise UserError("the package viser is not installed; pip install 'rrr_oc[view]' brings it") from None
+            raise UserError("the package viser is not installed; pip install viser brings it") from None
         self._load, self._lock, self._playing, self._plotted_at = load, threading.RLock(), False, 0.0
         self.shown = load(names[0])
         with redirect_stdout(StringIO()):  # a banner with the address, which the command says itself

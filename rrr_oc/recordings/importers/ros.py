@@ -1,6 +1,6 @@
-"""MCAP files (ROS 2 bags) with sensor_msgs/JointState messages, turned into a recording set."""
+"""Bags of ROS 1 and ROS 2 with sensor_msgs/JointState messages, turned into a recording set."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,9 @@ from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.recordings.writer import constants, write_files
 from rrr_oc.robot.robot import load_robot
 
-SCHEMAS = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
+TYPE = "sensor_msgs/msg/JointState"  # in all distributions of ROS the same
+SPELLINGS = (TYPE, "sensor_msgs/JointState")
+KINDS = "a file .bag (ROS 1), .db3 or .mcap (ROS 2), or a folder with metadata.yaml (ROS 2)"
 
 
 @dataclass(frozen=True)
@@ -34,20 +36,21 @@ class JointStates:
     torque_constant: Mapping[str, float] = field(default_factory=dict)
 
 
-def import_mcap(
+def import_ros(
     files: Sequence[str | Path], robot: str | Path, out: str | Path, states: JointStates | None = None
 ) -> RecordingSet:
-    """Write MCAP files, each one recording, of a robot (bundled model, URDF or MJCF) as a new recording set in the folder `out`.
+    """Write bags, each one recording, of a robot (bundled model, URDF or MJCF) as a new recording set in the folder `out`.
 
-    Time is the header's stamp, from the first one on. Joints are found by name; messages with none of them are another
-    device's and skipped. Without velocities, speeds are computed when the set is read.
+    A bag is a file .bag, .db3 or .mcap, or the folder of a bag of ROS 2. Time is the header's stamp, from the first one on. Joints
+    are found by name; messages with none of them are another device's and skipped. Without velocities, speeds are computed when the
+    set is read.
 
     Raises:
-        UserError: The packages for MCAP are missing; a file is none or holds no joint states; a message lacks a joint, an
-            effort or a stamp; two messages of one time differ; `out` exists.
+        UserError: The package rosbags is missing; a file is no bag or holds no joint states; a message lacks a joint or a stamp; the
+            topic reports no effort; two messages of one time differ; `out` exists.
     """
     if not files:
-        raise UserError("no MCAP file given; at least one is required")
+        raise UserError("no bag given; at least one is required")
     states = states or JointStates()
     names = load_robot(robot, None, states.inertial == "nominal").joints if states.joints is None else states.joints
     effort = "current" if states.torque == "current" else "tau"
@@ -59,15 +62,18 @@ def import_mcap(
     }
 
     def read(file: Path) -> dict[str, np.ndarray]:
-        return _columns(file, _samples(file, states.topic, names), names, effort)
+        topic, messages = _messages(file, states.topic)
+        columns = _columns(file, _samples(file, messages, names), names, effort)
+        _check_effort(f"{file}: topic {topic!r}", [columns.get(f"{effort}_{joint}") for joint in names], names)
+        return columns
 
     return write_files(out, robot, header, files, read)
 
 
-def _samples(file: Path, topic: str | None, joints: Sequence[str]) -> list[tuple[int, tuple[float, ...]]]:
+def _samples(file: Path, messages: Iterable[Any], joints: Sequence[str]) -> list[tuple[int, tuple[float, ...]]]:
     """Stamp [ns] and position, velocity (NaN where there is none) and effort of all joints, by message."""
     samples = []
-    for number, message in enumerate(_messages(file, topic), 1):
+    for number, message in enumerate(messages, 1):
         where = f"{file}, joint state {number}"
         present = [joint for joint in joints if joint in message.name]
         if not present:
@@ -78,7 +84,7 @@ def _samples(file: Path, topic: str | None, joints: Sequence[str]) -> list[tuple
         values = []
         for kind in ("position", "velocity", "effort"):
             array = getattr(message, kind)
-            if len(array) == 0 and kind == "velocity":
+            if len(array) == 0 and kind != "position":
                 values += [np.nan] * len(joints)
                 continue
             if len(array) != len(message.name):
@@ -90,6 +96,18 @@ def _samples(file: Path, topic: str | None, joints: Sequence[str]) -> list[tuple
     if not samples:
         raise UserError(f"{file}: no joint state holds any of {', '.join(joints)}")
     return samples
+
+
+def _check_effort(where: str, efforts: Sequence[np.ndarray | None], joints: Sequence[str]) -> None:
+    """Raise `UserError` where the efforts of joints are missing throughout, or all of them are 0, as drivers without them report."""
+    missing = [joint for joint, row in zip(joints, efforts, strict=True) if row is None]
+    silent = not missing and not any(np.any(np.nan_to_num(row)) for row in efforts if row is not None)
+    if missing or silent:
+        of = "" if silent or len(missing) == len(joints) else f" of {', '.join(missing)}"
+        zeros = ", only zeros" if silent else ""
+        raise UserError(
+            f"{where} reports no effort{of}{zeros}; torques or currents are required, perhaps of another topic (--topic)"
+        )
 
 
 def _columns(
@@ -114,38 +132,40 @@ def _columns(
     return {"t": t, **given}
 
 
-def _messages(file: Path, topic: str | None) -> Iterator[Any]:
-    """Decoded joint states of one topic in the order of the log."""
+def _messages(file: Path, topic: str | None) -> tuple[str, list[Any]]:
+    """The topic, and its joint states in the order of the log."""
     try:
-        from mcap.reader import make_reader
-        from mcap_ros2.decoder import DecoderFactory
+        from rosbags import rosbag1, rosbag2
+        from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise UserError("reading MCAP files needs two more packages: pip install 'rrr_oc[mcap]'") from None
-    if not file.is_file():
-        raise UserError(f"{file}: no such file; an MCAP file is required")
+        raise UserError("reading bags of ROS needs one more package: pip install rosbags") from None
+    if not file.exists():
+        raise UserError(f"{file}: no such file; {KINDS} is required")
+    first = file.suffix == ".bag"
+    types = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    decode = types.deserialize_ros1 if first else types.deserialize_cdr
     try:
-        with file.open("rb") as stream:
-            topic = topic or _only_topic(file, make_reader(stream))
-            stream.seek(0)
-            reader, found = make_reader(stream, decoder_factories=[DecoderFactory()]), False
-            for schema, channel, _, message in reader.iter_decoded_messages([topic]):
-                if schema is None or schema.name not in SCHEMAS:
-                    name = schema.name if schema else "nothing"
-                    raise UserError(f"{file}: topic {channel.topic!r} carries {name}; {SCHEMAS[0]} is required")
-                found = True
-                yield message
-            if not found:
-                raise UserError(f"{file}: no message of topic {topic!r}")
+        with rosbag1.Reader(file) if first else rosbag2.Reader(file) as bag:
+            of_topics = {c.topic: c.msgtype for c in bag.connections}
+            name = topic or _only_topic(file, of_topics)
+            if of_topics.get(name, TYPE) not in SPELLINGS:
+                raise UserError(f"{file}: topic {name!r} carries {of_topics[name]}; {TYPE} is required")
+            chosen = [c for c in bag.connections if c.topic == name]
+            found = [decode(bytes(data), TYPE) for _, _, data in (bag.messages(chosen) if chosen else ())]
     except UserError:
         raise
     except Exception as error:  # the decoders raise whatever broken bytes lead to
-        raise UserError(f"{file}: not a readable MCAP file of ROS 2 messages: {error or type(error).__name__}") from error
+        said = str(error) or type(error).__name__
+        raise UserError(f"{file}: not a readable bag of ROS ({KINDS}): {said}") from error
+    if not found:
+        raise UserError(f"{file}: no message of topic {name!r}")
+    return name, found
 
 
-def _only_topic(file: Path, reader: Any) -> str:
-    topics = sorted({c.topic for schema, c, _ in reader.iter_messages() if schema is not None and schema.name in SCHEMAS})
+def _only_topic(file: Path, of_topics: Mapping[str, str]) -> str:
+    topics = sorted(topic for topic, kind in of_topics.items() if kind in SPELLINGS)
     if not topics:
-        raise UserError(f"{file}: no topic carries joint states ({SCHEMAS[0]})")
+        raise UserError(f"{file}: no topic carries joint states ({TYPE}); there are {', '.join(sorted(of_topics)) or 'none'}")
     if len(topics) > 1:
-        raise UserError(f"{file}: {len(topics)} topics carry joint states: {', '.join(topics)}; name one ({SCHEMAS[0]})")
+        raise UserError(f"{file}: {len(topics)} topics carry joint states: {', '.join(topics)}; name one ({TYPE})")
     return topics[0]
