@@ -8,7 +8,7 @@ from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.importers import JointStates, import_csv, import_lerobot, import_prototype, import_ros
+from rrr_oc.recordings.importers import JointStates, import_arrays, import_csv, import_lerobot, import_prototype, import_ros
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.schema import decimal
@@ -76,11 +76,28 @@ def lerobot(
         Path | None, typer.Option("--map", help="TOML file that says which column is what; default: as their names say")
     ] = None,
     unit: Annotated[str, typer.Option(help="of positions without --map: rad or deg; speeds are per second")] = "rad",
+    torque_constant: Annotated[
+        str | None, typer.Option(help="JOINT=Nm/A, comma-separated, for currents; of loads in counts: Nm a count")
+    ] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Data sets of LeRobot with torques or currents, versions 2 and 3."""
-    _show_set(import_lerobot(folder, robot, out, mapping, unit), Output(quiet, as_json))
+    """Data sets of LeRobot with torques, currents or loads, versions 2 and 3."""
+    made = import_lerobot(folder, robot, out, mapping, unit, _constants(torque_constant))
+    _show_set(made, Output(quiet, as_json))
+
+
+@app.command()
+def arrays(
+    files: Annotated[list[Path], typer.Argument(help=".npz of numpy or .mat of MATLAB, each one recording")],
+    mapping: Annotated[Path, typer.Option("--map", help="TOML file that says which array is what, and in which unit")],
+    robot: Annotated[str, typer.Option(help="path of the robot's URDF or MJCF, or a bundled model")],
+    out: Annotated[Path, typer.Option(help="folder to make")],
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Arrays of numpy and MATLAB, with names and units of one's own."""
+    _show_set(import_arrays(files, robot, out, mapping), Output(quiet, as_json))
 
 
 def _constants(text: str | None) -> dict[str, float]:

@@ -14,6 +14,7 @@ from rrr_oc.schema import decimal
 from rrr_oc.storage import read_utf8
 
 _WORD = re.compile(r"([+-]?(nan|inf|infinity))?", re.IGNORECASE)  # cells that hold no number; one without end is refused later
+DELIMITERS = ",;\t|"  # between cells, beside spaces
 LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 
 
@@ -21,8 +22,9 @@ LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 class Table:
     """A CSV file whose header has been read.
 
-    Blank lines, text after `#`, a byte-order mark, CRLF, quotes and spaces around names, and `;` or tabs in place of commas
-    are harmless. A header may stand behind `#`, where `numpy.savetxt` puts it. An empty cell is a NaN.
+    Blank lines, text after `#`, a byte-order mark, CRLF, quotes and spaces around names, and `;`, `|`, tabs or runs of spaces in place
+    of commas are harmless. Where cells are not separated by commas, and none of those that are read has a point, commas are decimal
+    commas. A header may stand behind `#`, where `numpy.savetxt` puts it. An empty cell is a NaN.
 
     Attributes:
         path: The file.
@@ -30,7 +32,7 @@ class Table:
         names: The columns.
         header_line: Number of the header's line, the first being 1.
         start: Number of bytes before the first row.
-        delimiter: What separates cells.
+        delimiter: What separates cells; None for spaces, as many as there are.
     """
 
     path: Path
@@ -38,7 +40,7 @@ class Table:
     names: tuple[str, ...]
     header_line: int
     start: int
-    delimiter: str
+    delimiter: str | None
 
     def columns(self, names: Sequence[str]) -> np.ndarray:
         """Values of the columns named, shape (number of names, K); others may hold anything.
@@ -46,6 +48,8 @@ class Table:
         Raises `UserError` for a row with more or fewer cells than the header and a cell that is no number.
         """
         indices, rows = [self.names.index(name) for name in names], list(self._rows())
+        if self._decimal_commas([content for _, content in rows], indices):
+            rows = [(number, content.replace(",", ".")) for number, content in rows]
         values = self._parsed([content for _, content in rows], indices)
         if values is not None:
             return values
@@ -55,9 +59,17 @@ class Table:
         """Number of the line that holds a row of `columns`."""
         return next(itertools.islice(self._rows(), row, None))[0]
 
+    def _decimal_commas(self, rows: Sequence[str], indices: Sequence[int]) -> bool:
+        """Whether commas in the cells of some columns are decimal commas."""
+        if self.delimiter == "," or not any("," in row for row in rows):
+            return False
+        cells = (row.split(self.delimiter) for row in rows)
+        return not any("." in row[i] for row in cells for i in indices if i < len(row))
+
     def _parsed(self, rows: Sequence[str], indices: Sequence[int]) -> np.ndarray | None:
         """Values as numpy reads them; None where it refuses a cell, as an empty one, or would accept a wrong row."""
-        if not rows or any(row.count(self.delimiter) != len(self.names) - 1 for row in rows):
+        between, d = len(self.names) - 1, self.delimiter
+        if not rows or any((len(row.split()) - 1 if d is None else row.count(d)) != between for row in rows):
             return None
         try:
             return np.loadtxt(rows, delimiter=self.delimiter, usecols=indices, comments=None, ndmin=2).T.copy()
@@ -104,14 +116,16 @@ def read_table(path: Path) -> Table:
             header = comment if _all_numbers(content) else (number, line.end(), content)
             if header is None:
                 raise UserError(f"{path}, line {number}: found numbers; a header line that names the columns must come first")
-            return Table(path, data, *_with_names(path, *header))
+            rows = (line[1].decode().split("#", 1)[0] for line in LINE.finditer(data, header[1]))
+            first = next((row for row in rows if row.strip()), "")
+            return Table(path, data, *_with_names(path, *header, first))
     raise UserError(f"{path}: the file is empty; a header line and rows of numbers are required")
 
 
-def _with_names(path: Path, number: int, start: int, content: str) -> tuple[tuple[str, ...], int, int, str]:
-    """Names of the columns, the header's line, its end and the delimiter."""
+def _with_names(path: Path, number: int, start: int, content: str, row: str) -> tuple[tuple[str, ...], int, int, str | None]:
+    """Names of the columns, the header's line, its end and the delimiter, for which the first row may help."""
     content = content.split("#", 1)[0]
-    delimiter = next((d for d in ",;\t" if d in content), ",")
+    delimiter = _delimiter(content, row)
     names = tuple(name.strip().strip("\"'").strip() for name in content.split(delimiter))
     if names[0] == "" != names[-1] and len(names) > 1:
         names = ("index", *names[1:])  # of rows, which data frames write without a name
@@ -125,8 +139,17 @@ def _with_names(path: Path, number: int, start: int, content: str) -> tuple[tupl
     return names, number, start, delimiter
 
 
+def _delimiter(header: str, row: str) -> str | None:
+    """What separates cells: of what stands in the header, the first that gives as many cells in the first row, or the first."""
+    there = [d for d in DELIMITERS if d in header]
+    if there:
+        return next((d for d in there if header.count(d) == row.count(d)), there[0])
+    return None if len(header.split()) > 1 else ","
+
+
 def _all_numbers(content: str) -> bool:
+    """Whether a line has finite numbers alone, whatever separates them."""
     try:
-        return all(math.isfinite(float(cell)) for cell in content.replace(";", ",").replace("\t", ",").split(","))
+        return all(math.isfinite(float(cell)) for cell in re.split(r"[\s,;|]+", content.strip(" ,;|\t")))
     except ValueError:
         return False

@@ -367,7 +367,7 @@ def test_an_early_interrupt_is_one_line(after, tmp_path):
     ("typed", "offered"),
     [
         (["d"], {"design", "diagnose"}),
-        (["import", ""], {"prototype", "ros", "csv", "lerobot"}),
+        (["import", ""], {"prototype", "ros", "csv", "arrays", "lerobot"}),
         (["design", "--co"], {"--configurations", "--cost"}),
         (["diagnose", "somewhere"], set()),  # which leaves names of files to the shell
     ],

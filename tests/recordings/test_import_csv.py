@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import real
 
 from rrr_oc import cli
 from rrr_oc.errors import UserError
@@ -159,3 +160,84 @@ def test_the_command_makes_a_set_or_says_what_is_wrong(monkeypatch, tmp_path, ca
     assert "exists already; give a new or an empty folder" in capsys.readouterr().err
     assert run(file, "--robot", "rrr", "--out", tmp_path / "other") == 2
     assert "--map" in capsys.readouterr().err
+
+
+SEPARATED = {
+    "spaces": ("  ", "."),
+    "one space": (" ", "."),
+    "tabs": ("\t", "."),
+    "bars": ("|", "."),
+    "semicolons": (";", "."),
+    "decimal commas": (";", ","),
+    "decimal commas and tabs": ("\t", ","),
+    "decimal commas and spaces": (" ", ","),
+}
+
+
+@pytest.mark.parametrize("name", SEPARATED)
+def test_any_separator_and_decimal_commas_are_read(name, tmp_path):
+    """The same file, also with a column of texts that have points, which nobody reads, and whole numbers in the first row."""
+    separator, point = SEPARATED[name]
+    file, mapping = write(tmp_path)
+    header, first, *rows = [line.split(";") for line in file.read_text().splitlines()]
+    first[3] = "12"
+    plain = [[*header, "note"], *([*row, "v1.0"] for row in (first, *rows))]
+    (tmp_path / "plain.csv").write_text("\n".join(",".join(row) for row in plain))
+    lines = [plain[0], *([cell.replace(".", point) for cell in row[:-1]] + row[-1:] for row in plain[1:])]
+    (tmp_path / "other.csv").write_text("\n".join(separator.join(line) for line in lines))
+    one, other = import_csv([tmp_path / "plain.csv", tmp_path / "other.csv"], "rrr", tmp_path / "set", mapping).recordings
+    for signal in ("t", "q", "dq", "tau", "payload"):
+        np.testing.assert_array_equal(getattr(one, signal), getattr(other, signal))
+
+
+def test_points_beside_decimal_commas_are_refused(tmp_path):
+    """1.234,5 may be a thousand, and 0.5 beside 0,5 two programs."""
+    file, mapping = write(tmp_path)
+    text = file.read_text().splitlines()
+    cells = text[7].split(";")
+    cells[2] = cells[2].replace(".", ",")
+    file.write_text("\n".join([*text[:7], ";".join(cells), *text[8:]]))
+    with pytest.raises(UserError, match=r"line 8, column 'p1': found '.*,.*'; a number with a decimal point, or nan"):
+        import_csv([file], "rrr", tmp_path / "set", mapping)
+
+
+@pytest.mark.parametrize("name", ["space.csv", "comma.csv"])
+def test_logs_that_were_refused_are_read(name, tmp_path):
+    cases = real("").parent / "cases"
+    if not (cases / name).is_file():
+        pytest.skip(f"{cases / name} is not there")
+    (recording,) = import_csv([cases / name], cases / "arm2.urdf", tmp_path / "set", cases / "map.toml").recordings
+    assert recording.q[:, 0] == pytest.approx([-0.7827898, -0.4108157])
+    assert recording.tau[:, 1] == pytest.approx([0.514212, -0.2782032])
+
+
+def test_a_rate_takes_the_place_of_a_column_of_times(tmp_path):
+    file, mapping = write(tmp_path, "rate_Hz = 100\n" + MAPPING.replace('t = { column = "stamp", unit = "ms" }\n', ""))
+    (recording,) = import_csv([file], "rrr", tmp_path / "set", mapping).recordings
+    np.testing.assert_allclose(recording.t, T, rtol=1e-15)
+    np.testing.assert_allclose(recording.q, Q, rtol=1e-12)
+
+
+RATES = {
+    "rate_Hz = 0": "rate_Hz: found 0; a finite number above 0 is required",
+    "rate_Hz = inf": "rate_Hz: found inf; a finite number is required",
+    "rate_Hz = 100": "found both rate_Hz and a column for t; one of them",
+}
+
+
+@pytest.mark.parametrize("line", RATES)
+def test_a_rate_that_cannot_be_is_refused(line, tmp_path):
+    text = MAPPING if line.endswith("100") else MAPPING.replace('t = { column = "stamp", unit = "ms" }\n', "")
+    file, mapping = write(tmp_path, f"{line}\n{text}")
+    with pytest.raises(UserError, match=RATES[line]):
+        import_csv([file], "rrr", tmp_path / "set", mapping)
+
+
+def test_counts_of_a_drive_and_their_constant_make_torques(tmp_path):
+    text = MAPPING.replace('tau_joint1 = { column = "m1", unit = "Ncm" }', 'current_joint1 = { column = "m1", unit = "raw" }')
+    text = text.replace('tau_joint2 = "m2"', 'current_joint2 = { column = "m2", unit = "raw" }')
+    text = text.replace('tau_joint3 = { column = "m3", unit = "mNm" }', 'current_joint3 = { column = "m3", unit = "mA" }')
+    constants = "[torque_constant]\njoint1 = 0.01\njoint2 = 1.0\njoint3 = 1.0\n"
+    file, mapping = write(tmp_path, f'torque = "current"\n{text}\n{constants}')
+    made = import_csv([file], "rrr", tmp_path / "set", mapping)
+    np.testing.assert_allclose(made.output_torque(made.recordings[0]), TAU, rtol=1e-12)

@@ -10,6 +10,7 @@ import pytest
 from rrr_oc import cli
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.importers import import_lerobot
+from rrr_oc.recordings.reader import load_recordings
 
 pa = pytest.importorskip("pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -173,3 +174,25 @@ def test_joints_that_names_do_not_tell_are_named(tmp_path):
     info.write_text(info.read_text().replace("joint2.pos", "elbow.pos"))
     with pytest.raises(UserError, match="is by its name the position of joint 'joint2'; --map says which it is"):
         import_lerobot(folder, "rrr", tmp_path / "set")
+
+
+@pytest.mark.parametrize("effort", [".current", "_load"])
+def test_currents_and_loads_with_a_constant_per_joint(effort, tmp_path, monkeypatch, capsys):
+    """The torques of the other tests, taken for amperes or counts."""
+    folder = write(tmp_path / "data", "v3.0")
+    info = folder / "meta" / "info.json"
+    info.write_text(info.read_text().replace(".torque", effort))
+    call = ["rrr-oc", "import", "lerobot", str(folder), "--robot", "rrr", "--unit", "deg", "--out", str(tmp_path / "set")]
+    for constants, status in ((None, 2), ("joint1=2,joint2=0.5", 2), ("joint1=2,joint2=0.5,joint3=-0.1", 0)):
+        monkeypatch.setattr(sys, "argv", [*call, *([] if constants is None else ["--torque-constant", constants])])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        assert (ended.value.code or 0) == status
+        printed = capsys.readouterr().err
+        if status:
+            missing = "joint1, joint2, joint3" if constants is None else "joint3"
+            assert f"--torque-constant JOINT=NUMBER is required for {missing}: Nm at the joint's output" in printed
+    made = load_recordings(tmp_path / "set")
+    for number, r in enumerate(made.recordings):
+        expected = np.array([[2.0], [0.5], [-0.1]]) * _episode(number)[".torque"]
+        np.testing.assert_allclose(made.output_torque(r), expected, atol=1e-6)

@@ -64,6 +64,7 @@ NOT_RUN = {
         "tests/whole/test_documented_commands.py",
     ),
     "rrr-oc view": ("it serves until it is stopped", "tests/report/test_viewer.py"),
+    "rrr-oc import arrays": ("needs arrays of one's own", "tests/recordings/test_import_arrays.py"),
     "rrr-oc import lerobot": ("needs a data set of LeRobot", "tests/recordings/test_import_lerobot.py"),
     "python -m pytest tests/benchmarks": ("benchmarks, for idle machines", "tests/benchmarks"),
     "validation/search_seeds.py": ("an hour", "tests/codesign/test_multistart.py"),

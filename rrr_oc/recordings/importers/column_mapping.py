@@ -26,7 +26,7 @@ UNITS: dict[str, dict[str, float]] = {
         "rad/s²": 1.0, "rad/s^2": 1.0, "deg/s²": TURN / 360, "deg/s^2": TURN / 360, "rev/s²": TURN, "rev/s^2": TURN, "rpm/s": TURN / 60
     },
     "torque": {"Nm": 1.0, "kNm": 1e3, "Ncm": 1e-2, "Nmm": 1e-3, "mNm": 1e-3},
-    "current": {"A": 1.0, "mA": 1e-3},
+    "current": {"A": 1.0, "mA": 1e-3, "raw": 1.0},  # raw: counts of a drive, such as of its load; their constant is Nm a count
     "mass": {"kg": 1.0, "g": 1e-3},
 }  # fmt: skip
 QUANTITIES = {  # by what a column's name begins with
@@ -70,7 +70,8 @@ class ColumnMapping(Schema, frozen=True):
         joints: Joints recorded, in the order of the chain; by default all of the robot's.
         torque: What the effort columns hold: motor or load torque, or current.
         inertial: Whether the URDF's masses and inertias are used ("nominal") or estimated ("identify").
-        torque_constant: By joint, for currents [Nm/A].
+        torque_constant: By joint, for currents, or for the counts of a drive, then Nm a count [Nm/A].
+        rate_Hz: Samples a second, in place of a column of times [Hz].
     """
 
     columns: dict[str, str | Column]
@@ -78,11 +79,16 @@ class ColumnMapping(Schema, frozen=True):
     torque: Literal["motor", "load", "current"] = "motor"
     inertial: Literal["nominal", "identify"] = "nominal"
     torque_constant: dict[str, float] = field(default_factory=dict)
+    rate_Hz: float | None = None
 
     def __post_init__(self) -> None:
         for joint, constant in self.torque_constant.items():
             if not math.isfinite(constant):
                 raise ValueError(f"torque_constant: found {constant:g} for {joint!r}; a finite number of Nm/A is required")
+        if self.rate_Hz is not None and self.rate_Hz <= 0:
+            raise ValueError(f"rate_Hz: found {self.rate_Hz:g}; a finite number above 0 is required")
+        if self.rate_Hz is not None and "t" in self.columns:
+            raise ValueError("found both rate_Hz and a column for t; one of them is allowed")
 
 
 @dataclass(frozen=True)
@@ -93,11 +99,13 @@ class Understood:
         where: The mapping's file, or what else it comes from, for messages.
         sources: Source and size of its unit in SI's, by column of the set.
         header: Content of `recordings.json` that follows.
+        rate: Samples a second [Hz]; None where a column has the times.
     """
 
     where: str
     sources: Mapping[str, tuple[Column, float]]
     header: Mapping[str, Any]
+    rate: float | None = None
 
     def columns(
         self, file: str, names: Sequence[str], values: Callable[[Sequence[str]], Sequence[np.ndarray]]
@@ -122,6 +130,8 @@ class Understood:
             name: source.factor * size * (row - source.zero)
             for (name, (source, size)), row in zip(self.sources.items(), cells, strict=True)
         }
+        if self.rate is not None:
+            return {"t": np.arange(len(cells[0])) / self.rate, **columns}
         source, size = self.sources["t"]
         columns["t"] = source.factor * size * _from_the_first(cells[list(self.sources).index("t")])
         return columns
@@ -142,18 +152,19 @@ def understood(where: str | Path, mapping: ColumnMapping, robot: str | Path) -> 
         "inertial": mapping.inertial,
         "actuators": constants(mapping.torque_constant),
     }
-    return Understood(str(where), sources, header)
+    return Understood(str(where), sources, header, mapping.rate_Hz)
 
 
 def _sources(path: str | Path, mapping: ColumnMapping, joints: Sequence[str]) -> dict[str, tuple[Column, float]]:
     """Source and size of its unit in SI's, by column of the set; raises `UserError` for a mapping that makes no set."""
     effort = "current" if mapping.torque == "current" else "tau"
-    required = ["t", *(f"{kind}_{joint}" for kind in ("q", effort) for joint in joints)]
+    required = [*(["t"] if mapping.rate_Hz is None else []), *(f"{kind}_{joint}" for kind in ("q", effort) for joint in joints)]
     optional = [*(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in joints), *spellings(Payload)]
     check_names(mapping.columns, [*required, *optional], f"{path}: columns", "column of a set")
     missing = [name for name in required if name not in mapping.columns]
     if missing:
-        raise UserError(f"{path}: columns: {missing[0]!r} is missing; required are {', '.join(required)}")
+        instead = " (or rate_Hz in its place)" if missing[0] == "t" else ""
+        raise UserError(f"{path}: columns: {missing[0]!r} is missing{instead}; required are {', '.join(required)}")
     found = {}
     for name, given in mapping.columns.items():
         source = Column(given) if isinstance(given, str) else given

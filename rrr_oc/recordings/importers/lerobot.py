@@ -19,9 +19,9 @@ from rrr_oc.schema import check_names, read_json, read_toml, validated
 INFO, DATA = "meta/info.json", "data/chunk-*/*.parquet"  # both versions: one file an episode, or several episodes a file
 VERSIONS = re.compile(r"v?[23]\.")
 TIME, EPISODE, FRAME, STATE = "timestamp", "episode_index", "frame_index", "observation.state"
-EFFORT = re.compile(r"torque|effort|current", re.IGNORECASE)  # in the name of a column of torques or currents
+EFFORT = re.compile(r"torque|effort|current|load", re.IGNORECASE)  # in the name of a column of torques, currents or loads
 # What a column's name ends with, or its feature's where it is that of a joint alone, by the set's column
-WORDS = {"q": ("pos", "position"), "dq": ("vel", "velocity"), "tau": ("torque", "effort"), "current": ("current",)}
+WORDS = {"q": ("pos", "position"), "dq": ("vel", "velocity"), "tau": ("torque", "effort"), "current": ("current", "load")}
 
 
 class Feature(msgspec.Struct, frozen=True):
@@ -40,7 +40,12 @@ class Info(msgspec.Struct, frozen=True):
 
 
 def import_lerobot(
-    folder: str | Path, robot: str | Path, out: str | Path, mapping: str | Path | None = None, unit: str = "rad"
+    folder: str | Path,
+    robot: str | Path,
+    out: str | Path,
+    mapping: str | Path | None = None,
+    unit: str = "rad",
+    torque_constant: Mapping[str, float] | None = None,
 ) -> RecordingSet:
     """Write the episodes of a data set, each one recording, of a robot (bundled model, URDF or MJCF) as a new set in the folder `out`.
 
@@ -51,6 +56,7 @@ def import_lerobot(
         mapping: TOML file as `ColumnMapping` describes it; without `t`, time is `timestamp`. Default: columns whose names are those
             of joints, alone or with a word such as `.pos`, `.vel`, `.torque` or `.current`.
         unit: Of positions, and per second of speeds, where there is no mapping: a unit of positions of `UNITS`.
+        torque_constant: By joint, Nm per unit of its column of currents or loads; beside those of the mapping.
 
     Raises:
         UserError: The packages for Parquet are missing; the folder holds no such data set, or one without torques and currents; the
@@ -70,7 +76,9 @@ def import_lerobot(
     if given is None:
         where, chosen = f"{folder / INFO}", _by_names(folder, columns, load_robot(robot).joints, unit)
     else:
-        where, chosen = str(mapping), msgspec.structs.replace(given, columns={"t": TIME, **given.columns})
+        time = {} if given.rate_Hz is not None else {"t": TIME}
+        where, chosen = str(mapping), msgspec.structs.replace(given, columns={**time, **given.columns})
+    chosen = _with_constants(folder, chosen, torque_constant or {})
     known = understood(where, chosen, robot)
     wanted = {source.column for source, _ in known.sources.values()} & columns.keys()
     tables = {}
@@ -128,6 +136,19 @@ def _by_names(folder: Path, columns: Mapping[str, tuple[str, int]], joints: Sequ
     for kind in kinds:
         named |= {f"{kind}_{j}": Column(str(name), units.get(kind)) for j, name in zip(joints, found[kind], strict=True)}
     return ColumnMapping(named, joints=tuple(joints), torque="motor" if effort == "tau" else "current")
+
+
+def _with_constants(folder: Path, mapping: ColumnMapping, torque_constant: Mapping[str, float]) -> ColumnMapping:
+    """The mapping with more constants of joints; raises `UserError` where currents or loads lack one."""
+    every = {**mapping.torque_constant, **torque_constant}
+    joints = [name.removeprefix("current_") for name in mapping.columns if name.startswith("current_")]
+    missing = [joint for joint in joints if joint not in every]
+    if missing:
+        raise UserError(
+            f"{folder}: has currents or loads and no torques; --torque-constant JOINT=NUMBER is required for "
+            f"{', '.join(missing)}: Nm at the joint's output per unit of its column"
+        )
+    return msgspec.structs.replace(mapping, torque_constant=every)
 
 
 def _column(columns: Mapping[str, tuple[str, int]], joint: str, kind: str) -> str | None:

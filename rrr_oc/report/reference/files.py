@@ -124,8 +124,8 @@ def _described() -> dict[str, Page]:
         ),
         "csv_mapping": Page(
             "mapping.toml",
-            "Which columns of your own CSV files are what, and in which units; you write it, for `rrr-oc import csv`, and for "
-            "`rrr-oc import lerobot`. TOML.",
+            "Which columns of your own CSV files are what, and in which units; you write it, for `rrr-oc import csv`, "
+            "`rrr-oc import arrays` and `rrr-oc import lerobot`. TOML.",
             {"mapping.toml": ColumnMapping},
             "csv_mapping.toml",
             _unit_notes(),
