@@ -241,3 +241,17 @@ def test_counts_of_a_drive_and_their_constant_make_torques(tmp_path):
     file, mapping = write(tmp_path, f'torque = "current"\n{text}\n{constants}')
     made = import_csv([file], "rrr", tmp_path / "set", mapping)
     np.testing.assert_allclose(made.output_torque(made.recordings[0]), TAU, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("column", "name"), [("m2", "tau_joint2"), ("v3", "dq_joint3")])
+def test_a_column_without_numbers_is_named_as_the_file_has_it(column, name, tmp_path):
+    """As loggers write a signal that their robot does not report."""
+    file, mapping = write(tmp_path)
+    header, *rows = [line.split(";") for line in file.read_text().splitlines()]
+    for row in rows:
+        row[header.index(column)] = "nan"
+    file.write_text("\n".join(";".join(row) for row in (header, *rows)))
+    with pytest.raises(
+        UserError, match=rf"log\.csv, line 1: column '{column}', which .*mapping\.toml takes for '{name}', holds no number"
+    ):
+        import_csv([file], "rrr", tmp_path / "set", mapping)

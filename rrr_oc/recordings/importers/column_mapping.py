@@ -117,7 +117,7 @@ class Understood:
             names: Its columns.
             values: Gives the cells of some of them, each (K,).
 
-        Raises `UserError` where the file lacks a column that the mapping names.
+        Raises `UserError` where the file lacks a column that the mapping names, or numbers in it.
         """
         for name, (source, _) in self.sources.items():
             if source.column not in names:
@@ -126,6 +126,9 @@ class Understood:
                     f"{file}: no column {source.column!r}, which {self.where} takes for {name!r}; there are {there}"
                 )
         cells = values([source.column for source, _ in self.sources.values()])
+        for (name, (source, _)), row in zip(self.sources.items(), cells, strict=True):
+            if len(row) and np.isnan(row).all():
+                raise UserError(f"{file}: column {source.column!r}, which {self.where} takes for {name!r}, holds no number")
         columns = {
             name: source.factor * size * (row - source.zero)
             for (name, (source, size)), row in zip(self.sources.items(), cells, strict=True)
