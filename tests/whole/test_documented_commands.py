@@ -17,6 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from bags import states, write_mcap
 from doc_pages import CURRENT, ROOT, blocks, code
 from prototype import JOINTS, write_prototype
 from recorded import URDF, Plant, as_set, record
@@ -216,8 +217,6 @@ def test_the_commands_of_all_other_pages(monkeypatch, folder, started):
 
 def test_the_command_for_bags(monkeypatch, tmp_path):
     """Two bags that a ROS 2 writer made."""
-    from test_importers import states, write_mcap
-
     monkeypatch.chdir(tmp_path)
     shutil.copy(URDF / "rrr.urdf", "arm.urdf")
     for name in ("a", "b"):
