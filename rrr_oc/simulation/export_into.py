@@ -65,7 +65,10 @@ def into(path: Path, place: Path, model: Model, theta: np.ndarray, payload: floa
     _add_elements(root, spec)
     _move_paths(root, path.absolute().parent, place.absolute().parent)
     left_out += [*without_form(model, generated), *_own_springs(mj, robot)]
-    return Exported(head + ElementTree.tostring(root, encoding="unicode") + "\n", tuple(left_out))
+    written = ElementTree.tostring(root, encoding="unicode")
+    if " />" not in text:  # how the file closes its elements
+        written = written.replace(" />", "/>")
+    return Exported(f"{head}{written}\n", tuple(left_out))
 
 
 def check_into(place: Path, model: Model, theta: np.ndarray, payload: float = 0.0) -> None:
@@ -223,6 +226,7 @@ def _add_elements(root: Element, spec: mujoco.MjSpec) -> None:
         lengths = tendon.springlength if tendon.springlength[0] != tendon.springlength[1] else tendon.springlength[:1]
         fixed = ElementTree.SubElement(_part(root, "tendon"), "fixed", name=tendon.name, stiffness=_text(tendon.stiffness[0]))
         fixed.attrib.update(springlength=_text(lengths), damping="0", frictionloss="0", limited="false")
+        fixed.tail = "\n"
         i = mj.tendon(tendon.name).id
         for wrap in mj.tendon_adr[i] + np.arange(mj.tendon_num[i]):
             joint, coefficient = mj.joint(mj.wrap_objid[wrap]).name, _text(mj.wrap_prm[wrap])
@@ -232,14 +236,17 @@ def _add_elements(root: Element, spec: mujoco.MjSpec) -> None:
         donor = donors[motor.name]  # numbers as MuJoCo writes them have six digits
         donor.attrib.update(dynprm=_text(motor.dynprm), gainprm=_text(motor.gainprm), biasprm=_text(motor.biasprm))
         donor.attrib.update(gear="1 0 0 0 0 0", ctrllimited="false", forcelimited="false")
-        donor.tail = None
+        donor.tail = "\n"
         _part(root, "actuator").append(donor)
 
 
 def _part(root: Element, name: str) -> Element:
     """A part of the file, added at its end where there is none."""
     found = root.find(name)
-    return ElementTree.SubElement(root, name) if found is None else found
+    if found is None:
+        found = ElementTree.SubElement(root, name)
+        found.text = found.tail = "\n"
+    return found
 
 
 def _move_paths(root: Element, old: Path, new: Path) -> None:

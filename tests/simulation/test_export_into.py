@@ -8,6 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from recorded import real
 
 from rrr_oc import cli
 from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
@@ -121,6 +122,10 @@ def test_everything_else_is_kept(user, tmp_path):
     ):
         assert kept in text
     assert 'meshdir="user/meshes"' in text
+    same = set(ARM.splitlines()) & set(text.splitlines())
+    assert (
+        len(same) >= len(set(ARM.splitlines())) - 4
+    )  # the settings with the folder, two joints, and where springs would be added
     before, after = map(without_looks, (ARM, text))
     for name in (
         "body_mass",
@@ -171,6 +176,23 @@ def test_joints_of_included_files_are_refused(tmp_path):
     robot = load_robot(tmp_path / "outer.xml")
     with pytest.raises(UserError, match="joint 'shoulder' does not stand in this file itself"):
         into(tmp_path / "outer.xml", tmp_path / "new.xml", Model(robot, robot.tool, ()), np.zeros(0))
+
+
+def test_a_leg_of_a_real_quadruped(tmp_path):
+    """A floating base, classes of defaults, meshes that are not there and key frames."""
+    file = real("go2_legs") / "go2.xml"
+    robot = heavier_legs(load_robot(file, [f"FL_{name}_joint" for name in ("hip", "thigh", "calf")]))
+    model = Model(robot, robot.tool, (DryFriction((0,)), CableHarness((2,)), TorqueRipple((1,))))
+    theta = np.array([0.3, 7.0, -1.5, 0.2, 5.0, 0.1])
+    made = into(file, tmp_path / "new.xml", model, theta, 0.5)
+    (tmp_path / "new.xml").write_text(made.text)
+    check_into(tmp_path / "new.xml", model, theta, 0.5)
+    assert made.left_out == ()
+    assert "FR_calf_joint" in made.text
+
+
+def heavier_legs(robot: Robot) -> Robot:
+    return replace(robot, inertial=1.1 * robot.inertial)
 
 
 def test_what_would_change_the_joints_is_named(user, tmp_path):
