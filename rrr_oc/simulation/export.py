@@ -74,7 +74,8 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
 def as_in_a_file(model: Model, theta: Sequence[float] | np.ndarray) -> tuple[Model, np.ndarray, list[str]]:
     """The model as files have it, its parameters, and what is left out of it, one sentence each.
 
-    Listed springs are as effects have found them to be, in place of these effects; those with a clutch, and what is only recorded, are left out.
+    Listed springs are as effects have found them to be, in place of these effects; those with a clutch, and
+    what is only recorded, are left out.
     """
     clutched = [model.label(effect) for effect in model.effects if isinstance(effect, Clutched)]
     left_out = [f"{label}: a clutch connects it in one phase of a task only" for label in clutched]

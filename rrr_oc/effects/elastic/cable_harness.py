@@ -64,7 +64,9 @@ class CableHarness(NativeTwin):
 
     def native(self, spec, joints, theta):
         """A fixed tendon over one joint, slack nowhere, its third coefficient the hardening."""
-        two_sided_tendon(spec, self.name, joints[self.joints[0]], theta["stiffness"], theta["rest"], theta.get("hardening", 0.0))
+        two_sided_tendon(
+            spec, self.name, joints[self.joints[0]], theta["stiffness"], theta["rest"], theta.get("hardening", 0.0)
+        )
 
     @property
     def linear(self):
