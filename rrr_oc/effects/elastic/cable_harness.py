@@ -73,8 +73,8 @@ class CableHarness(NativeTwin):
         return False  # in the rest
 
     def equivalents(self, theta):
-        """A spring that always pulls; what some recordings have and others have not is more probably a spring."""
-        for active in SIDES if not self.hardens else ():
+        """A spring that always pulls, unless it hardens; what some recordings have and others have not is more probably a spring."""
+        for active in SIDES:
             yield ParallelSpring(self.joints, active), {"stiffness": theta["stiffness"], "equilibrium": theta["rest"]}
 
     @classmethod
