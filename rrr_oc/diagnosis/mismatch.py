@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.samples import noise
+from rrr_oc.calibration.samples import noise, residuals
 from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitted
@@ -68,6 +68,18 @@ def mismatch(
             }
         )
     return tuple(result)
+
+
+def idle(bench: Data, model: CalibratedModel) -> tuple[tuple[int, float, float], ...]:
+    """Joints that never move enough to tell anything, with the mean torque that the model leaves there and its spread [Nm].
+
+    Dry friction may hold any part of it, so that no recording of a joint at rest says what it is.
+    """
+    still = np.flatnonzero(~bench.counted.any(axis=1))
+    if not len(still):
+        return ()
+    left = np.concatenate([residuals(p, model)[still] for p in bench.prepared], axis=1)
+    return tuple((int(j), float(np.mean(x)), float(np.std(x))) for j, x in zip(still, left, strict=True))
 
 
 def above_noise(bench: Data, fitted: Fitted) -> np.ndarray:

@@ -33,7 +33,7 @@ from rrr_oc.diagnosis.findings import Finding, Possible, found
 from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
 from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, pieces_of, repeated, with_claims
 from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
-from rrr_oc.diagnosis.mismatch import FAR, above_noise, mismatch
+from rrr_oc.diagnosis.mismatch import FAR, above_noise, idle, mismatch
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.structures.neighbours import Kind, kind
 from rrr_oc.diagnosis.structures.search import Search, State
@@ -71,6 +71,7 @@ class Diagnosis:
         suggestions: Recordings that would separate effects which these do not separate.
         folds: The held-out fits behind `held_out`.
         above_noise: Residual of the final model over noise, (n,).
+        idle: Joints that never move enough to tell anything, with the mean torque that the model leaves there and its spread [Nm].
         priors: File from which priors were read; None for what the effects declare.
         failed: Optional steps that failed, and why.
     """
@@ -90,6 +91,7 @@ class Diagnosis:
     suggestions: tuple[Suggestion, ...] = ()
     folds: tuple[Fold, ...] = ()
     above_noise: tuple[float, ...] = ()
+    idle: tuple[tuple[int, float, float], ...] = ()
     priors: str | None = None
     failed: Mapping[str, str] = field(default_factory=dict)
 
@@ -97,7 +99,8 @@ class Diagnosis:
     def verdict(self) -> str:
         """One of "missing_physics", "nothing_missing" and "cannot_tell"."""
         if not self.findings:
-            return "cannot_tell" if max(self.above_noise, default=0.0) > FAR else "nothing_missing"
+            held = any(abs(mean) > FAR * max(float(self.model.noise[j]), spread) for j, mean, spread in self.idle)
+            return "cannot_tell" if held or max(self.above_noise, default=0.0) > FAR else "nothing_missing"
         undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
         named = any(not f.term.effect.black_box for f in self.findings)
         return "cannot_tell" if named and undecided else "missing_physics"
@@ -291,6 +294,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         [] if failed else [SuggestionData.of(s) for s in suggestions],
         [FoldData.of(f) for f in folds],
         left.tolist(),
+        list(idle(fitter.data, final.model)),
         fitter.priors.file,
         failed,
     )
@@ -318,6 +322,7 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
         tuple(s.suggestion() for s in data.suggestions),
         tuple(f.fold(stages.start) for f in data.folds),
         tuple(np.array(data.above_noise, float).tolist()),
+        tuple(data.idle),
         data.priors,
         data.failed,
     )

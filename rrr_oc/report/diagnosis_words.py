@@ -200,6 +200,15 @@ def not_claimed(found: Mapping[str, Any]) -> list[str]:
     return result
 
 
+def idle(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on each joint that never moved enough to tell anything."""
+    return [
+        f"{joint_words(e['joint']).capitalize()} never moved: nothing can be told of it. A torque of {e['torque']:.3g} Nm is left "
+        "there, which an offset of the sensor, a load or dry friction may hold; record motions of this joint."
+        for e in found.get("idle", [])
+    ]
+
+
 def not_made(found: Mapping[str, Any]) -> list[str]:
     """A sentence on each optional step that failed."""
     return [f"Not made: {step}, since it failed ({why}); all else stands." for step, why in found.get("failed", {}).items()]

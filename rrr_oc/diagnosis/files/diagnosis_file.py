@@ -179,6 +179,20 @@ class Refuted(Named):
     probability: float
 
 
+class Idle(Struct, forbid_unknown_fields=True):
+    """A joint that never moved enough to tell anything.
+
+    Attributes:
+        joint: The joint.
+        torque: Mean torque that no model has there; dry friction may hold it [Nm].
+        std: Its standard deviation over the recordings [Nm].
+    """
+
+    joint: str
+    torque: float
+    std: float
+
+
 class Valid(Struct, forbid_unknown_fields=True):
     """Where an empirical torque holds.
 
@@ -335,6 +349,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         possible: What is less probable than a claim needs.
         not_confirmed: What most searches without a part of the recordings do not find, or what raises the error.
         unexplained: Torques that no effect of the catalogue explains.
+        idle: Joints that never moved enough to tell anything, with the torque that is left there.
         priors_file: File that was given by `--priors`.
         priors: What was believed of the claimed effects before.
         suggested_recordings: Motions to record.
@@ -356,6 +371,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     possible: tuple[Possible, ...]
     not_confirmed: tuple[Refuted, ...]
     unexplained: tuple[Unexplained, ...]
+    idle: tuple[Idle, ...]
     priors_file: str | None
     priors: tuple[Believed, ...]
     suggested_recordings: tuple[Suggested, ...]
@@ -390,6 +406,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
         "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
+        "idle": [{"joint": joints[j], "torque": mean, "std": std} for j, mean, std in diagnosis.idle],
         "priors_file": diagnosis.priors,
         "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [

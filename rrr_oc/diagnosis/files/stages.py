@@ -297,6 +297,7 @@ class ResultData(Struct):
     suggestions: list[SuggestionData]
     folds: list[FoldData]
     above_noise: Numbers
+    idle: list[tuple[int, float, float]]
     priors: str | None
     failed: dict[str, str]
 

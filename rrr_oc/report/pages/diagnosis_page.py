@@ -76,7 +76,7 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
         ],
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
         on_prior=say.on_prior(found),
-        not_claimed=[*say.not_claimed(found), *say.not_made(found)],
+        not_claimed=[*say.idle(found), *say.not_claimed(found), *say.not_made(found)],
         undecided=undecided,
         suggestions=[[say.told_apart(found, s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]],
     )
