@@ -60,8 +60,8 @@ setup(
             extra_link_args=[libcasadi],
         ),
         Extension(
-            "rrr_oc.diagnosis._evidence",
-            sources=["rrr_oc/diagnosis/_evidence.cpp"],
+            "rrr_oc.calibration.estimator._evidence",
+            sources=["rrr_oc/calibration/estimator/_evidence.cpp"],
             include_dirs=[str(include / "eigen3")],
             define_macros=[("EIGEN_MPL2_ONLY", None), ("NDEBUG", None)],
             extra_compile_args=["-std=c++17", "-O3", "-g0", "-w", "-fvisibility=hidden", "-ffp-contract=off", without_folders],

@@ -22,9 +22,9 @@ from scipy.spatial import KDTree
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import save_model
+from rrr_oc.calibration.parameter_vector import labels
 from rrr_oc.calibration.prediction_error import error, recorded_controller
 from rrr_oc.calibration.response import POPULATION, calibrate_evolution, calibrate_response
-from rrr_oc.calibration.term_fit import labels
 from rrr_oc.codesign.springs import configurations
 from rrr_oc.errors import UserError, entry_point
 from rrr_oc.numerics.savitzky_golay import smooth, split

@@ -36,11 +36,12 @@ from scipy.stats import beta, chi2
 
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.estimator.evidence import solve
+from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.commands.shared import Jobs, Workers
-from rrr_oc.diagnosis.evidence import solve
 from rrr_oc.diagnosis.files.diagnosis_file import to_json
-from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.procedure import diagnose, ready
 from rrr_oc.diagnosis.structures.candidates import Screen
 from rrr_oc.diagnosis.structures.search import Search

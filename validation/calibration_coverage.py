@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # (pin's wheel has no stubs)
 
 from rrr_oc.calibration.calibrate import calibrate
-from rrr_oc.calibration.term_fit import labels
+from rrr_oc.calibration.parameter_vector import labels
 from rrr_oc.commands.shared import Jobs
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import differentiate, split

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # (a diagnosis's effects have attributes of their own)
 
 from rrr_oc.calibration.calibrated_model import nominal_term
-from rrr_oc.calibration.friction_width import widened
+from rrr_oc.calibration.parameter_vector import widened
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose, ready
 from rrr_oc.effects import BlackBox

@@ -15,7 +15,6 @@ from rrr_oc.calibration.jacobian import Columns, Prediction
 from rrr_oc.calibration.samples import Prepared, kept_rows, residuals
 from rrr_oc.effects import MovesLink
 from rrr_oc.model.recorded_physics import DIFFERENCE, Physics
-from rrr_oc.model.symbolic_model import CHAIN
 from rrr_oc.recordings.recording import Recording
 
 START_EFFECT = 1e-3  # of a recording's torque: a smaller effect of a stretch's unknown start is neglected; doubled, no change
@@ -32,40 +31,20 @@ class Rows:
         residual: (n, M) [Nm]; 0 where a joint rests.
         jacobian: (n, M, p); 0 where a joint rests.
         moving: Rows that count, (n, M).
-        stretches: Slices of the rows without a gap; the filter crosses none of their ends.
-        durations: Of the stretches [s].
     """
 
     residual: np.ndarray
     jacobian: np.ndarray
     moving: np.ndarray
-    stretches: tuple[slice, ...]
-    durations: tuple[float, ...]
-
-    def deviation(self) -> np.ndarray:
-        """Root mean square residual of each joint over the rows in which it moves, (n,) [Nm]; never 0."""
-        count = np.maximum(self.moving.sum(axis=1), 1)
-        size = np.sqrt(np.sum(self.residual**2, axis=1) / count)
-        return np.maximum(size, 1e-9)  # data without noise
-
-    def cost(self, weights: np.ndarray) -> float:
-        """Σ_j w_j Σ_k r_jk², for weights of the joints (n,)."""
-        return float(weights @ np.sum(self.residual**2, axis=1))
 
 
-def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False, starts: bool = False) -> Rows:
+def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False) -> Rows:
     """The rows of a model: derivatives by the parameters of its terms in their order.
 
     Args:
         inertial: Whether derivatives by the inertial parameters (10, n) follow, link by link in the order of `Robot.inertial`.
-        starts: Whether derivatives by elastic gears hold that the shape of unknown starts changes too. Without, a fit is drawn from
-            farther away (Kaufman 1975), but ends slowly, if at all.
     """
-    parts = [_rows(p, model, inertial, starts) for p in prepared]
-    stretches, start = [], 0
-    for part in parts:
-        stretches += [slice(start + s.start, start + s.stop) for s in part.stretches]
-        start += part.residual.shape[1]
+    parts = [_rows(p, model, inertial) for p in prepared]
     jacobian = np.concatenate([p.jacobian for p in parts], axis=1)
     values = model.values
     sizes = np.maximum(np.abs(np.append(values, np.zeros(jacobian.shape[2] - len(values)))), 1.0)
@@ -75,8 +54,6 @@ def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = 
         residual=np.concatenate([p.residual for p in parts], axis=1),
         jacobian=jacobian,
         moving=np.concatenate([p.moving for p in parts], axis=1),
-        stretches=tuple(stretches),
-        durations=tuple(d for p in parts for d in p.durations),
     )
 
 
@@ -90,27 +67,8 @@ def width_columns(prepared: Sequence[Prepared], model: CalibratedModel, joints: 
 
 
 def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> Rows:
-    """The rows with the residuals of another model or of cleaned torques; the derivatives stay as they are.
-
-    They are exact if the parameters enter linearly (`is_linear`).
-    """
+    """The rows with the residuals of another model or of cleaned torques; the derivatives stay as they are."""
     return replace(found, residual=np.concatenate([_filtered_residuals(p, model) for p in prepared], axis=1))
-
-
-def is_linear(prepared: Sequence[Prepared], model: CalibratedModel) -> bool:
-    """Whether the predicted torques are linear in the parameters of all terms."""
-    if any(t.effect.states or t.effect.side not in ("link", "drive") for t in model.terms):
-        return False  # `Model.sensitivity` does not hold their derivatives
-    signal = "load" if model.torque == "load" else "motor"
-    for p in prepared:
-        function = model.physics(p.recording).model.sensitivity(signal, "theta")
-        size = function.size2_out(0)
-        listed = size - sum(len(t.estimates) for t in model.terms if t.holds_for(p.recording))
-        second = np.array(function.jac_sparsity(0, CHAIN.index("theta")).find(), int)  # in the order of the columns
-        entry, column = second % (model.robot.n * size), second // (model.robot.n * size)
-        if np.any((entry // model.robot.n >= listed) & (column >= listed)):
-            return False
-    return True
 
 
 def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray], joints: Sequence[int]) -> np.ndarray:
@@ -146,23 +104,16 @@ def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarra
     return _cleared(prepared.passed(residual, range(len(residual))), _starts(prepared, model, physics))
 
 
-def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, exact: bool) -> Rows:
+def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
     at = Prediction(model, prepared.recording)
     residual = residuals(prepared, model, at.physics)
     jacobian = _derivatives(prepared, at, inertial)
-    _, stretches, durations = kept_rows(prepared.recording)
     starts = _starts(prepared, model, at.physics)
     cleared = _cleared(prepared.passed(residual, range(len(residual))), starts)
     jacobian = _cleared(jacobian, starts)
-    if exact and any(basis.size for basis in starts):
+    if any(basis.size for basis in starts):
         _with_moved_starts(prepared, model, cleared, jacobian)
-    return Rows(
-        residual=cleared,
-        jacobian=jacobian,
-        moving=prepared.counted,
-        stretches=stretches,
-        durations=durations,
-    )
+    return Rows(residual=cleared, jacobian=jacobian, moving=prepared.counted)
 
 
 def _with_moved_starts(prepared: Prepared, model: CalibratedModel, residual: np.ndarray, jacobian: np.ndarray) -> None:

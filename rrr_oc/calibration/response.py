@@ -11,26 +11,25 @@ of 2 Nm was estimated as 0.86).
 """
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import chain
 from typing import Any, NamedTuple
 
 import cma
 import numpy as np
+from scipy.optimize import lsq_linear
 
-from rrr_oc.calibration.calibrate import fit
+from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.covariance import covariance_of_some
-from rrr_oc.calibration.friction_width import with_widths
-from rrr_oc.calibration.inverse_dynamics import described, finished, plain_model
+from rrr_oc.calibration.estimator.data import EVERY, low_frequency
+from rrr_oc.calibration.estimator.intervals import half_width, with_intervals
+from rrr_oc.calibration.inverse_dynamics import finished
 from rrr_oc.calibration.jacobian import Prediction
-from rrr_oc.calibration.least_squares import GaussNewton, Quadratic, gauss_newton, normal_equations
+from rrr_oc.calibration.parameter_vector import bounds, with_parameter_values
 from rrr_oc.calibration.prediction_error import DROPPED, recorded_controller
-from rrr_oc.calibration.regression import Rows
 from rrr_oc.calibration.samples import STRIDE, prepare
-from rrr_oc.calibration.term_fit import bounds, with_estimates, with_parameter_values
 from rrr_oc.effects import Signals, plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.numerics.rank import condition, undetermined
@@ -43,7 +42,7 @@ from rrr_oc.storage import number
 
 POPULATION, SIGMA = 64, 0.15  # the paper's; sigma in units of the search box
 PATIENCE = 1e-5  # of the objective: a smaller gain ends Gauss–Newton, a smaller spread CMA-ES; doubled, no change
-OPTIONS = GaussNewton(steps=10, gain=PATIENCE, fractions=(1.0, 0.5, 0.2))
+STEPS, SHARES = 10, (1.0, 0.5, 0.2)  # most steps of Gauss–Newton, and the shares of one that are simulated in a batch
 
 
 @dataclass(frozen=True)
@@ -201,7 +200,7 @@ def calibrate_evolution(
 
 
 def calibrate_response(
-    recordings: RecordingSet, drives: Actuators | None = None, steps: int = OPTIONS.steps, timestep: float = Response.timestep
+    recordings: RecordingSet, drives: Actuators | None = None, steps: int = STEPS, timestep: float = Response.timestep
 ) -> CalibratedModel:
     """Gauss–Newton on the simulated response, from the optimum on inverse dynamics; report and errors as `calibrate_evolution`.
 
@@ -222,26 +221,35 @@ def calibrate_response(
         best = int(np.argmin(costs))
         return _Point(candidates[best], [r[best] for r in residuals], float(costs[best]))
 
-    def noted(at: _Point) -> _Point:
+    at = simulated([response.model.values])
+    history.append((time.perf_counter() - began, at.cost))
+    for _ in range(steps):
+        step = _step(at, slopes, lower - at.theta, upper - at.theta)
+        there = simulated([np.clip(at.theta + share * step, lower, upper) for share in SHARES])
+        if there.cost > at.cost:
+            break
+        gained, at = at.cost - there.cost, there
         history.append((time.perf_counter() - began, at.cost))
-        return at
-
-    def near(at: _Point) -> Quadratic:
-        matrix, right = np.zeros((len(lower), len(lower))), np.zeros(len(lower))
-        for residual, slope in zip(chain(*at.residuals), chain(*slopes), strict=True):
-            weight = 1 / (len(residual) * max(float(np.sqrt(np.mean(residual**2))), 1e-9))
-            matrix += weight * slope.T @ slope
-            right -= weight * slope.T @ residual
-        return Quadratic(at.cost, matrix, right, lower - at.theta, upper - at.theta)
-
-    def tried(at: _Point, steps: Sequence[np.ndarray]) -> Iterable[tuple[_Point, float]]:
-        best = simulated([np.clip(at.theta + step, lower, upper) for step in steps])
-        yield best, best.cost
-
-    start = noted(simulated([response.model.values]))
-    at = gauss_newton(start, near, tried, replace(OPTIONS, steps=steps), lambda _, there: noted(there))
+        if gained < PATIENCE * at.cost:
+            break
     report = {"way": "Gauss–Newton on the simulated response", "evaluations": evaluations, "history": history}
     return _finished(response, at.theta, report, began)
+
+
+def _step(at: "_Point", slopes: Sequence[np.ndarray], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """The step of Gauss and Newton within bounds (p,), for norms as squares weighted by one over the norms."""
+    rows, target, free = [], [], lower < upper
+    for residual, slope in zip(chain(*at.residuals), chain(*slopes), strict=True):
+        weight = (len(residual) * max(float(np.sqrt(np.mean(residual**2))), 1e-9)) ** -0.5
+        rows.append(weight * slope)
+        target.append(-weight * residual)
+    matrix, step = np.concatenate(rows), np.zeros(len(lower))
+    scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)[free]
+    found = lsq_linear(
+        matrix[:, free] / scale, np.concatenate(target), (lower[free] * scale, upper[free] * scale), method="bvls"
+    )
+    step[free] = found.x / scale
+    return step
 
 
 class _Point(NamedTuple):
@@ -257,38 +265,33 @@ def _response(recordings: RecordingSet, drives: Actuators | None, timestep: floa
         raise UserError(
             f"{recordings.path}: load torques hold no friction and no armature; only inverse dynamics calibrates on them"
         )
-    prepared = prepare(recordings)
-    start = with_widths(prepared, plain_model(recordings))
-    return Response(recordings, fit(recordings, prepared, start).model, drives, timestep=timestep)
+    return Response(recordings, calibrate(recordings), drives, timestep=timestep)
 
 
 def _finished(response: Response, theta: np.ndarray, report: dict[str, Any], began: float) -> CalibratedModel:
-    """The model with estimates, their intervals from the response's own derivatives, and a report."""
-    recordings, terms = response.recordings, with_parameter_values(response.model.terms, theta)
+    """The model with estimates, their intervals from the response's own derivatives, and a report.
+
+    Noise is that of `PlainFitter.closest`: white, as strong at frequency 0 as what the response leaves.
+    """
+    recordings, model = response.recordings, response.model
+    model = replace(model, terms=with_parameter_values(model.terms, theta))
     here = response.residuals([theta])
-    found = _rows(recordings, here, response.slopes())
-    weights = found.deviation() ** -2
-    matrix, _ = normal_equations(found, weights)
+    strides = [max(1, round(EVERY * STRIDE / float(np.median(np.diff(r.t))))) for r in recordings.recordings]
+    left = np.concatenate([x[0][:, ::k] for x, k in zip(here, strides, strict=True)], axis=1)
+    columns = np.concatenate([x[:, ::k] for x, k in zip(response.slopes(), strides, strict=True)], axis=1)
+    place = np.concatenate([np.arange(x[0][:, ::k].shape[1]) for x, k in zip(here, strides, strict=True)])
+    sigma = np.array([low_frequency(row, place, np.zeros(len(place), bool)) for row in left])
+    matrix = np.einsum("jkp,jkq,j->pq", columns, columns, sigma**-2.0, optimize=True)
     known = ~undetermined(matrix)
-    spread = covariance_of_some(found, weights, matrix, known)
-    model = replace(response.model, terms=terms)
-    model = replace(model, terms=with_estimates(terms, described(model, theta, spread, known)))
+    covariance = np.zeros_like(matrix)
+    covariance[np.ix_(known, known)] = np.linalg.inv(matrix[np.ix_(known, known)])
+    std = np.sqrt(np.diag(covariance))
     report = report | {
         "objective": float(response.objective(here)[0]),
         "objective_of": "motor torque" if response.drives is None else "load torque by Eq. 10",
         "objective_window_s": WINDOW,
         "condition": number(condition(matrix)),
-        "correlation": {"matrix": spread.correlation.tolist()},
+        "correlation": {"matrix": (covariance / np.outer(*[np.where(known, std, 1.0)] * 2)).tolist()},
     }
+    model = with_intervals(model, std, half_width(len(place)) * std, known)
     return finished(recordings, prepare(recordings), model, report, began)
-
-
-def _rows(recordings: RecordingSet, here: list[np.ndarray], jacobian: list[np.ndarray]) -> Rows:
-    """Residuals as rows, one stretch per recording."""
-    strides = [max(1, round(STRIDE / float(np.median(np.diff(r.t))))) for r in recordings.recordings]
-    residual = [-x[0][:, ::stride] for x, stride in zip(here, strides, strict=True)]
-    slopes = [x[:, ::stride] for x, stride in zip(jacobian, strides, strict=True)]
-    stretches = tuple(slice(a, b) for a, b in pairwise(np.cumsum([0, *(x.shape[1] for x in residual)]).tolist()))
-    durations = tuple(float(np.ptp(r.t) - 2 * DROPPED) for r in recordings.recordings)
-    every = np.concatenate(residual, axis=1)
-    return Rows(every, np.concatenate(slopes, axis=1), np.ones(every.shape, bool), stretches, durations)

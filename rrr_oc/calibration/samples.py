@@ -22,7 +22,6 @@ from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, 
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
 FILTER = 0.2  # [s], window of the common filter, applied twice; doubled, less noise, and less of fast motion is left
-CORRELATION = 0.2  # time over which filtered noise is correlated [s]; doubled, half as many rows count as independent
 SPEED_WINDOW, ACCELERATION_WINDOW = 0.07, 0.09  # [s], of the regressors; doubled, fast motion biases the estimates
 STRIDE = 0.04  # [s] between the rows that are kept; doubled, half as many rows, which lose what the filter lets through
 ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivatives are one-sided; a fifth of it at most
@@ -33,6 +32,8 @@ LONGEST, PIECE = 1200.0, 20.0  # [s]: the most data on which many models are com
 SPIKE = 6.0  # standard deviations off the running median that make a spike; doubled, small spikes stay in the torque
 RARE = (0.99, 2.576)  # quantile of the residual, and that of normal noise: its ratio bounds the deviation from below
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples; doubled, fast signals look like spikes
+BLOCKS = 4  # contiguous pieces of a single recording, each held out once in a diagnosis
+SHORT = 10  # samples; shorter segments are left out of the blocks
 
 
 # Common filters by recording and window [s], for all that is prepared of a recording; they last as long as the recording.
@@ -119,6 +120,26 @@ def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared,
     return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01)), share) for p in prepared)
 
 
+def pieces_of(only: Prepared) -> tuple[Prepared, ...]:
+    """Contiguous pieces of an only recording, as recordings."""
+    r, pieces = only.recording, []
+    began = r.t[0] if r.start is None else r.start
+    for part in blocks_of(r):
+        a, b = int(part[0]), int(part[-1]) + 1
+        arrays = {k: getattr(r, k)[..., a:b] for k in ("t", "q", "dq", "ddq", "tau", "payload")}
+        inside = [(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments]
+        segments = tuple(slice(first, end) for first, end in inside if end - first > SHORT)
+        piece = replace(r, **arrays, segments=segments, start=float(began))
+        pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
+    return tuple(pieces)
+
+
+def blocks_of(r: Recording) -> list[np.ndarray]:
+    """Indices of the samples of each contiguous piece of an only recording."""
+    usable = [np.arange(s.start, s.stop) for s in r.segments if s.stop - s.start > SHORT]
+    return np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS)
+
+
 def residuals(prepared: Prepared, model: CalibratedModel, physics: Physics | None = None) -> np.ndarray:
     """Measured less predicted torque at every sample, unfiltered, (n, K) [Nm]; `physics` of the recording, if it is at hand."""
     return prepared.measured - model.output_torque(prepared.recording, physics)
@@ -154,12 +175,12 @@ def noise(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
     return 1.4826 * np.median(np.concatenate(sizes, axis=1), axis=1)
 
 
-def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tuple[float, ...]]:
-    """Samples that are kept, the stretches of rows that they become, and the durations of these [s].
+def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...]]:
+    """Samples that are kept, and the stretches of rows that they become.
 
     Segments shorter than `SHORTEST` are left out, unless there are no others.
     """
-    kept, durations = [], []
+    kept = []
     long = [s for s in recording.segments if np.ptp(recording.t[s]) > SHORTEST]
     for s in long or recording.segments:
         t = recording.t[s]
@@ -168,10 +189,9 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...], tupl
         inside = np.flatnonzero((t >= t[0] + ends) & (t <= t[-1] - ends))[::stride]
         if len(inside) > 1:
             kept.append(inside + s.start)
-            durations.append(float(t[inside[-1]] - t[inside[0]]) * len(inside) / (len(inside) - 1))
     ends = np.cumsum([0, *map(len, kept)]).tolist()
     stretches = tuple(slice(a, b) for a, b in pairwise(ends))
-    return np.concatenate([*kept, np.zeros(0, int)]).astype(int), stretches, tuple(durations)
+    return np.concatenate([*kept, np.zeros(0, int)]).astype(int), stretches
 
 
 def _with_sharp_motion(recording: Recording, joints: Sequence[str]) -> Recording:

@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.stats import t as student
 
+from rrr_oc.calibration.estimator.data import EVERY
 from rrr_oc.calibration.samples import STRIDE
-from rrr_oc.diagnosis.data import EVERY
 from rrr_oc.diagnosis.findings import Fall, Finding
 from rrr_oc.diagnosis.held_out import acts_on
 from rrr_oc.diagnosis.knobs import MATTERS

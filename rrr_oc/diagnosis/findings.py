@@ -7,8 +7,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
-from rrr_oc.diagnosis.data import Data
-from rrr_oc.diagnosis.fitting import Fitted
+from rrr_oc.calibration.estimator.data import Data
+from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
 from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
 from rrr_oc.diagnosis.structures.search import Search, State

@@ -12,18 +12,18 @@ from scipy.stats import bootstrap
 
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.estimator.data import Data
+from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, summary
-from rrr_oc.calibration.samples import Prepared
-from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
 from rrr_oc.diagnosis.findings import Finding
-from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.structures.linear import Structure
 from rrr_oc.diagnosis.structures.neighbours import Levels, Neighbours
 from rrr_oc.diagnosis.structures.search import Search, terms_of
 from rrr_oc.effects import Effect
 from rrr_oc.errors import reason
-from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
 if TYPE_CHECKING:
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 FOLDS = 4  # of the recordings, each held out once; twice as many double the time
 FOLDS_OF_MANY, MANY_JOINTS = 2, 5  # folds of arms with so many joints or more
-BLOCKS = 4  # contiguous pieces of a single recording, each held out once
-SHORT = 10  # samples; shorter segments are left out of the blocks
 LEVEL = 0.95  # confidence level of the intervals
 RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the ends of an interval by about 1 %
 LEAST_RECORDINGS = 3  # for a bootstrap interval
@@ -61,26 +59,6 @@ def folds_of(data: Data) -> list[list[int]]:
     alike = sorted(range(len(recordings)), key=mounted.__getitem__)
     number = min(len(recordings), FOLDS_OF_MANY if data.n >= MANY_JOINTS else FOLDS)
     return [sorted(alike[k::number]) for k in range(number)]
-
-
-def pieces_of(only: Prepared) -> tuple[Prepared, ...]:
-    """Contiguous pieces of an only recording, as recordings."""
-    r, pieces = only.recording, []
-    began = r.t[0] if r.start is None else r.start
-    for part in blocks_of(r):
-        a, b = int(part[0]), int(part[-1]) + 1
-        arrays = {k: getattr(r, k)[..., a:b] for k in ("t", "q", "dq", "ddq", "tau", "payload")}
-        inside = [(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments]
-        segments = tuple(slice(first, end) for first, end in inside if end - first > SHORT)
-        piece = replace(r, **arrays, segments=segments, start=float(began))
-        pieces.append(replace(only, recording=piece, measured=only.measured[:, a:b], moving=only.moving[:, a:b]))
-    return tuple(pieces)
-
-
-def blocks_of(r: Recording) -> list[np.ndarray]:
-    """Indices of the samples of each contiguous piece of an only recording."""
-    usable = [np.arange(s.start, s.stop) for s in r.segments if s.stop - s.start > SHORT]
-    return np.array_split(np.concatenate(usable or [np.arange(len(r.t))]), BLOCKS)
 
 
 def repeated(search: Search, begin: Fitted, stages: Stages) -> list[Fold]:

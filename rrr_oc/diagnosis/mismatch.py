@@ -9,10 +9,10 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.estimator.data import Data
+from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.samples import noise, residuals
-from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.findings import Finding
-from rrr_oc.diagnosis.fitting import Fitted
 from rrr_oc.storage import number
 
 LEAST_GROWTH = 0.005  # relative growth of the squared residual without effects that counts as a mismatch; doubled: fewer

@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration import calibrate
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.calibration.friction_width import with_widths
+from rrr_oc.calibration.calibrate import data_of, first_estimate
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
+from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.regression import rows
-from rrr_oc.calibration.samples import Prepared, prepare, thinned, without_spikes
-from rrr_oc.calibration.term_fit import bounds
-from rrr_oc.diagnosis.data import Data
+from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
 from rrr_oc.diagnosis.effect_size import sized
 from rrr_oc.diagnosis.files.stages import (
     SHARES,
@@ -30,9 +28,8 @@ from rrr_oc.diagnosis.files.stages import (
     numbers,
 )
 from rrr_oc.diagnosis.findings import Finding, Possible, found
-from rrr_oc.diagnosis.fitting import WIDE, Fitted, Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, pieces_of, repeated, with_claims
-from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
+from rrr_oc.diagnosis.fitting import Fitter
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, idle, mismatch
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.structures.neighbours import Kind, kind
@@ -44,12 +41,9 @@ from rrr_oc.errors import noted
 from rrr_oc.kept import Kept
 from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import Recording, RecordingSet
-from rrr_oc.robot.inertial_parameters import prior
-from rrr_oc.robot.link_errors import LinkErrors
 
 OFTEN = 0.5  # share of the searches on parts of the recordings that must find an effect
 CHECK = "held-out check"  # the last stage of the procedure
-NORMAL = 1.96  # standard deviations of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -209,32 +203,22 @@ def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: S
 def ready(
     recordings: RecordingSet, priors: Priors, stages: Stages | None = None
 ) -> tuple[Sequence[Prepared], Fitter, tuple[Trial, ...], CalibratedModel]:
-    """All samples, what fits models to the recordings, the trials of the catalogue, and the calibrated plain model."""
+    """All samples, what fits models to the recordings, the trials of the catalogue, and the plain model to start from."""
     stages = stages or Stages(plain_model(recordings))
-    whole = prepare(recordings)
+    whole, nominal, exact = prepare(recordings), stages.start, priors.exact_inertias
     stages.progress.tell("plain model")
 
-    def calibrated() -> ModelData:
-        return ModelData.of(calibrate.fit(recordings, whole, with_widths(whole, stages.start)).model)
+    def first() -> ModelData:
+        return ModelData.of(first_estimate(recordings, whole, nominal, exact))
 
-    plain = stages.once("plain model", ModelData, calibrated).model(stages.start)
-    bench = tuple(thinned(without_spikes(whole, plain)))
-    unknown = recordings.inertial == "identify"
-    of_urdf = () if priors.exact_inertias else (MASS_ERROR, *[CENTRE_ERROR] * 3, *[INERTIA_ERROR] * 3)
-    std = prior(stages.start.robot).std if unknown else np.tile(of_urdf, recordings.robot.n)
-    links = LinkErrors(plain.robot.inertial, std)
-    if len(bench) == 1:
-        bench = pieces_of(bench[0])
-    data = Data(bench, plain, links, not unknown)
-    seen = view(bench, plain)
-    every = tuple(trials(seen, plain.torque))
+    model = stages.once("plain model", ModelData, first).model(nominal)
+    data = data_of(recordings, without_spikes(whole, model), nominal, model, exact)
+    seen = view(data.prepared, model)
+    every = tuple(trials(seen, model.torque))
     families: dict[tuple, list[Trial]] = {}
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)
-    found_rows = rows(bench, plain)
-    sizes = np.sqrt(np.mean(found_rows.jacobian**2, axis=1)) / data.torque[:, None]  # (n, p) of a unit of each parameter
-    std = WIDE / np.maximum(sizes.max(axis=0, initial=0.0), 1e-12)
-    return whole, Fitter(data, seen, families, std, priors), every, plain
+    return whole, Fitter(data, plain_std(data), seen, families, priors), every, replace(model, robot=nominal.robot)
 
 
 def stable(
@@ -267,8 +251,12 @@ def stable(
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
     (begin, final), (findings, small, possible, refuted), (way, checks, folds) = fits, told, check
-    plain = finished(recordings, whole, described(begin), {"way": "posterior"}, perf_counter())
-    model = finished(recordings, whole, described(final), {"way": "posterior"}, perf_counter()) if findings else plain
+    plain = finished(recordings, whole, described(fitter.closest(begin)), {"way": "inverse dynamics"}, perf_counter())
+    model = (
+        finished(recordings, whole, described(fitter.closest(final)), {"way": "inverse dynamics"}, perf_counter())
+        if findings
+        else plain
+    )
     findings = [replace(f, term=t) for f, t in zip(findings, model.terms[final.base :], strict=True)]
     before = mean_nrmse(np.concatenate([f.before for f in folds]))
     after = mean_nrmse(np.concatenate([f.after for f in folds])) if findings else before
@@ -328,40 +316,7 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
     )
 
 
-def described(fitted: Fitted) -> CalibratedModel:
-    """The model with standard errors and intervals from the posterior."""
-    model, post = fitted.model, fitted.posterior
-    std = np.sqrt(np.maximum(np.diag(np.linalg.pinv(post.matrix, hermitian=True)), 0.0))
-    (lower, upper), at, terms = bounds(model.terms), 0, []
-    for term in model.terms:
-        estimates = []
-        for e in term.estimates:
-            half = NORMAL * std[at]
-            interval = (
-                float(np.clip(e.value - half, lower[at], upper[at])),
-                float(np.clip(e.value + half, lower[at], upper[at])),
-            )
-            estimates.append(Estimate(e.value, float(std[at]), interval, bool(e.value <= lower[at] or e.value >= upper[at])))
-            at += 1
-        terms.append(canonical(replace(term, estimates=tuple(estimates))))
-    return replace(model, terms=tuple(terms))
-
-
 def term_of(fitted: Fitted, finding: Finding) -> Term:
     """A finding's term with standard errors and intervals from a fit that has it."""
     number = next(i for i, t in enumerate(fitted.model.terms) if t is finding.term)
     return described(fitted).terms[number]
-
-
-def canonical(term: Term) -> Term:
-    """The term with parameters in their usual range."""
-    named = term.effect.canonical(term.named)
-    estimates = []
-    for p, e in zip(term.effect.parameters, term.estimates, strict=True):
-        value = float(named[p.name])
-        shift = value - e.value
-        interval = None if e.interval is None else (e.interval[0] + shift, e.interval[1] + shift)
-        if p.name in term.effect.amplitudes and value == -e.value and e.interval is not None:
-            interval = -e.interval[1], -e.interval[0]
-        estimates.append(replace(e, value=value, interval=interval))
-    return replace(term, estimates=tuple(estimates))

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import block_diag, csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.estimator.data import dry_friction
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import REST_SPEED, Prepared
 from rrr_oc.effects import CATALOGUE, BlackBox, Delay, OfEach, Signals, Trial, View
@@ -21,7 +22,6 @@ from rrr_oc.robot.rigid_body import rigid_body
 
 FEW = 32  # columns that are filtered at once; more take more memory, and no less time
 SAMPLE = 400  # positions that stand for all when trials are made; twice as many cost time
-LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
 SAME = 0.01  # share of the load torque by which it may change before signatures that depend on it are made anew
 
 
@@ -56,22 +56,6 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
         mass=np.maximum(model.robot.inertial[0], 1e-3),
         groups=tuple(dict.fromkeys(p.recording.group for p in prepared)),
     )
-
-
-def dry_friction(model: CalibratedModel, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Plain dry friction of each joint [Nm], at least `LEAST_DRY` of its torque, and half of its friction at the largest speed, (n,).
-
-    The latter, since a plain model that lacks friction may share out what there is between dry and viscous in any way.
-    """
-    dry, whole = LEAST_DRY * torque, np.zeros(len(torque))
-    for term in model.terms:
-        effect = term.effect
-        if effect.role == "plain" and effect.provides == "friction":
-            (at,) = effect.torque(Signals(0 * speed, speed), term.named, 0.0)
-            whole[effect.joints[0]] += abs(float(at))
-        if effect.sign_forms:
-            dry[effect.joints[0]] = max(dry[effect.joints[0]], float(term.values[0]))
-    return np.maximum(dry, 0.5 * whole)
 
 
 def trials(seen: View, torque: str) -> list[Trial]:

@@ -70,7 +70,7 @@ class Header(Schema, frozen=True):
         joints: The recorded joints, in the order of the chain; all others are held still.
         recordings: The recordings.
         torque: What the effort columns hold: motor or load torque [Nm], or current [A] with a `torque_constant` in `actuators`.
-        inertial: Whether the URDF's masses and inertias are used ("nominal") or estimated ("identify").
+        inertial: Whether the URDF's masses and inertias are about right ("nominal") or unknown ("identify").
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where a payload is held; by default the last link's tool frame.
         actuators: Drives by joint.

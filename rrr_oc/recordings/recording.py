@@ -60,7 +60,7 @@ class RecordingSet:
         source: Where the robot comes from: the name of a bundled model or the path of a URDF or MJCF.
         torque: The signal in `Recording.tau`: "motor" torque at the joint's output k_t I [Nm], "load" torque of Eq. 1 [Nm], or
             motor "current" [A].
-        inertial: "nominal": the URDF's inertial parameters are trusted; "identify": only its kinematics are.
+        inertial: "nominal": the URDF's inertial parameters are trusted up to usual errors; "identify": only its kinematics are.
         tool: Where a payload is held.
         torque_constant: Per joint [Nm/A at the output]; None where it is not given.
         recordings: The recordings, in the order of the file.

@@ -7,9 +7,9 @@ import pytest
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
-from rrr_oc.calibration.friction_width import widened
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.parameter_vector import widened
 from rrr_oc.calibration.regression import rows, width_columns
 from rrr_oc.calibration.samples import Prepared, prepare
 from rrr_oc.effects import CATALOGUE
@@ -70,7 +70,7 @@ def test_columns_are_filtered_as_single_signals_are(arm, name):
         expected = prepared[0].passed(raw[:, :, k], range(3))
         if name != "gear":  # whose unknown start is projected out
             np.testing.assert_allclose(found[:, :, k], expected, rtol=1e-9, atol=1e-9)  # rounding, and what counts as none
-        else:
+        elif not 9 <= k < 11:  # the gear's own parameters, which also change how the link may swing at first
             assert np.sum(found[:, :, k] ** 2) <= np.sum(expected**2) * (1 + 1e-9)
 
 
@@ -106,7 +106,7 @@ def test_derivatives_by_elastic_gears_have_the_change_of_unknown_starts(arm):
     plain, prepared = arm
     gear = term("joint_elasticity", (1,), 300.0, 0.004)
     model, size = replace(plain, terms=(*plain.terms, gear)), len(plain.values)
-    found = rows(prepared, model, starts=True)
+    found = rows(prepared, model)
     for k, value in enumerate(gear.values):
         ends = []
         for change in (0.9995, 1.0005):

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,10 @@ def folder(tmp_path_factory) -> Path:
     folder, plant, rng = tmp_path_factory.mktemp("commands"), Plant("rrr", *TRUTH), np.random.default_rng(0)
     recordings = as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(2)])
     save_recordings(recordings, folder / "set")
-    save_model(calibrate(recordings), folder / "model.json")
+    model = replace(
+        calibrate(recordings), robot=recordings.robot
+    )  # the links of the plant, not what the recordings say of them
+    save_model(model, folder / "model.json")
     for name in ("arm.urdf", "arm.xml"):  # models under names that commands write to
         (folder / name).write_text((folder / "model.json").read_text())
     return folder

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from recorded import Plant, as_set, real, record
 
-from rrr_oc.diagnosis.evidence import at_size, solve
+from rrr_oc.calibration.estimator.evidence import at_size, solve
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.diagnosis.structures.candidates import Screen

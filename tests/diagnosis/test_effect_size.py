@@ -8,9 +8,9 @@ import pytest
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.estimator.evidence import Start
 from rrr_oc.diagnosis import effect_size
 from rrr_oc.diagnosis.effect_size import block_edges, fall_of, falls, sized
-from rrr_oc.diagnosis.evidence import Start
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.diagnosis.structures.search import Search

@@ -8,8 +8,7 @@ import pytest
 from recorded import as_set, multisine, record
 from scipy.signal import lsim
 
-from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
-from rrr_oc.calibration.samples import prepare
+from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.diagnosis.files.diagnosis_file import to_json
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.effects.sensor.torque_gain import TorqueGain
@@ -134,7 +133,7 @@ def test_pieces_too_short_for_the_filter_do_not_count(planar):
     ends = [0, *gaps.tolist(), len(kept)]
     torn = replace(whole, **arrays, segments=tuple(slice(a, b) for a, b in itertools.pairwise(ends)))
     assert not diagnose(as_set(plant, [torn])).findings
-    one, other = (fit_terms(s, prepare(s), plain_model(s)).model for s in (as_set(plant, [torn]), as_set(plant, [whole])))
+    one, other = (calibrate(s) for s in (as_set(plant, [torn]), as_set(plant, [whole])))
     for term, whole_term in zip(one.terms, other.terms, strict=True):
         for e, w in zip(term.estimates, whole_term.estimates, strict=True):
             assert e.std is not None

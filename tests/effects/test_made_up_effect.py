@@ -18,11 +18,10 @@ from recorded import Plant, as_set, multisine, record
 from typer.testing import CliRunner
 
 import rrr_oc
-from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.calibrate import calibrate, fit
 from rrr_oc.calibration.calibrated_model import nominal_term
-from rrr_oc.calibration.inverse_dynamics import fit_terms, plain_model
+from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.response import Response
-from rrr_oc.calibration.samples import prepare
 from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import transcribed
@@ -182,7 +181,7 @@ def stretched(tmp_path):
 def test_it_is_calibrated(band, stretched):
     start = plain_model(stretched)
     term = nominal_term(band((0,))).with_values(np.array([5.0, 0.1]))
-    fitted = fit_terms(stretched, prepare(stretched), replace(start, terms=(*start.terms, term))).model
+    fitted = fit(stretched, replace(start, terms=(*start.terms, term)))
     np.testing.assert_allclose(fitted.terms[-1].values, [12.0, 0.2], rtol=0.05)
 
 

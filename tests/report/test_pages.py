@@ -22,7 +22,8 @@ from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
-from rrr_oc.diagnosis.held_out import Fold, blocks_of
+from rrr_oc.calibration.samples import blocks_of
+from rrr_oc.diagnosis.held_out import Fold
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.report.diagnosis_report import write_diagnosis

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.jacobian import Prediction
 from rrr_oc.calibration.samples import noise, prepare, residuals
-from rrr_oc.diagnosis.data import Data
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.diagnosis.signatures import table
 from rrr_oc.effects import Trial

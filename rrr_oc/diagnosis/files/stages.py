@@ -13,9 +13,9 @@ import numpy as np
 from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.estimator.data import Data, Noise
+from rrr_oc.calibration.estimator.evidence import Joint, Sizes, Start
 from rrr_oc.calibration.model_file import TermEntry, effect_of, options_of, term_entry, term_of, terms_of
-from rrr_oc.diagnosis.data import Data, Noise
-from rrr_oc.diagnosis.evidence import Joint, Sizes, Start
 from rrr_oc.diagnosis.findings import Fall, Finding, Possible
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.structures.search import Search, State
@@ -26,7 +26,7 @@ from rrr_oc.model.motion import Motion
 from rrr_oc.progress import Progress
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.robot import Robot
-from rrr_oc.storage import plain
+from rrr_oc.storage import number, plain
 
 # Share of the time of a diagnosis that each stage takes, by experience
 SHARES = {
@@ -103,6 +103,7 @@ class NoiseData(Struct):
     filters: list[list[float]]
     spreads: list[float]
     turning: float
+    freedom: float | None  # of Student's distribution; None where it is normal
     weights: list[float]
     log_det: float
 
@@ -110,11 +111,19 @@ class NoiseData(Struct):
     def of(cls, data: Data, j: int, one: Joint) -> "NoiseData":
         noise = one.noise
         weights = one.weights(data, j).tolist()
-        return cls([f.tolist() for f in noise.filters], noise.spreads.tolist(), noise.turning, weights, one.log_det)
+        return cls(
+            [f.tolist() for f in noise.filters],
+            noise.spreads.tolist(),
+            noise.turning,
+            number(one.freedom),
+            weights,
+            one.log_det,
+        )
 
     def joint(self, data: Data, j: int) -> Joint:
         noise = Noise(tuple(np.array(f) for f in self.filters), np.array(self.spreads), self.turning)
-        return Joint.weighted(data, j, noise, np.array(self.weights), self.log_det)
+        freedom = np.inf if self.freedom is None else self.freedom
+        return Joint.weighted(data, j, noise, freedom, np.array(self.weights), self.log_det)
 
 
 class Sought(Struct):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 
-from rrr_oc.diagnosis.evidence import Solution
+from rrr_oc.calibration.estimator.evidence import Solution
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import Table

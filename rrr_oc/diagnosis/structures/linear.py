@@ -14,8 +14,19 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
-from rrr_oc.diagnosis.evidence import Gram, Prior, Sizes, Solution, Spectrum, estimated, extended, joined, orthogonal
-from rrr_oc.diagnosis.fitting import Fitted, Fitter
+from rrr_oc.calibration.estimator.evidence import (
+    Gram,
+    Prior,
+    Sizes,
+    Solution,
+    Spectrum,
+    estimated,
+    extended,
+    joined,
+    orthogonal,
+)
+from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import Table
 from rrr_oc.effects import Effect, Trial

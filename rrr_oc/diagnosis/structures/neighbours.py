@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from rrr_oc.diagnosis.evidence import Sizes, Solution
+from rrr_oc.calibration.estimator.evidence import Sizes, Solution
 from rrr_oc.diagnosis.fitting import exact
 from rrr_oc.diagnosis.signatures import Table
 from rrr_oc.diagnosis.structures.candidates import Screen

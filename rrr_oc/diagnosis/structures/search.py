@@ -12,7 +12,8 @@ from itertools import pairwise
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.diagnosis.fitting import Fitted, Fitter, exact
+from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
 from rrr_oc.diagnosis.structures.linear import Candidate, Key, Level, Linear, Structure, key_of, numbered
 from rrr_oc.diagnosis.structures.neighbours import Kind, Levels, Neighbours, Predicted, kind, overlapping

@@ -14,8 +14,8 @@ from scipy.linalg import eigh
 from scipy.sparse import diags
 from scipy.special import gammaln
 
-import rrr_oc.diagnosis._evidence as extension
-from rrr_oc.diagnosis.data import Data, Noise
+import rrr_oc.calibration.estimator._evidence as extension
+from rrr_oc.calibration.estimator.data import Data, Noise
 
 ROUNDING = 1e-12  # share of the largest squared length of a combination of features below which one is 0
 LEAST = 1e-5  # of a size over its unit, against a singular precision
@@ -101,12 +101,14 @@ class Joint(Spectrum):
 
     Attributes:
         noise: The filters of W.
+        freedom: Degrees of freedom of its Student distribution; infinite where it is normal.
         white: W, (M, M).
         turn: From whitened features to the orthogonal ones, (F, F').
         features: The whitened features, (M, F').
     """
 
     noise: Noise
+    freedom: float
     white: Any
     turn: np.ndarray
     features: np.ndarray
@@ -116,7 +118,9 @@ class Joint(Spectrum):
         """A joint with normal noise."""
         white, log_det = noise.whitening(data.place[j], data.turning[j])
         none = np.zeros((0, 0))
-        return cls(np.zeros(0), log_det, int(data.counted[j].sum()), noise, white, none, none).with_features(data.features[j])
+        return cls(np.zeros(0), log_det, int(data.counted[j].sum()), noise, np.inf, white, none, none).with_features(
+            data.features[j]
+        )
 
     @classmethod
     def estimated(cls, data: Data, j: int, left: np.ndarray) -> tuple["Joint", float]:
@@ -125,21 +129,22 @@ class Joint(Spectrum):
         noise = Noise.of(left, place, turning)
         white, log_det = noise.whitening(place, turning)
         error = (white @ left)[place >= 0]
-        tails = [_tail(error, freedom) for freedom in FREEDOMS]
-        log, sigma, weights = max(tails, key=lambda t: t[0])
+        tails = {freedom: _tail(error, freedom) for freedom in FREEDOMS}
+        freedom = max(tails, key=lambda f: tails[f][0])
+        log, sigma, weights = tails[freedom]
         count = len(error)
         scale = np.ones(len(place))
         scale[place >= 0] = np.sqrt(weights)
         log_det += log + count * np.log(sigma) + 0.5 * float(np.sum(weights * error**2)) / sigma**2
         none = np.zeros((0, 0))
-        return cls(np.zeros(0), float(log_det), count, noise, diags(scale) @ white, none, none), sigma
+        return cls(np.zeros(0), float(log_det), count, noise, freedom, diags(scale) @ white, none, none), sigma
 
     @classmethod
-    def weighted(cls, data: Data, j: int, noise: Noise, weights: np.ndarray, log_det: float) -> "Joint":
+    def weighted(cls, data: Data, j: int, noise: Noise, freedom: float, weights: np.ndarray, log_det: float) -> "Joint":
         """A joint whose rows have these weights (M,) in the noise, W with this logarithm of its determinant; see `weights`."""
         white, _ = noise.whitening(data.place[j], data.turning[j])
         none = np.zeros((0, 0))
-        one = cls(np.zeros(0), log_det, int(data.counted[j].sum()), noise, diags(weights) @ white, none, none)
+        one = cls(np.zeros(0), log_det, int(data.counted[j].sum()), noise, freedom, diags(weights) @ white, none, none)
         return one.with_features(data.features[j])
 
     def weights(self, data: Data, j: int) -> np.ndarray:
@@ -156,6 +161,10 @@ class Joint(Spectrum):
     def along(self, x: np.ndarray) -> np.ndarray:
         """Products of the orthogonal features with whitened columns, (F, …)."""
         return self.turn.T @ (self.features.T @ x)
+
+    def explained(self, features: np.ndarray, residual: np.ndarray, rho: float) -> np.ndarray:
+        """The mean of the discrepancy, of which these are the features before whitening (M, F), beside a residual (M,), (M,)."""
+        return features @ (self.turn @ (self.along(self.white @ residual) / (self.values + rho)))
 
     def beyond_discrepancy(self, x: np.ndarray, rho: float) -> np.ndarray:
         """Whitened columns (M, …) with the discrepancy integrated out, rho = (σ / its size)²: W⁻ᵀ P W⁻¹ x of `docs/discovery.md`."""
@@ -250,6 +259,10 @@ class Posterior(Solution):
     data: Data
     residual: np.ndarray
     columns: np.ndarray
+
+    def ratio(self, j: int) -> float:
+        """ρ = (σ / size of the discrepancy)² of a joint."""
+        return float(self.sizes.sigma[j] / self.sizes.discrepancy[j]) ** 2
 
     def cost(self, residual: np.ndarray) -> float:
         """Weighted square of another residual (n, M), under this noise."""
@@ -385,11 +398,8 @@ def _contiguous(x: np.ndarray) -> np.ndarray:
 
 def _left(data: Data, found: Posterior, j: int) -> np.ndarray:
     """Residual of a joint without parameters' step and discrepancy, (M,)."""
-    one = found.joints[j]
     r = found.residual[j] - found.columns[j] @ found.step
-    t = one.along(one.white @ r)
-    c = t / (one.values + (found.sizes.sigma[j] / found.sizes.discrepancy[j]) ** 2)
-    return (r - data.features[j] @ (one.turn @ c)) * (data.place[j] >= 0)
+    return (r - found.joints[j].explained(data.features[j], r, found.ratio(j))) * (data.place[j] >= 0)
 
 
 def _first(data: Data, residual: np.ndarray) -> Sizes:

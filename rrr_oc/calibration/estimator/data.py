@@ -1,17 +1,17 @@
-"""Recordings as the data of a diagnosis: which rows count, where joints turn, their noise, and what no law is exact enough for."""
+"""Recordings as the data of an estimate: which rows count, where joints turn, their noise, and what no law is exact enough for."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import toeplitz
 from scipy.sparse import csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY
 from rrr_oc.calibration.regression import Rows, filtered, rows, width_columns, with_residuals
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
-from rrr_oc.diagnosis.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY
-from rrr_oc.diagnosis.signatures import dry_friction
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.numerics.smooth import sign
 from rrr_oc.recordings.recording import Recording
@@ -22,16 +22,17 @@ LEAST_TURNING = 20  # rows at reversals from which their larger noise is estimat
 EVERY = 2  # rows of which one is used: beyond 6 Hz derivatives of recorded positions are not exact
 TURNS = 0.02  # share of a row's filter on samples at a reversal from which the row counts as one
 SLOW, SIGN = (0.02, 0.05, 0.12), 0.03  # speeds below which dry friction may be off, and width of its sign [rad/s]
+LEAST_DRY = 0.02  # of a joint's torque, the least dry friction that priors of friction refer to; doubled, weak friction is believed larger
 ORDERS = {"q": 8, "dq": 4, "load": 4}  # of the cosines of a discrepancy over each variable
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Recordings ready for a discovery.
+    """Recordings ready for an estimate.
 
     Attributes:
         prepared: The recordings.
-        start: The plain model, calibrated.
+        start: The model that the discrepancy refers to, about calibrated; its terms are the plain ones.
         links: What is not known of the links' inertial parameters.
         free: Whether these errors are of unknown size, as of a URDF that is not exact; else of size 1.
         whole: All recordings, if these are a part of them.
@@ -89,7 +90,7 @@ class Data:
 
     def rows(self, model: CalibratedModel) -> Rows:
         """Residuals and derivatives of a model at the rows that are used."""
-        found = rows(self.prepared, model, inertial=True, starts=True)
+        found = rows(self.prepared, model, inertial=True)
         return replace(found, residual=found.residual[:, self.at], jacobian=found.jacobian[:, self.at], moving=self.counted)
 
     def residual(self, found: Rows, model: CalibratedModel) -> np.ndarray:
@@ -201,6 +202,22 @@ class Data:
         return result
 
 
+def dry_friction(model: CalibratedModel, torque: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Plain dry friction of each joint [Nm], at least `LEAST_DRY` of its torque, and half of its friction at the largest speed, (n,).
+
+    The latter, since a plain model that lacks friction may share out what there is between dry and viscous in any way.
+    """
+    dry, whole = LEAST_DRY * torque, np.zeros(len(torque))
+    for term in model.terms:
+        effect = term.effect
+        if effect.role == "plain" and effect.provides == "friction":
+            (at,) = effect.torque(Signals(0 * speed, speed), term.named, 0.0)
+            whole[effect.joints[0]] += abs(float(at))
+        if effect.sign_forms:
+            dry[effect.joints[0]] = max(dry[effect.joints[0]], float(term.values[0]))
+    return np.maximum(dry, 0.5 * whole)
+
+
 @dataclass(frozen=True)
 class Noise:
     """Prediction-error filters of the residual of one joint.
@@ -216,7 +233,7 @@ class Noise:
     turning: float
 
     @classmethod
-    def of(cls, residual: np.ndarray, place: np.ndarray, turning: np.ndarray) -> "Noise":
+    def of(cls, residual: np.ndarray, place: np.ndarray, turning: np.ndarray, taken: np.ndarray | None = None) -> "Noise":
         """Estimated by least squares from a residual (M,), with the sum of each filter's weights at most exp(−Δt / `MEMORY`).
 
         An offset passes a filter by 1 − that sum, so that a sum near 1 would hide it. Least squares over the rows with a full past
@@ -226,24 +243,27 @@ class Noise:
         Args:
             place: Number of rows without a gap before each row; −1 where a row does not count, (M,).
             turning: Where the joint turns, (M,).
+            taken: Columns whose products are the covariance of what parameters have taken up of the noise, (M, r); none by default.
         """
-        count = np.count_nonzero(place >= 0)
-        order = int(np.clip(count // ROWS_PER_LAG, 0, round(MEMORY / STRIDE / EVERY)))
+        order = order_of(np.count_nonzero(place >= 0))
         lags = np.zeros((len(residual), order))
         for k in range(order):
             lags[k + 1 :, k] = residual[: -k - 1]
         calm, most = ~turning, float(np.exp(-STRIDE * EVERY / MEMORY))
+        lost = np.zeros(order + 1) if taken is None else autocovariance(taken, place, order)
         filters, spreads, factor = [], [], 1.0
         for k in range(order + 1):
             rows = (place >= k) & calm
             if np.count_nonzero(rows) < max(3 * k, 10):
                 rows = place >= k
-            x, y = lags[rows, :k], residual[rows]
-            weights = _bounded(x.T @ x + 1e-9 * (y @ y + 1e-300) * np.eye(k), x.T @ y, most)
+            x, y, more = lags[rows, :k], residual[rows], toeplitz(lost[: k + 1])
+            matrix = x.T @ x + len(y) * more[1:, 1:]
+            weights = _bounded(matrix + 1e-9 * (y @ y + 1e-300) * np.eye(k), x.T @ y + len(y) * lost[1 : k + 1], most)
             if k and np.abs(np.roots([1.0, *-weights])).max(initial=0.0) >= 1:
                 weights = np.append(filters[-1], 0.0)
             filters.append(weights)
-            spreads.append(float(np.sqrt(np.mean((y - x @ weights) ** 2))) if len(y) else 1.0)
+            error = np.append(1.0, -weights)
+            spreads.append(float(np.sqrt(np.mean((y - x @ weights) ** 2) + error @ more @ error)) if len(y) else 1.0)
         turned = (place >= order) & turning
         if np.count_nonzero(turned) > LEAST_TURNING and spreads[-1] > 0:
             error = residual[turned] - lags[turned] @ filters[-1]
@@ -267,6 +287,28 @@ class Noise:
         matrix = csr_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
         counted = place >= 0
         return matrix, float(np.sum(np.log(scale[counted] / self.spreads[at[counted]])))
+
+
+def low_frequency(residual: np.ndarray, place: np.ndarray, turning: np.ndarray, taken: np.ndarray | None = None) -> float:
+    """Standard deviation of white noise that is as strong at frequency 0 as a residual; arguments as of `Noise.of`."""
+    noise = Noise.of(residual, place, turning, taken)
+    columns = residual[:, None] if taken is None else np.column_stack([residual, taken])
+    square = np.sum((noise.whitening(place, turning)[0] @ columns) ** 2) / max(np.count_nonzero(place >= 0), 1)
+    return max(float(np.sqrt(square)) / (1 - float(noise.filters[-1].sum())), 1e-9)
+
+
+def autocovariance(columns: np.ndarray, place: np.ndarray, most: int) -> np.ndarray:
+    """Mean over the rows of a process whose covariance is columns (M, r) times their transpose, at 0, 1, … rows, (most + 1,).
+
+    Divided by the same number at all lags, as else it would not be positive definite.
+    """
+    rows = [np.flatnonzero(place >= k) for k in range(most + 1)]
+    return np.array([np.sum(columns[r] * columns[r - k]) / max(len(rows[0]), 1) for k, r in enumerate(rows)])
+
+
+def order_of(count: int) -> int:
+    """Number of rows before one on which its noise is taken to depend, where so many rows count."""
+    return int(np.clip(count // ROWS_PER_LAG, 0, round(MEMORY / STRIDE / EVERY)))
 
 
 def _bounded(matrix: np.ndarray, right: np.ndarray, most: float) -> np.ndarray:

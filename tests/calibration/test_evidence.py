@@ -10,8 +10,8 @@ from scipy.optimize import lsq_linear, minimize
 from scipy.stats import multivariate_normal
 from test_data import INNOVATION, PLACE, dense, exact_noise, places
 
-from rrr_oc.diagnosis.data import Noise
-from rrr_oc.diagnosis.evidence import Joint, Prior, Sizes, solve
+from rrr_oc.calibration.estimator.data import Noise
+from rrr_oc.calibration.estimator.evidence import Joint, Prior, Sizes, solve
 
 
 class Problem:

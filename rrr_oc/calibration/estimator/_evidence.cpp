@@ -1,4 +1,4 @@
-// The evidence of a linear problem and its best hyperparameters, from products of its columns: see `rrr_oc.diagnosis.evidence`, whose
+// The evidence of a linear problem and its best hyperparameters, from products of its columns: see `rrr_oc.calibration.estimator.evidence`, whose
 // names are used here. A search asks for it thousands of times, on matrices so small that numpy's calls would take most of the time.
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -310,7 +310,7 @@ PyObject * py_estimate(PyObject *, PyObject * args)
 PyMethodDef methods[] = {
   {"estimate", py_estimate, METH_VARARGS,
    "estimate(p, joints, mean, precision, proper, links, lower, upper, flat, sizes, updates, settled, least, step, matrix, likelihood, "
-   "right) -> log evidence, misfit: see `rrr_oc.diagnosis.evidence`."},
+   "right) -> log evidence, misfit: see `rrr_oc.calibration.estimator.evidence`."},
   {nullptr, nullptr, 0, nullptr}};
 
 PyModuleDef module = {PyModuleDef_HEAD_INIT, "_evidence", nullptr, -1, methods, nullptr, nullptr, nullptr, nullptr};

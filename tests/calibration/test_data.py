@@ -9,10 +9,10 @@ from scipy.linalg import block_diag, solve_discrete_lyapunov, toeplitz
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
+from rrr_oc.calibration.estimator.data import EVERY, Noise, _bounded
+from rrr_oc.calibration.estimator.evidence import Joint
+from rrr_oc.calibration.estimator.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR, MEMORY
 from rrr_oc.calibration.samples import STRIDE
-from rrr_oc.diagnosis.data import EVERY, Noise, _bounded
-from rrr_oc.diagnosis.evidence import Joint
-from rrr_oc.diagnosis.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR, MEMORY
 from rrr_oc.robot.inertial_parameters import is_possible
 from rrr_oc.robot.link_errors import LinkErrors
 

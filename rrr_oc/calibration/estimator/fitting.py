@@ -1,0 +1,243 @@
+"""Models fitted under their evidence: Gauss–Newton on the exact equations, with priors, noise and discrepancy estimated on the way.
+
+The one estimator: of a calibration, whose model has plain terms alone, and of a diagnosis, whose models have effects beyond these.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
+from rrr_oc.calibration.estimator.evidence import LEAST, Posterior, Prior, Sizes, Start, solve
+from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
+from rrr_oc.calibration.regression import Rows, rows
+from rrr_oc.effects import Effect
+from rrr_oc.numerics.rank import lengths
+
+STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
+GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
+IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
+BEND = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
+DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
+WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
+CLOSER = 2  # fits of least squares, whose weights depend on what the one before leaves
+ROUNDING = 1e-13  # added to the diagonal of a precision with a diagonal of 1
+OTHER_SIGN = 3.0  # nats from which another way in which friction changes sign is fitted
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to data.
+
+    Attributes:
+        model: At the estimates.
+        links: Errors of the links in standard deviations of their prior, (k,).
+        posterior: Of the parameters, from which the model was reached.
+        residual: Of the model, (n, M) [Nm].
+        extra: Number of terms beyond the plain ones.
+    """
+
+    model: CalibratedModel
+    links: np.ndarray
+    posterior: Posterior
+    residual: np.ndarray
+    base: int
+
+    @property
+    def log_evidence(self) -> float:
+        return self.posterior.log_evidence
+
+    @property
+    def extra(self) -> tuple[Term, ...]:
+        """The effects that were added to the plain model."""
+        return self.model.terms[self.base :]
+
+
+@dataclass(frozen=True)
+class PlainFitter:
+    """Fits of models to data.
+
+    Attributes:
+        data: The data.
+        plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
+    """
+
+    data: Data
+    plain_std: np.ndarray
+
+    @classmethod
+    def of(cls, data: Data) -> "PlainFitter":
+        """Of models with the terms of `data.start`."""
+        return cls(data, plain_std(data))
+
+    def begin(self, nominal: CalibratedModel) -> Fitted:
+        """The fit of `data.start`, from the values of its terms and the links of a nominal model on."""
+        return self.with_signs(self.fit(replace(self.data.start, robot=nominal.robot), self.data.links.none))
+
+    def fit(
+        self, model: CalibratedModel, links: np.ndarray, start: Posterior | Start | None = None, fixed: bool = False
+    ) -> Fitted:
+        """All parameters of a model fitted, with sizes that begin with those of `start`, or stay `fixed` there."""
+        data = self.data
+        found = data.rows(model)
+        columns, residual = self.columns(model, links, found), found.residual
+        best, highest, last, fall, idle, exact, first = None, -np.inf, np.inf, np.inf, 0, True, 0
+        for _ in range(STEPS):
+            post = solve(data, residual, columns, self.prior(model, links), start, fixed)
+            start = post
+            before = post.misfit + post.prior_cost(0 * post.step)
+            expected = before - post.predicted(post.step)
+            best = Fitted(model, links, post, residual, len(data.start.terms))
+            idle = idle + 1 if max(post.log_evidence - highest, fall / 2) < IDLE and expected > last / 2 else 0
+            highest, last = max(highest, post.log_evidence), expected
+            if expected < GAIN or idle == 2:
+                break
+            for rung in range(first, len(DAMPINGS)):
+                step = post.damped(DAMPINGS[rung])
+                there, errors = self.moved(model, links, step)
+                after = data.residual(found, there)
+                cost = post.cost(after) + post.prior_cost(step)
+                if cost < before:
+                    break
+            else:
+                if exact:
+                    break
+                found, exact, fall = data.rows(model), True, 0.0
+                columns = self.columns(model, links, found)
+                continue
+            first = max(rung - 1, 0)
+            missed = np.sum((after - (residual - columns @ step)) ** 2)
+            linear = missed <= BEND**2 * np.sum((after - residual) ** 2)
+            model, links, residual, fall = there, errors, after, before - cost
+            if linear and rung == 0:
+                best = Fitted(model, links, post, residual, len(data.start.terms))
+                break
+            exact = bool(missed > BEND * np.sum((found.residual - after) ** 2))
+            if exact:
+                found = data.rows(model)
+                columns = self.columns(model, links, found)
+        assert best is not None
+        return best
+
+    def with_signs(self, fitted: Fitted) -> Fitted:
+        """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""
+        tried: set[tuple[int, Effect]] = set()
+        while True:
+            found = [(i, form, width) for i, gain, form, width in self._other_signs(fitted) if gain > OTHER_SIGN]
+            better = {i: (form, width) for i, form, width in found if (i, form) not in tried}
+            if not better:
+                return fitted
+            tried |= {(i, form) for i, (form, _) in better.items()}
+            terms = list(fitted.model.terms)
+            for i, (form, width) in better.items():
+                at = {form.joints: width}
+                terms = [widened(replace(t, effect=form) if k == i else t, at) for k, t in enumerate(terms)]
+            new = self.fit(replace(fitted.model, terms=tuple(terms)), fitted.links, fitted.posterior)
+            if new.log_evidence > fitted.log_evidence:
+                fitted = new
+
+    def _other_signs(self, fitted: Fitted) -> Iterator[tuple[int, float, Effect, float]]:
+        """For each term of dry friction its number, the largest gain of a form and width, all else linear, and these two."""
+        post, data = fitted.posterior, self.data
+        inverse = np.linalg.pinv(post.matrix, hermitian=True)
+        for i, term in enumerate(fitted.model.terms[: fitted.base]):
+            others = [(f, w) for f in term.effect.sign_forms for w in WIDTHS]
+            if not others or not term.width:
+                continue
+            (j,), own = term.effect.joints, data.friction(term.effect, term.width)
+            changes = term.values[0] * np.array([data.friction(*other) - own for other in others]).T
+            one, sigma = post.joints[j], post.sizes.sigma[j]
+            d, y, x = one.white @ changes, one.white @ fitted.residual[j], one.white @ post.columns[j]
+            left = one.beyond_discrepancy(d, (sigma / post.sizes.discrepancy[j]) ** 2) / sigma**2
+            slope = x.T @ left
+            gains = y @ left - 0.5 * np.sum(d * left, axis=0) + 0.5 * np.sum(slope * (inverse @ slope), axis=0)
+            best = int(np.argmax(gains))
+            yield i, float(gains[best]), *others[best]
+
+    def closest(self, fitted: Fitted) -> Fitted:
+        """The model that predicts the recordings best, in least squares about a fit, with the posterior that goes with it.
+
+        Where a law is missing, noise and discrepancy take up what other parameters would explain in part, and the likeliest parameters
+        are not those that predict best. Those of least squares estimate the model of the least distance from what is true (L2
+        calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum at frequency 0 of what is left, as friction and inertia
+        are seen in slow motion.
+        """
+        for _ in range(CLOSER):
+            start = Start.of(self.data, at_low_frequency(self.data, fitted))
+            fitted = self.fit(fitted.model, fitted.links, start, fixed=True)
+        return fitted
+
+    def columns(self, model: CalibratedModel, links: np.ndarray, found: Rows) -> np.ndarray:
+        """Derivatives by the terms' parameters, the links' errors and the logarithms of the widths of dry friction, (n, M, p)."""
+        size = len(model.values)
+        by_links = found.jacobian[:, :, size:] @ self.data.links.at(links)[1]
+        return np.concatenate(
+            [found.jacobian[:, :, :size], by_links, self.data.by_widths(model, list(self.widths(model)))], axis=2
+        )
+
+    def widths(self, model: CalibratedModel) -> dict[tuple[int, ...], float]:
+        """Width of the sign of each joint's dry friction [rad/s]."""
+        return {t.effect.joints: float(t.width) for t in model.terms if t.effect.sign_forms and t.width}
+
+    def moved(self, model: CalibratedModel, links: np.ndarray, step: np.ndarray) -> tuple[CalibratedModel, np.ndarray]:
+        """The model after a change of its parameters, and the links' errors."""
+        size, k = len(model.values), len(links)
+        terms = with_parameter_values(model.terms, model.values + step[:size])
+        errors = links + step[size : size + k]
+        there = replace(model, terms=terms, robot=replace(model.robot, inertial=self.data.links.at(errors)[0]))
+        new = {
+            joints: float(np.clip(w * np.exp(s), WIDTHS[0], WIDTHS[-1]))
+            for (joints, w), s in zip(self.widths(model).items(), step[size + k :], strict=True)
+        }
+        return replace(there, terms=tuple(widened(t, new) for t in there.terms)), errors
+
+    def prior(self, model: CalibratedModel, links: np.ndarray) -> Prior:
+        """The prior of changes of a model's parameters: of plain terms, effects, errors of the links and widths, in this order."""
+        base, values, widths = len(self.data.start.terms), model.values, np.array(list(self.widths(model).values()))
+        low, high = bounds(model.terms)
+        mean, precision, flat, lower, upper = self.of_effects(model.terms[base:])
+        plain, size, k, end = len(self.plain_std), len(values), len(links), len(values) + len(links) + len(widths)
+        low[plain:], high[plain:] = np.maximum(low[plain:], lower), np.minimum(high[plain:], upper)
+        factor = np.array([p.factor for t in model.terms for p in t.effect.parameters], float)
+        f = np.flatnonzero(np.isfinite(factor))  # parameters that one step may change by a factor at most
+        low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
+        free, number = np.full(k, np.inf), np.arange(end)
+        return Prior(
+            mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
+            precision=np.concatenate([self.plain_std**-2.0, precision, np.ones(end - size)]),
+            proper=(number >= plain) & (number < size + k),
+            links=self.data.free & (number >= size) & (number < size + k),
+            lower=np.concatenate([np.minimum(low - values, 0), -free, np.log(WIDTHS[0] / widths)]),
+            upper=np.concatenate([np.maximum(high - values, 0), free, np.log(WIDTHS[-1] / widths)]),
+            flat=np.concatenate([np.zeros(plain), flat, np.zeros(end - size)]),
+        )
+
+    def of_effects(self, terms: Sequence[Term]) -> np.ndarray:
+        """Mean, precision and flat precision of changes, and bounds, of the parameters of effects beyond the plain terms, (5, m)."""
+        if terms:
+            raise ValueError(f"no prior of {', '.join(t.effect.name for t in terms)}; a model of plain terms is required")
+        return np.zeros((5, 0))
+
+
+def at_low_frequency(data: Data, fitted: Fitted) -> Sizes:
+    """Sizes of white noise that is as strong at frequency 0 as what a fit leaves of the torques, and of no discrepancy.
+
+    What the parameters have taken up of the noise is added to what is left, as the posterior has it.
+    """
+    white, post, scale = Noise((np.zeros(0),), np.ones(1), 1.0), fitted.posterior, lengths(fitted.posterior.matrix)
+    factor = np.linalg.cholesky(post.matrix / np.outer(scale, scale) + ROUNDING * np.eye(len(scale)))
+    root = np.linalg.inv(factor).T / scale[:, None]
+    sigma = [
+        low_frequency(left, place, turning, (columns @ root) * (place >= 0)[:, None])
+        for left, place, turning, columns in zip(fitted.residual, data.place, data.turning, post.columns, strict=True)
+    ]
+    return Sizes((white,) * data.n, np.array(sigma), np.full(data.n, LEAST), post.sizes.links)
+
+
+def plain_std(data: Data) -> np.ndarray:
+    """Prior standard deviations of the plain terms' parameters: each alone would add `WIDE` times the torque of a joint, (p,)."""
+    found = rows(data.prepared, data.start)
+    sizes = np.sqrt(np.mean(found.jacobian**2, axis=1)) / data.torque[:, None]  # (n, p) of a unit of each parameter
+    return WIDE / np.maximum(sizes.max(axis=0, initial=0.0), 1e-12)

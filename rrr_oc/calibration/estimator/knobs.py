@@ -1,0 +1,16 @@
+"""The numbers, set by hand, that decide what an estimate takes for noise, for an imperfect law, and for an imperfect URDF."""
+
+# Time over which a joint's noise stays alike [s]; doubled, slow disturbances are rather taken for noise.
+MEMORY = 0.5
+# Share of a joint's torque by which the best law may be wrong; doubled, small effects are claimed later.
+DISCREPANCY = 0.003
+# Share of a joint's dry friction by which the best law of friction may be wrong; doubled, details of friction are claimed later.
+FRICTION_DISCREPANCY = 0.05
+# Time by which the recorded torque, speed and acceleration of a joint may be apart [s]; doubled, short delays are claimed later.
+CLOCK_ERROR = 0.003
+# Share by which a link's mass in the URDF may be wrong; doubled, a wrong mass is claimed later.
+MASS_ERROR = 0.03
+# Distance by which a link's centre of mass in the URDF may be wrong [m]; doubled, laws of the position are claimed later.
+CENTRE_ERROR = 0.01
+# Share by which a link's inertia in the URDF may be wrong; doubled, laws of the acceleration are claimed later.
+INERTIA_ERROR = 0.05
