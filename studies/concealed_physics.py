@@ -291,7 +291,7 @@ def with_effect(fitter: Fitter, fitted: Fitted, ways: Sequence[Trial], recording
     if not ways:
         return None
     near = Search.of(fitter, ways).neighbours(fitted)
-    here = near.at(near.linear.own, fitted.posterior.sizes, fixed=True)
+    here = near.at(near.linear.own, fitted.posterior.hyper, fixed=True)
     found = Screen.of(near.level, near.tables(None), here.structure, near.blocks, here.solution).candidates()
     starts = [next((c for c in found if (c.scope is None) is whole), None) for whole in (True, False)]
     fits = []

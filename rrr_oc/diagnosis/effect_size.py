@@ -76,7 +76,7 @@ def falls(near: Neighbours, effects: Structure) -> list[Fall]:
     data, level = near.linear.fitter.data, near.level
     structures = [effects, *(tuple(a for a in effects if a is not b) for b in effects)]
     residuals = np.empty((len(structures), *near.linear.residual.shape))
-    blocks, sizes = level.whole, near.linear.fitted.posterior.sizes
+    blocks, hyper = level.whole, near.linear.fitted.posterior.hyper
     for part in range(PARTS):
         held = blocks[part::PARTS]
         if not held:
@@ -84,7 +84,7 @@ def falls(near: Neighbours, effects: Structure) -> list[Fall]:
         rest = replace(near, blocks=tuple(b for b in blocks if b not in held))
         rows = np.concatenate([np.arange(level.edges[b], level.edges[b + 1]) for b in held])
         for k, structure in enumerate(structures):
-            residuals[k][:, rows] = near.linear.left(structure, rest.at(structure, sizes, True).solution.step, rows)
+            residuals[k][:, rows] = near.linear.left(structure, rest.at(structure, hyper, True).solution.step, rows)
     squares = np.array([(part**2).sum(axis=2) for part in np.split(residuals, level.edges[1:-1], axis=2)])  # (B, S, n)
     of_block = data.label[level.edges[:-1]]
     result = []

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
-from rrr_oc.calibration.estimator.evidence import Sizes
+from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.effects import Effect, MovesLink, OfEach, Trial, View
@@ -65,12 +65,12 @@ def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -
     return result
 
 
-def exact(sizes: Sizes, free: bool) -> Sizes | None:
-    """Sizes of an exact arm, where errors of the links are of unknown size (`free`); None where they are as small."""
-    if sizes.links < EXACT_LINKS and np.all(sizes.discrepancy < EXACT_LAWS):
+def exact(hyper: Hyperparameters, free: bool) -> Hyperparameters | None:
+    """Hyperparameters of an exact arm, where errors of the links are of unknown size (`free`); None where they are as small."""
+    if hyper.links < EXACT_LINKS and np.all(hyper.discrepancy < EXACT_LAWS):
         return None
-    links = min(EXACT_LINKS, sizes.links) if free else sizes.links
-    return replace(sizes, links=links, discrepancy=np.minimum(sizes.discrepancy, EXACT_LAWS))
+    links = min(EXACT_LINKS, hyper.links) if free else hyper.links
+    return replace(hyper, links=links, discrepancy=np.minimum(hyper.discrepancy, EXACT_LAWS))
 
 
 @dataclass(frozen=True)

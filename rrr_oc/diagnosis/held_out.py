@@ -141,7 +141,7 @@ def _check(near: Neighbours, effects: Structure, held: Sequence[int]) -> Check:
     rows, residuals = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in held]), []
     for k in range(len(effects) + 1):
         seen = tuple(a for a in effects[:k] if groups & set(a.scope or data.labels))
-        residuals.append(near.linear.left(seen, rest.at(seen, near.level.posterior.sizes).solution.step, rows))
+        residuals.append(near.linear.left(seen, rest.at(seen, near.level.posterior.hyper).solution.step, rows))
     weights = 1 / np.maximum(np.sum(residuals[-1] ** 2, axis=1), 1e-12)
     squares = np.array([weights * np.sum(r**2, axis=1) for r in residuals])
     return Check(squares, np.array([_errors(data, held, r) for r in residuals]))

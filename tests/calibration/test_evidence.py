@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from test_data import INNOVATION, PLACE, dense, exact_noise, places
 
 from rrr_oc.calibration.estimator.data import Noise
-from rrr_oc.calibration.estimator.evidence import Joint, Prior, Sizes, solve
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, Prior, solve
 
 
 class Problem:
@@ -33,10 +33,10 @@ class Problem:
         self.prior = normal(rng.standard_normal(parameters), rng.uniform(0.5, 2.0, parameters))
         noises = (exact_noise(), Noise((np.zeros(0),), np.ones(1), 1.0))
         self.joints = tuple(Joint.of(self.data, j, noise) for j, noise in enumerate(noises))
-        self.sizes = Sizes(noises, np.array([0.4, 0.9]), np.array([0.7, 1.6]), 1.3)
+        self.hyper = Hyperparameters(noises, np.array([0.4, 0.9]), np.array([0.7, 1.6]), 1.3)
 
-    def solved(self, prior: Prior, columns: np.ndarray, sizes: Sizes | None = None):
-        start = SimpleNamespace(sizes=sizes or self.sizes, joints=self.joints)
+    def solved(self, prior: Prior, columns: np.ndarray, hyper: Hyperparameters | None = None):
+        start = SimpleNamespace(hyper=hyper or self.hyper, joints=self.joints)
         return solve(self.data, self.residual, columns, prior, start, fixed=True)
 
     def covariance(self, prior: Prior, columns: np.ndarray) -> np.ndarray:
@@ -45,9 +45,9 @@ class Problem:
         alone = (dense(PLACE) / INNOVATION**2, np.eye(np.count_nonzero(counted)))
         for j, shape in enumerate(alone):
             f = self.features[j][counted]
-            parts.append(self.sizes.sigma[j] ** 2 * shape + self.sizes.discrepancy[j] ** 2 * f @ f.T)
+            parts.append(self.hyper.sigma[j] ** 2 * shape + self.hyper.discrepancy[j] ** 2 * f @ f.T)
         a = columns[:, counted].reshape(-1, columns.shape[2])
-        precision = np.where(prior.links, prior.precision / self.sizes.links**2, prior.precision)
+        precision = np.where(prior.links, prior.precision / self.hyper.links**2, prior.precision)
         return block_diag(*parts) + a @ np.diag(1 / precision) @ a.T
 
     def log_density(self, prior: Prior, columns: np.ndarray) -> float:
@@ -74,14 +74,14 @@ def normal(mean: np.ndarray, std: np.ndarray, links: tuple[int, ...] = ()) -> Pr
 
 @pytest.mark.parametrize("links", [(), (1, 2)])
 def test_evidence_is_the_density_of_the_marginal_normal_distribution(links):
-    """But for 2 π and the priors of the sizes, normal of scale 1 up to constants."""
+    """But for 2 π and the priors of the hyperparameters, normal of scale 1 up to constants."""
     problem = Problem(1)
     prior = replace(problem.prior, links=np.isin(np.arange(4), links))
     found = problem.solved(prior, problem.columns)
     count = 2 * np.count_nonzero(PLACE >= 0)
     expected = problem.log_density(prior, problem.columns) + 0.5 * count * np.log(2 * np.pi)
-    sizes = [*problem.sizes.discrepancy, *([problem.sizes.links] if links else [])]
-    expected -= 0.5 * np.sum(np.square(sizes))
+    hyper = [*problem.hyper.discrepancy, *([problem.hyper.links] if links else [])]
+    expected -= 0.5 * np.sum(np.square(hyper))
     assert found.log_evidence == pytest.approx(expected, abs=1e-7)
 
 
@@ -165,18 +165,20 @@ def test_the_sizes_that_are_found_maximise_the_evidence(seed, like):
     found = solve(problem.data, problem.residual, problem.columns, prior)
 
     def loss(change: np.ndarray) -> float:
-        factors, sizes = np.exp(change), found.sizes
-        sizes = Sizes(sizes.noise, sizes.sigma * factors[:2], sizes.discrepancy * factors[2:4], float(sizes.links * factors[4]))
-        start = replace(found, sizes=sizes)
+        factors, hyper = np.exp(change), found.hyper
+        hyper = Hyperparameters(
+            hyper.noise, hyper.sigma * factors[:2], hyper.discrepancy * factors[2:4], float(hyper.links * factors[4])
+        )
+        start = replace(found, hyper=hyper)
         return (
             found.log_evidence - solve(problem.data, problem.residual, problem.columns, prior, start, fixed=True).log_evidence
         )
 
     assert loss(np.zeros(5)) == pytest.approx(0.0, abs=1e-9)
     best = minimize(loss, np.zeros(5), method="Nelder-Mead", options={"maxiter": 1500, "fatol": 1e-6, "xatol": 1e-4})
-    assert best.fun > -0.01  # updates end where the sizes hardly change
+    assert best.fun > -0.01  # updates end where the hyperparameters hardly change
     assert all(loss(0.3 * step) > 0.01 for step in np.concatenate([np.eye(5)[:4], -np.eye(5)[:4]]))
-    assert np.all(np.abs(found.sizes.sigma - 0.5) < 0.06)
+    assert np.all(np.abs(found.hyper.sigma - 0.5) < 0.06)
 
 
 def test_one_huge_error_hardly_moves_the_estimates():
@@ -193,7 +195,7 @@ def test_one_huge_error_hardly_moves_the_estimates():
     assert np.max(np.abs(squares - truth) / std) > 20
     assert np.max(np.abs(hit.step - calm.step) / std) < 1
     np.testing.assert_allclose(calm.step, truth, atol=4 * np.max(std))
-    assert np.all(hit.sizes.sigma < 1.3 * calm.sizes.sigma)
+    assert np.all(hit.hyper.sigma < 1.3 * calm.hyper.sigma)
 
 
 def test_a_joint_without_rows_that_count_says_nothing():

@@ -43,31 +43,31 @@ def laws(every: tuple[Trial, ...], *kinds: type) -> list[Trial]:
     return list(found.values())
 
 
-def screened(fitter, at, trials, sizes=None, structure=None):
+def screened(fitter, at, trials, hyper=None, structure=None):
     """Neighbours of a fit among some trials, and the screen beside a structure (the fit's own by default)."""
     near = Search.of(fitter, trials).neighbours(at)
-    here = near.at(near.linear.own if structure is None else structure, sizes or at.posterior.sizes, fixed=True)
+    here = near.at(near.linear.own if structure is None else structure, hyper or at.posterior.hyper, fixed=True)
     return near, here, Screen.of(near.level, near.tables(None), here.structure, near.blocks, here.solution)
 
 
-def dense(near, structure, sizes):
+def dense(near, structure, hyper):
     """The posterior of a structure by `solve`, from all rows."""
     columns = np.concatenate([near.linear.columns, *(a.columns for a in structure)], axis=2)
     post = near.linear.fitted.posterior
     return solve(
-        post.data, near.linear.residual, columns, near.linear.prior_with(structure), replace(post, sizes=sizes), fixed=True
+        post.data, near.linear.residual, columns, near.linear.prior_with(structure), replace(post, hyper=hyper), fixed=True
     )
 
 
 @pytest.mark.parametrize("exact", [False, True])
 def test_gains_are_differences_of_evidence(fitted, exact):
-    """For the same sizes: those estimated, and those of an arm whose laws are exact; in all groups and in one."""
+    """For the same hyperparameters: those estimated, and those of an arm whose laws are exact; in all groups and in one."""
     fitter, at, every = fitted
-    sizes, chosen = at.posterior.sizes, laws(every, TorqueOffset, QuadraticDrag, CoulombAsymmetry)
+    hyper, chosen = at.posterior.hyper, laws(every, TorqueOffset, QuadraticDrag, CoulombAsymmetry)
     if exact:
-        sizes = replace(sizes, links=0.01, discrepancy=np.full(2, 0.01))
-    near, here, screen = screened(fitter, at, chosen, sizes)
-    found, base = screen.candidates(), dense(near, (), sizes)
+        hyper = replace(hyper, links=0.01, discrepancy=np.full(2, 0.01))
+    near, here, screen = screened(fitter, at, chosen, hyper)
+    found, base = screen.candidates(), dense(near, (), hyper)
     assert here.solution.log_evidence == pytest.approx(base.log_evidence, abs=1e-6)
     assert {c.scope for c in found} >= {None, ("a",)}
     keys = {(t.effect.name, t.effect.joints) for t in chosen}
@@ -75,7 +75,7 @@ def test_gains_are_differences_of_evidence(fitted, exact):
     assert {("torque_offset", (0,)), ("quadratic_drag", (1,))} <= {c.key for c in found}  # not what gains nothing
     for c in found:
         added = near.linear.candidate(near.tables(None), c)
-        whole = dense(near, (added,), sizes)
+        whole = dense(near, (added,), hyper)
         gain = whole.log_evidence - base.log_evidence + np.log(EXCESS[c.excess])
         assert c.gain - c.log_prior == pytest.approx(gain, abs=1e-3 + 1e-5 * abs(gain)), (c.key, c.scope)
         np.testing.assert_allclose(c.coefficients, whole.step[len(base.step) :], rtol=1e-4, atol=1e-7)
@@ -92,14 +92,14 @@ def test_gains_in_the_place_of_others_are_differences_of_evidence(fitted):
         near.linear.candidate(near.tables(None), best[key]) for key in (("quadratic_drag", (1,)), ("torque_offset", (0,)))
     )
     near, _, screen = screened(fitter, at, [*offsets, *drags], structure=two)
-    sizes = at.posterior.sizes
+    hyper = at.posterior.hyper
     for out in ((0,), (1,), (0, 1)):
         less = tuple(a for i, a in enumerate(two) if i not in out)
-        base = dense(near, less, sizes)
+        base = dense(near, less, hyper)
         found = screen.candidates([near.level.p + i for i in out])
         assert found
         for c in found:
-            whole = dense(near, (*less, near.linear.candidate(near.tables(None), c)), sizes)
+            whole = dense(near, (*less, near.linear.candidate(near.tables(None), c)), hyper)
             gain = whole.log_evidence - base.log_evidence + np.log(EXCESS[c.excess])
             assert c.gain - c.log_prior == pytest.approx(gain, abs=1e-3 + 1e-5 * abs(gain)), (out, c.key, c.scope)
 
@@ -112,17 +112,17 @@ def test_a_structure_on_some_recordings_is_that_of_their_rows(fitted):
     some, data = (0, 3), fitter.data
     free = np.full(near.level.p, np.inf)
     level = Level(replace(near.linear, prior=replace(near.linear.prior, lower=-free, upper=free)))
-    found = [level.solved(s, some, at.posterior.sizes, fixed=True) for s in ((), added)]
+    found = [level.solved(s, some, at.posterior.hyper, fixed=True) for s in ((), added)]
     rows = np.concatenate([np.arange(data.edges[k], data.edges[k + 1]) for k in some])
     expected = []
     for structure in ((), added):
-        prior = at_size(near.linear.prior_with(structure), at.posterior.sizes.links)
+        prior = at_size(near.linear.prior_with(structure), at.posterior.hyper.links)
         columns = np.concatenate([near.linear.columns, *(a.columns for a in structure)], axis=2)
         matrix, right = np.diag(prior.precision), prior.precision * prior.mean
         for j, one in enumerate(at.posterior.joints):
             white = one.white[rows][:, rows].toarray()
             x, y, f = (white @ z[rows] for z in (columns[j], near.linear.residual[j], data.features[j]))
-            noise = at.posterior.sizes.sigma[j] ** 2 * np.eye(len(rows)) + at.posterior.sizes.discrepancy[j] ** 2 * f @ f.T
+            noise = at.posterior.hyper.sigma[j] ** 2 * np.eye(len(rows)) + at.posterior.hyper.discrepancy[j] ** 2 * f @ f.T
             matrix, right = matrix + x.T @ np.linalg.solve(noise, x), right + x.T @ np.linalg.solve(noise, y)
         expected.append(np.linalg.solve(matrix, right))
     for one, step in zip(found, expected, strict=True):
@@ -158,7 +158,7 @@ def test_a_gas_spring_is_found_where_errors_of_the_links_explain_much_of_it():
     search = Search.of(fitter, [t for t in near if t.effect.joints == (1,)])
     begin = search.scored(fitter.with_signs(fitter.fit(plain, fitter.data.links.none)))
     found = search._better(begin)
-    assert begin.fitted.posterior.sizes.links > 5
+    assert begin.fitted.posterior.hyper.links > 5
     assert found is not None
     (spring,) = found.fitted.extra
     assert spring.effect.name == "cable_harness"

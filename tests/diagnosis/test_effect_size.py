@@ -74,13 +74,13 @@ def test_falls_are_those_of_exact_fits_to_the_other_recordings(arm, monkeypatch)
     fitter, begin, _ = arm
     near, findings = with_terms(arm, drag())
     assert list(block_edges(near.level.edges)) == list(fitter.data.edges)
-    squares, sizes = np.zeros(2), near.linear.fitted.posterior.sizes
+    squares, hyper = np.zeros(2), near.linear.fitted.posterior.hyper
     fall = sized(near, findings)[0][0].fall
     for held in range(RECORDINGS):
         rest, out = fitter.data.part([k for k in range(RECORDINGS) if k != held]), fitter.data.part([held])
         for k, terms in enumerate(((), (drag(),))):
             model = replace(begin.model, terms=(*begin.model.terms, *terms))
-            fitted = replace(fitter, data=rest).fit(model, begin.links, Start.of(rest, sizes), fixed=True)
+            fitted = replace(fitter, data=rest).fit(model, begin.links, Start.of(rest, hyper), fixed=True)
             squares[k] += np.sum(out.rows(fitted.model).residual[1] ** 2)
     assert fall.share == pytest.approx(1 - np.sqrt(squares[1] / squares[0]), rel=0.06)  # ways of changing sign are not mixed
 

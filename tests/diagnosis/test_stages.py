@@ -105,7 +105,7 @@ def test_what_a_search_remembers_is_read_back(recordings):
     spread = np.sqrt(np.diag(np.linalg.inv(at.fitted.posterior.matrix)))[: len(moved)]
     assert np.all(np.abs(moved) < spread)  # a search ends a step before the optimum where that seems linear enough
     assert there.fitted.posterior.cost(there.fitted.residual) <= there.fitted.posterior.cost(at.fitted.residual)
-    np.testing.assert_array_equal(there.fitted.posterior.sizes.sigma, at.fitted.posterior.sizes.sigma)
+    np.testing.assert_array_equal(there.fitted.posterior.hyper.sigma, at.fitted.posterior.hyper.sigma)
     assert [t.effect for t in there.fitted.model.terms] == [t.effect for t in at.fitted.model.terms]
 
 

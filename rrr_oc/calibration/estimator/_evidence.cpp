@@ -164,7 +164,7 @@ struct Sizes
   double *sigma, *discrepancy, *links;
 };
 
-// One step of the sizes towards those of the largest evidence (MacKay's fixed point); the largest change of log σ times rows, or nats
+// One step of the hyperparameters towards those of the largest evidence (MacKay's fixed point); the largest change of log σ times rows, or nats
 // per tenth of log size of the links.
 double update(const std::vector<Joint> & joints, const Normal & n, const Vector & step, const Sizes & sizes, const Prior & prior, double least)
 {

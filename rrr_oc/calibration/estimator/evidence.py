@@ -2,7 +2,7 @@
 
 At a model, the residual of joint j is y_j = A_j d + F_j c_j + e_j for a change d of the parameters: F_j c_j is a discrepancy, c_j ~
 N(0, s_j²), and e_j the noise, which the matrix W_j of an autoregressive process makes white, W_j e_j ~ N(0, σ_j²). Priors of d are
-normal. So all integrals are in closed form; the sizes σ_j, s_j and that of the links' errors maximise the evidence (MacKay 1992).
+normal. So all integrals are in closed form; the hyperparameters σ_j, s_j and the size of the links' errors maximise the evidence (MacKay 1992).
 """
 
 from collections.abc import Sequence
@@ -22,9 +22,9 @@ LEAST = 1e-5  # of a size over its unit, against a singular precision
 FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
 ROUNDS = 5  # most estimates of the noise
-UPDATES = 12  # most of the sizes for one noise
+UPDATES = 12  # most of the hyperparameters for one noise
 SMALL_GAIN = 0.2  # nats by which another noise must raise the evidence
-SETTLED = 0.05  # nats: change of log σ times rows below which updates of the sizes end
+CONVERGED = 0.05  # nats: change of log σ times rows below which updates of the hyperparameters end
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def extended(
 
 
 @dataclass(frozen=True)
-class Sizes:
+class Hyperparameters:
     """What is estimated beside the parameters: noise by joint, σ (n,), discrepancy (n,) over the declared one, size of the links' errors."""
 
     noise: tuple[Noise, ...]
@@ -207,7 +207,7 @@ class Solution:
         likelihood: The part of it that the data add, (p, p).
         right: Weighted residual by parameters at the start, (p,).
         misfit: Weighted square of the residual at the start.
-        sizes: Estimated sizes.
+        hyper: Estimated hyperparameters.
         base: The prior, the links' errors of size 1.
     """
 
@@ -217,13 +217,13 @@ class Solution:
     likelihood: np.ndarray
     right: np.ndarray
     misfit: float
-    sizes: Sizes
+    hyper: Hyperparameters
     base: Prior
 
     @property
     def prior(self) -> Prior:
-        """The prior at the estimated sizes."""
-        return at_size(self.base, self.sizes.links)
+        """The prior at the estimated hyperparameters."""
+        return at_size(self.base, self.hyper.links)
 
     def damped(self, damping: float) -> np.ndarray:
         """The step of Levenberg and Marquardt, with this share of the precision's diagonal added to it, (p,)."""
@@ -262,28 +262,28 @@ class Posterior(Solution):
 
     def ratio(self, j: int) -> float:
         """ρ = (σ / size of the discrepancy)² of a joint."""
-        return float(self.sizes.sigma[j] / self.sizes.discrepancy[j]) ** 2
+        return float(self.hyper.sigma[j] / self.hyper.discrepancy[j]) ** 2
 
     def cost(self, residual: np.ndarray) -> float:
         """Weighted square of another residual (n, M), under this noise."""
         total = 0.0
         for j, one in enumerate(self.joints):
             y = one.white @ residual[j]
-            total += one.square(y, one.along(y), self.sizes.sigma[j], self.sizes.discrepancy[j])
+            total += one.square(y, one.along(y), self.hyper.sigma[j], self.hyper.discrepancy[j])
         return total
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where the estimates of a fit's noise and sizes begin if there is no posterior of a similar problem."""
+    """Where the estimates of a fit's noise and hyperparameters begin if there is no posterior of a similar problem."""
 
-    sizes: Sizes
+    hyper: Hyperparameters
     joints: tuple[Joint, ...]
 
     @classmethod
-    def of(cls, data: Data, sizes: Sizes) -> "Start":
-        """With these sizes."""
-        return cls(sizes, tuple(Joint.of(data, j, noise) for j, noise in enumerate(sizes.noise)))
+    def of(cls, data: Data, hyper: Hyperparameters) -> "Start":
+        """With these hyperparameters."""
+        return cls(hyper, tuple(Joint.of(data, j, noise) for j, noise in enumerate(hyper.noise)))
 
 
 def solve(
@@ -299,15 +299,15 @@ def solve(
     Args:
         residual: (n, M).
         columns: Derivatives of the prediction, (n, M, p).
-        start: Whose sizes are the first ones: the posterior of a similar problem, as a rule.
+        start: Whose hyperparameters are the first ones: the posterior of a similar problem, as a rule.
         fixed: Whether these stay as they are.
     """
     start = start or Start.of(data, _first(data, residual))
-    sizes, joints = start.sizes, start.joints
+    hyper, joints = start.hyper, start.joints
     grams = [Gram.of(one, residual[j], columns[j]) for j, one in enumerate(joints)]
     best = None
     for _ in range(ROUNDS):
-        solution = estimated(grams, joints, sizes, prior, fixed)
+        solution = estimated(grams, joints, hyper, prior, fixed)
         found = Posterior(**vars(solution), joints=joints, data=data, residual=residual, columns=columns)
         if fixed:
             return found
@@ -323,14 +323,14 @@ def solve(
         ]
         joints = tuple(one for one, _ in renewed)
         noise, sigma = tuple(one.noise for one in joints), np.array([s for _, s in renewed])
-        sizes = Sizes(noise, sigma, found.sizes.discrepancy, found.sizes.links)
+        hyper = Hyperparameters(noise, sigma, found.hyper.discrepancy, found.hyper.links)
     assert best is not None
     return best
 
 
 def _renewed(data: Data, found: Posterior, j: int) -> tuple[Joint, float]:
     """A joint with its noise estimated from the residual that is left, and σ; as it is where that changes the evidence little."""
-    left, old, sigma = _left(data, found, j), found.joints[j], found.sizes.sigma[j]
+    left, old, sigma = _left(data, found, j), found.joints[j], found.hyper.sigma[j]
     new, size = Joint.estimated(data, j, left)
     logs = [
         one.log_det - one.count * np.log(s) - 0.5 * np.sum((one.white @ left) ** 2) / s**2
@@ -365,14 +365,16 @@ def at_size(prior: Prior, links: float) -> Prior:
     return replace(prior, precision=np.where(prior.links, prior.precision / links**2, prior.precision))
 
 
-def estimated(grams: Sequence[Gram], joints: Sequence[Spectrum], sizes: Sizes, prior: Prior, fixed: bool = False) -> Solution:
+def estimated(
+    grams: Sequence[Gram], joints: Sequence[Spectrum], hyper: Hyperparameters, prior: Prior, fixed: bool = False
+) -> Solution:
     """The posterior of a linear problem, from the products of its columns.
 
-    Hyperparameters are those of the largest evidence for this noise, by MacKay's fixed point from `sizes` on, or these if `fixed`.
+    Hyperparameters are those of the largest evidence for this noise, by MacKay's fixed point from `hyper` on, or these if `fixed`.
     """
     p, n = len(prior.mean), len(grams)
     arrays = [np.ascontiguousarray(getattr(prior, f.name), float) for f in fields(prior)]
-    size = np.concatenate([sizes.sigma, sizes.discrepancy, [sizes.links]])
+    size = np.concatenate([hyper.sigma, hyper.discrepancy, [hyper.links]])
     step, matrix, likelihood, right = np.empty(p), np.empty((p, p)), np.empty((p, p)), np.empty(p)
     every = tuple(
         (
@@ -387,8 +389,8 @@ def estimated(grams: Sequence[Gram], joints: Sequence[Spectrum], sizes: Sizes, p
         for g, one in zip(grams, joints, strict=True)
     )
     updates = 0 if fixed else UPDATES
-    log, misfit = extension.estimate(p, every, *arrays, size, updates, SETTLED, LEAST, step, matrix, likelihood, right)
-    found = Sizes(sizes.noise, size[:n], size[n : 2 * n], float(size[-1]))
+    log, misfit = extension.estimate(p, every, *arrays, size, updates, CONVERGED, LEAST, step, matrix, likelihood, right)
+    found = Hyperparameters(hyper.noise, size[:n], size[n : 2 * n], float(size[-1]))
     return Solution(log, step, matrix, likelihood, right, misfit, found, prior)
 
 
@@ -402,9 +404,9 @@ def _left(data: Data, found: Posterior, j: int) -> np.ndarray:
     return (r - found.joints[j].explained(data.features[j], r, found.ratio(j))) * (data.place[j] >= 0)
 
 
-def _first(data: Data, residual: np.ndarray) -> Sizes:
-    """Sizes to begin with: white noise of the residual's own size, a small discrepancy."""
+def _first(data: Data, residual: np.ndarray) -> Hyperparameters:
+    """Hyperparameters to begin with: white noise of the residual's own size, a small discrepancy."""
     none = Noise((np.zeros(0),), np.ones(1), 1.0)
     count = np.maximum(data.counted.sum(axis=1), 1)
     sigma = np.sqrt(np.sum(residual**2, axis=1) / count)
-    return Sizes((none,) * data.n, np.maximum(sigma, 1e-9), np.ones(data.n), 1.0)
+    return Hyperparameters((none,) * data.n, np.maximum(sigma, 1e-9), np.ones(data.n), 1.0)

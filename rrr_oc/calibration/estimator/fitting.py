@@ -10,7 +10,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
-from rrr_oc.calibration.estimator.evidence import LEAST, Posterior, Prior, Sizes, Start, solve
+from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Posterior, Prior, Start, solve
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.effects import Effect
@@ -19,7 +19,7 @@ from rrr_oc.numerics.rank import lengths
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
-BEND = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
+NONLINEAR = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
 DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 CLOSER = 2  # fits of least squares, whose weights depend on what the one before leaves
@@ -79,7 +79,7 @@ class PlainFitter:
     def fit(
         self, model: CalibratedModel, links: np.ndarray, start: Posterior | Start | None = None, fixed: bool = False
     ) -> Fitted:
-        """All parameters of a model fitted, with sizes that begin with those of `start`, or stay `fixed` there."""
+        """All parameters of a model fitted, with hyperparameters that begin with those of `start`, or stay `fixed` there."""
         data = self.data
         found = data.rows(model)
         columns, residual = self.columns(model, links, found), found.residual
@@ -109,12 +109,12 @@ class PlainFitter:
                 continue
             first = max(rung - 1, 0)
             missed = np.sum((after - (residual - columns @ step)) ** 2)
-            linear = missed <= BEND**2 * np.sum((after - residual) ** 2)
+            linear = missed <= NONLINEAR**2 * np.sum((after - residual) ** 2)
             model, links, residual, fall = there, errors, after, before - cost
             if linear and rung == 0:
                 best = Fitted(model, links, post, residual, len(data.start.terms))
                 break
-            exact = bool(missed > BEND * np.sum((found.residual - after) ** 2))
+            exact = bool(missed > NONLINEAR * np.sum((found.residual - after) ** 2))
             if exact:
                 found = data.rows(model)
                 columns = self.columns(model, links, found)
@@ -148,9 +148,9 @@ class PlainFitter:
                 continue
             (j,), own = term.effect.joints, data.friction(term.effect, term.width)
             changes = term.values[0] * np.array([data.friction(*other) - own for other in others]).T
-            one, sigma = post.joints[j], post.sizes.sigma[j]
+            one, sigma = post.joints[j], post.hyper.sigma[j]
             d, y, x = one.white @ changes, one.white @ fitted.residual[j], one.white @ post.columns[j]
-            left = one.beyond_discrepancy(d, (sigma / post.sizes.discrepancy[j]) ** 2) / sigma**2
+            left = one.beyond_discrepancy(d, (sigma / post.hyper.discrepancy[j]) ** 2) / sigma**2
             slope = x.T @ left
             gains = y @ left - 0.5 * np.sum(d * left, axis=0) + 0.5 * np.sum(slope * (inverse @ slope), axis=0)
             best = int(np.argmax(gains))
@@ -221,8 +221,8 @@ class PlainFitter:
         return np.zeros((5, 0))
 
 
-def at_low_frequency(data: Data, fitted: Fitted) -> Sizes:
-    """Sizes of white noise that is as strong at frequency 0 as what a fit leaves of the torques, and of no discrepancy.
+def at_low_frequency(data: Data, fitted: Fitted) -> Hyperparameters:
+    """Hyperparameters of white noise that is as strong at frequency 0 as what a fit leaves of the torques, and of no discrepancy.
 
     What the parameters have taken up of the noise is added to what is left, as the posterior has it.
     """
@@ -233,7 +233,7 @@ def at_low_frequency(data: Data, fitted: Fitted) -> Sizes:
         low_frequency(left, place, turning, (columns @ root) * (place >= 0)[:, None])
         for left, place, turning, columns in zip(fitted.residual, data.place, data.turning, post.columns, strict=True)
     ]
-    return Sizes((white,) * data.n, np.array(sigma), np.full(data.n, LEAST), post.sizes.links)
+    return Hyperparameters((white,) * data.n, np.array(sigma), np.full(data.n, LEAST), post.hyper.links)
 
 
 def plain_std(data: Data) -> np.ndarray:

@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise
-from rrr_oc.calibration.estimator.evidence import Joint, Sizes, Start
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, Start
 from rrr_oc.calibration.model_file import TermEntry, effect_of, options_of, term_entry, term_of, terms_of
 from rrr_oc.diagnosis.findings import Fall, Finding, Possible
 from rrr_oc.diagnosis.fitting import Fitter
@@ -142,7 +142,7 @@ class StateData(Struct):
     Attributes:
         model, links: The model, and the errors of its links in standard deviations of their prior.
         score: Logarithm of its posterior probability, up to a constant.
-        noise, sigma, discrepancy, size_of_links: What is estimated beside the parameters, see `evidence.Sizes`.
+        noise, sigma, discrepancy, size_of_links: What is estimated beside the parameters, see `evidence.Hyperparameters`.
     """
 
     model: ModelData
@@ -156,15 +156,15 @@ class StateData(Struct):
     @classmethod
     def of(cls, at: State) -> "StateData":
         post, model = at.fitted.posterior, ModelData.of(at.fitted.model)
-        noise, sizes = [NoiseData.of(post.data, j, one) for j, one in enumerate(post.joints)], post.sizes
-        measured = sizes.sigma.tolist(), sizes.discrepancy.tolist(), sizes.links
+        noise, hyper = [NoiseData.of(post.data, j, one) for j, one in enumerate(post.joints)], post.hyper
+        measured = hyper.sigma.tolist(), hyper.discrepancy.tolist(), hyper.links
         return cls(model, at.fitted.links.tolist(), float(at.score), noise, *measured)
 
     def state(self, fitter: Fitter, start: CalibratedModel) -> State:
-        """The structure under the sizes that were estimated."""
+        """The structure under the hyperparameters that were estimated."""
         joints = tuple(one.joint(fitter.data, j) for j, one in enumerate(self.noise))
         noise = tuple(one.noise for one in joints)
-        begin = Start(Sizes(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links), joints)
+        begin = Start(Hyperparameters(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links), joints)
         return State(fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True), self.score)
 
 

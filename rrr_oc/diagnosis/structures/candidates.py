@@ -100,7 +100,7 @@ class Screen:
     @classmethod
     def of(cls, level: Level, table: Table, structure: Structure, blocks: Blocks, post: Solution) -> "Screen":
         """Of the trials of a table beside a structure that was solved on some blocks."""
-        sizes, total, names = post.sizes, int(table.start[-1]), level.linear.fitter.data.groups
+        hyper, total, names = post.hyper, int(table.start[-1]), level.linear.fitter.data.groups
         labels = tuple(dict.fromkeys(names[b] for b in blocks))
         groups = [[b for b in blocks if names[b] == g] for g in labels]
         count, p = len(post.step), level.p
@@ -108,8 +108,8 @@ class Screen:
         grams, sums = level.grams(structure, blocks), level.sums(blocks)
         slope = post.prior.precision * post.prior.mean
         for j, (one, gram, products) in enumerate(zip(sums, grams, level.table(table), strict=True)):
-            sigma2 = sizes.sigma[j] ** 2
-            d = 1 / (one.spectrum.values + sigma2 / sizes.discrepancy[j] ** 2)
+            sigma2 = hyper.sigma[j] ** 2
+            d = 1 / (one.spectrum.values + sigma2 / hyper.discrepancy[j] ** 2)
             slope[gram.live] += (gram.xy - gram.tx.T @ (d * gram.ty)) / sigma2
             every = [products.left, *(level.across(a, table, j) for a in structure)]
             summed = [np.array([x[g].sum(axis=0) for g in groups]) for x in every]  # (G, L or m, T)
@@ -129,7 +129,7 @@ class Screen:
         ahead = covariance @ slope
         right -= np.einsum("p,pgd->gd", ahead, np.moveaxis(cross, 0, 1))
         of_structure = covariance, ahead, share.reshape(shape), half.reshape(shape)
-        return cls(level, table, labels, groups, sizes.sigma, *of_structure, through, right)
+        return cls(level, table, labels, groups, hyper.sigma, *of_structure, through, right)
 
     @property
     def fitter(self) -> Fitter:

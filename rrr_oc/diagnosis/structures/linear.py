@@ -16,8 +16,8 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.estimator.evidence import (
     Gram,
+    Hyperparameters,
     Prior,
-    Sizes,
     Solution,
     Spectrum,
     estimated,
@@ -336,10 +336,10 @@ class Level:
             )
         return grams
 
-    def solved(self, structure: Structure, blocks: Blocks, sizes: Sizes, fixed: bool = False) -> Solution:
-        """The posterior of a structure from some blocks; its hyperparameters are estimated, from `sizes` on, or these are `fixed`."""
+    def solved(self, structure: Structure, blocks: Blocks, hyper: Hyperparameters, fixed: bool = False) -> Solution:
+        """The posterior of a structure from some blocks; its hyperparameters are estimated, from `hyper` on, or these are `fixed`."""
         spectra = [one.spectrum for one in self.sums(blocks)]
-        return estimated(self.grams(structure, blocks), spectra, sizes, self.linear.prior_with(structure), fixed)
+        return estimated(self.grams(structure, blocks), spectra, hyper, self.linear.prior_with(structure), fixed)
 
     def table(self, table: Table) -> list[TableProducts]:
         """The products of a table, by joint; those of the first tables are kept, and of the newest."""

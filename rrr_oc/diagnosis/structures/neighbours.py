@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from rrr_oc.calibration.estimator.evidence import Sizes, Solution
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, Solution
 from rrr_oc.diagnosis.fitting import exact
 from rrr_oc.diagnosis.signatures import Table
 from rrr_oc.diagnosis.structures.candidates import Screen
@@ -56,7 +56,7 @@ class Predicted:
         return key_of(a.name for a in self.structure)
 
     @property
-    def is_bent(self) -> bool:
+    def is_nonlinear(self) -> bool:
         """Whether a shape of an effect may still be far from its best."""
         return any(isinstance(a.source, Candidate) and not a.effect.linear for a in self.structure)
 
@@ -83,15 +83,15 @@ class Neighbours:
     most: Mapping[Kind, int] | None = None
     more: Structure = ()
 
-    def at(self, structure: Structure, sizes: Sizes, fixed: bool = False) -> Predicted:
+    def at(self, structure: Structure, hyper: Hyperparameters, fixed: bool = False) -> Predicted:
         """A structure."""
-        post = self.level.solved(structure, self.blocks, sizes, fixed)
+        post = self.level.solved(structure, self.blocks, hyper, fixed)
         return Predicted(structure, post, post.log_evidence + sum(a.log_prior for a in structure), self.linear)
 
     def removed(self, here: Predicted) -> list[Predicted]:
         """Without one of its effects, the most probable first."""
         every = [
-            self.at((*here.structure[:i], *here.structure[i + 1 :]), here.solution.sizes) for i in range(len(here.structure))
+            self.at((*here.structure[:i], *here.structure[i + 1 :]), here.solution.hyper) for i in range(len(here.structure))
         ]
         return sorted(every, key=lambda p: -p.score)
 
@@ -104,9 +104,9 @@ class Neighbours:
         """
         if len(here.structure) >= MOST or (self.most is not None and not self.most):
             return []
-        own, sizes = here.structure, here.solution.sizes
+        own, hyper = here.structure, here.solution.hyper
         every = self._own(own, here) + self._judged(own, self._screen(own, here, None).candidates(), here, None)
-        at, near = exact(sizes, self.linear.fitter.data.free), self.exact() if sizes.links > 1 else None
+        at, near = exact(hyper, self.linear.fitter.data.free), self.exact() if hyper.links > 1 else None
         if at is not None:
             near = self if near is None else replace(near, blocks=self.blocks, more=self.more)
             own = near.adopted(own)
@@ -134,7 +134,7 @@ class Neighbours:
             gone = [own[i] for i in out]
             near = np.array([any(beside(t.effect, a.effect) for a in gone) for t in table.trials])
             less = tuple(a for i, a in enumerate(own) if i not in out)
-            without = self.at(less, here.solution.sizes, True)
+            without = self.at(less, here.solution.hyper, True)
             ends = self.level.p + np.cumsum([0, *(a.size for a in own)])
             numbers = [k for i in out for k in range(ends[i], ends[i + 1])]
             candidates = [c for c in screen.candidates(numbers, near) if not any(_is(c, a) for a in gone)]
@@ -156,7 +156,7 @@ class Neighbours:
 
     def promising(self, structure: Structure, joint: int | None) -> set[Hashable]:
         """What of a table raises the probability beside a structure, as `sought_as` names it."""
-        base = self.at(structure, self.linear.fitted.posterior.sizes)
+        base = self.at(structure, self.linear.fitted.posterior.hyper)
         return {sought_as(c.trial.effect) for c in self._screen(structure, base, joint).candidates() if c.gain > 0}
 
     def adopted(self, structure: Structure) -> Structure:
@@ -173,7 +173,7 @@ class Neighbours:
     def _own(self, structure: Structure, here: Predicted, black_box: bool = False) -> list[Predicted]:
         """With an effect, or a black-box term, at its best shape."""
         more = [a for a in self._offered if a.effect.black_box == black_box and not any(a is b for b in structure)]
-        return [self.at((*structure, a), here.solution.sizes) for a in more if self._open(a, structure)]
+        return [self.at((*structure, a), here.solution.hyper) for a in more if self._open(a, structure)]
 
     def _judged(self, structure: Structure, every: Sequence[Candidate], base: Predicted, joint: int | None) -> list[Predicted]:
         """The best candidates beside a structure, each with hyperparameters of its own."""
@@ -185,7 +185,7 @@ class Neighbours:
             if single and (c.trial.effect.without_range(), c.scope or ()) in own:
                 continue  # it is offered at its best shape
             if self._open(c, structure):
-                result.append(self.at((*structure, self.linear.candidate(table, c)), base.solution.sizes))
+                result.append(self.at((*structure, self.linear.candidate(table, c)), base.solution.hyper))
         return result
 
     def _screen(self, structure: Structure, base: Predicted, joint: int | None) -> Screen:
@@ -264,14 +264,14 @@ class Levels:
         Under the noise of a fit that lacks much, what it lacks counts as noise, and structures are told apart badly.
         """
         near = self.about(frozenset(), blocks)
-        here = near.at((), near.level.posterior.sizes)
+        here = near.at((), near.level.posterior.hyper)
         for last in (False, True):
             seen = set[Key]()
             while here.key not in seen:
                 seen.add(here.key)
                 other = self.about(here.key, blocks, last)
                 if other.level is not near.level:
-                    here = other.at(other.adopted(here.structure), other.level.posterior.sizes)
+                    here = other.at(other.adopted(here.structure), other.level.posterior.hyper)
                 near = other
                 moves = (near.removed, near.added, near.exchanged, near.unexplained)
                 here = next((p for move in moves for p in move(here)[:1] if p.score > here.score), here)

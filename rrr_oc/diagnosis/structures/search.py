@@ -112,9 +112,9 @@ class Search:
     def worths(self, at: State) -> list[float]:
         """By how much the log posterior falls without each effect; as fitted where that is known, else as predicted."""
         near, result = self.neighbours(at.fitted), []
-        here = near.at(near.linear.own, at.fitted.posterior.sizes)
+        here = near.at(near.linear.own, at.fitted.posterior.hyper)
         for i, own in enumerate(here.structure):
-            less = near.at((*here.structure[:i], *here.structure[i + 1 :]), here.solution.sizes)
+            less = near.at((*here.structure[:i], *here.structure[i + 1 :]), here.solution.hyper)
             alone = sum(a.name == own.name for a in here.structure) == 1  # else the key does not say which is left out
             known = self.visited.get(less.key) if alone else None
             result.append(here.score - less.score if known is None else at.score - known)
@@ -128,10 +128,10 @@ class Search:
         @cache
         def exact_arm() -> Neighbours | None:
             post = fitted.posterior
-            sizes = exact(post.sizes, self.fitter.data.free)
-            if sizes is None:
+            hyper = exact(post.hyper, self.fitter.data.free)
+            if hyper is None:
                 return None
-            return self.neighbours(self.fitter.fit(fitted.model, fitted.links, replace(post, sizes=sizes), fixed=True))
+            return self.neighbours(self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), fixed=True))
 
         return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm, self.most)
 
@@ -159,7 +159,7 @@ class Search:
     def _better(self, at: State) -> State | None:
         """The best neighbour by the first kind of move that has a better one."""
         near = self.neighbours(at.fitted)
-        here = near.at(near.linear.own, at.fitted.posterior.sizes)
+        here = near.at(near.linear.own, at.fitted.posterior.hyper)
         self.predicted.clear()
         exchanged = partial(near.exchanged, score=at.score, waiting=self._waiting)
         for move in (near.removed, near.added, exchanged, near.unexplained):
@@ -177,7 +177,7 @@ class Search:
         prediction when it was fitted last, it is expected to miss it again.
         """
         best, chosen = None, None
-        hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_bent]
+        hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_nonlinear]
         for p in hopeful[:FITTED]:
             most = at.score + (1 + SLACK) * (p.score - here.score) + CLOSE
             several = len({a.name for a in p.structure}) < len(p.structure)  # then the key does not say of which shape

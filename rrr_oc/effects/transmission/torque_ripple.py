@@ -45,14 +45,6 @@ class TorqueRipple(ExportTwin):
             yield from cls._whole(j, _order(view, j, LEAST_CYCLES), _fastest(view, j))
 
     @classmethod
-    def sparse_trials(cls, view, j):
-        """Whole orders of which the recordings see one cycle and less than two."""
-        yield from cls._whole(j, _order(view, j, 1), min(_order(view, j, LEAST_CYCLES), _fastest(view, j)))
-
-    def is_sparse(self, view, theta):
-        return theta["order"] < _order(view, self.joints[0], LEAST_CYCLES)
-
-    @classmethod
     def _whole(cls, j, least, most):
         for order in range(max(least, 1), most, max(1, least // (4 * LEAST_CYCLES))):  # a quarter cycle apart over the travel
             yield Trial(cls((j,)), tuple({"amplitude": 1.0, "order": order, "phase": p} for p in (0.0, np.pi / 2)))
