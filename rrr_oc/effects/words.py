@@ -47,6 +47,17 @@ class Number:
             shown = shown._times(-1.0, shown.unit)
         return shown._text("bare" not in parts)
 
+    def __neg__(self) -> "Number":
+        return self._times(-1.0, self.unit)
+
+    def __add__(self, other: float) -> "Number":
+        low, high = self.interval or (math.nan, math.nan)
+        return Number(self.value + other, self.unit, self.interval and (low + other, high + other))
+
+    def __mul__(self, factor: float) -> "Number":
+        """Of the same unit."""
+        return self._times(factor, self.unit)
+
     def _times(self, factor: float, unit: str) -> "Number":
         interval = None if self.interval is None else sorted(factor * x for x in self.interval)
         return Number(factor * self.value, unit, None if interval is None else (interval[0], interval[1]))
@@ -122,12 +133,14 @@ def rounded(value: float, uncertainty: float = 0.0) -> str:
 
 
 def read(entry: Mapping[str, Any]) -> Any:
-    """A parameter as `diagnosis.json` has it: a `Number`, `Several`, or the value of an option as a text."""
+    """A parameter as `diagnosis.json` has it: a `Number`, `Several`, or the value of an option as a text or a tuple of numbers."""
     if entry.get("by_recording"):
         unit = {"unit": entry.get("unit", "")}
         return ByRecording({file: read({**one, **unit}) for file, one in entry["by_recording"].items()})
     value, std, unit = entry["value"], entry.get("std"), entry.get("unit", "")
-    if isinstance(value, list) and not any(isinstance(v, str) for v in value) and unit:
+    if isinstance(value, list) and not any(isinstance(v, str) for v in value) and not unit:
+        return tuple(value)
+    if isinstance(value, list) and not any(isinstance(v, str) for v in value):
         stds = std if isinstance(std, list) else [None] * len(value)
         return Several(tuple(read({"value": v, "std": s, "unit": unit}) for v, s in zip(value, stds, strict=True)), unit)
     if isinstance(value, list):
@@ -139,6 +152,14 @@ def read(entry: Mapping[str, Any]) -> Any:
         interval = value - NORMAL * std, value + NORMAL * std
     known = interval is not None and None not in interval
     return Number(float(value), unit, (float(interval[0]), float(interval[1])) if known and interval is not None else None)
+
+
+def periodic(values: Mapping[str, Any], phase: Number) -> dict[str, Number]:
+    """Where amplitude × cos(order × q − phase) is "most": the joint angle nearest to 0 [rad], and the "period" after which it is again."""
+    period = 2 * math.pi / (values["order"].value or math.inf)
+    most = (phase + math.pi * (values["amplitude"].value < 0)) * (period / (2 * math.pi))
+    turns = round(most.value / period) if math.isfinite(period) and period else 0
+    return {"most": most + -turns * period, "period": Number(period, "rad")}
 
 
 def words(name: str) -> str:

@@ -4,7 +4,9 @@ Every effect: names of the contract, derivatives, dissipation, energy, limits, a
 differences of predictions, `model.json`.
 """
 
+import re
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -450,6 +452,44 @@ def symbolic(effect: Effect, width: float | None = 0.05) -> tuple[ca.Function, l
 
 
 each_effect = pytest.mark.parametrize("name", CATALOGUE)
+
+
+def printed_torques(law: str, values: dict[str, Any]) -> list[np.ndarray]:
+    """The torques of an effect's law as it is printed, with numbers in the place of its names: an evaluator of its own."""
+    parts = dict(part.split(" = ", 1) for part in re.split(r", (?=\w+ = )", law))
+    known = {**values, "sgn": lambda x: smooth_sign(x, 0.05), "exp": np.exp, "cos": np.cos, "sin": np.sin, "abs": abs}
+    known["max"] = lambda x, _: ramp(x, 0.05)
+    for name in sorted(parts, key=lambda part: (part.startswith("tau"), part)):
+        text = re.sub(r"\|([^|]+)\|", r"abs(\1)", parts[name]).replace("^", "**")
+        text = re.sub(r"([\w)]) (?=[\w(])", r"\1 * ", text)  # a product is written as a space
+        known[name] = eval(text, {"__builtins__": {}}, known)
+    return [known[name] for name in ("tau", "tau_a", "tau_b") if name in parts]
+
+
+FORMS = [
+    *(ParallelSpring((1,), active) for active in ("below", "above")),
+    *(BiarticularSpring((1, 2), (a, b)) for a in (1, -1) for b in (1, -1)),
+    *(CableHarness((1,), hardens) for hardens in (False, True)),
+    *(CoupledFriction((1, 2), form) for form in ("sum", "difference", "other")),
+    TwoSidedBiarticularSpring((1, 2)),
+    *(CATALOGUE[name]((1,)) for name in ("torque_ripple", "position_dependent_friction", "quadratic_drag", "stribeck")),
+    *(CATALOGUE[name]((1,)) for name in ("viscous_asymmetry", "coulomb_asymmetry")),
+]
+
+
+@pytest.mark.parametrize("effect", FORMS, ids=str)
+def test_the_law_that_is_printed_is_the_law_that_is_fitted(effect):
+    """Also in the form that its options give it, so that whoever takes law and numbers from a report has the torque."""
+    rng = np.random.default_rng(5)
+    arrays, theta = random_signals(rng), admissible(effect, rng)
+    own = {f"{kind}{end}": arrays[kind][j] for kind in ("q", "dq") for end, j in zip(("_a", "_b"), effect.joints, strict=False)}
+    own |= {kind: arrays[kind][effect.joints[0]] for kind in ("q", "dq")}
+    found = printed_torques(effect.law, {**own, **theta})
+    torques = [t for t in effect.torque(Signals(**arrays), theta, 0.05) if np.any(t)]
+    assert len(found) == len(torques)
+    for printed, torque in zip(found, torques, strict=True):
+        assert np.any(torque)
+        np.testing.assert_allclose(printed, torque, rtol=1e-12, atol=1e-12)  # rounding
 
 
 def test_catalogue_has_the_effects_of_the_contract():

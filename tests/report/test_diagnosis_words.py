@@ -115,6 +115,25 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
         ("cable_harness", "a", {"stiffness": number(2.0, "Nm/rad"), "rest": number(0.0, "rad"), "hardening": number(0.8, "Nm/rad³")},
          "Something elastic, such as a cable or a hose, pulls a back towards 0.00°: 2.00 Nm/rad, and 0.800 Nm/rad³ times the third "
          "power of the angle."),
+        ("biarticular_spring", ["a", "b"],
+         {"kappa": number(8.0, "Nm/rad"), "rho": number(0.5, "1"), "phi": number(-0.1, "rad", 0.01), "winding": {"value": [1, -1]}},
+         "A spring that no recording lists acts across a and b: 8.00 Nm/rad at a, with a lever of 0.500 times that at b; it pulls "
+         "while a minus 0.500 times b is below 5.7° (95 %: 5.2 to 6.3°), and is slack beyond."),
+        ("biarticular_spring", ["a", "b"],
+         {"kappa": number(8.0, "Nm/rad"), "rho": number(0.5, "1"), "phi": number(-0.1, "rad"), "winding": {"value": [-1, -1]}},
+         "A spring that no recording lists acts across a and b: 8.00 Nm/rad at a, with a lever of 0.500 times that at b; it pulls "
+         "while a plus 0.500 times b is above -5.73°, and is slack beyond."),
+        ("two_sided_biarticular_spring", ["a", "b"],
+         {"kappa": number(6.0, "Nm/rad"), "rho": number(-0.8, "1"), "phi": number(0.3, "rad")},
+         "A spring that no recording lists acts across a and b and pulls both ways: 6.00 Nm/rad at a, with a lever of -0.800 times "
+         "that at b; it rests where a minus 0.800 times b is 17.2°."),
+        ("torque_ripple", "a", {"amplitude": number(0.75, "Nm"), "order": number(10.0, "1"), "phase": number(0.0, "rad", 0.1)},
+         "The torque of a ripples with its angle: by 0.750 Nm either way, 10.0 times per turn; it pushes forward most at 9.0° "
+         "(95 %: 8.4 to 9.6°) and every 36.0° from there."),
+        ("position_dependent_friction", "a",
+         {"amplitude": number(-0.5, "Nm"), "order": number(2.0, "1"), "phase": number(0.2, "rad")},
+         "Dry friction of a changes with its angle: by -0.500 Nm either way, 2.00 times per turn; it is largest at -84.3° and every "
+         "180° from there."),
         ("torque_gain", None, {"gain": number(0.4, "1")}, "The recorded torque of all joints is 40.0 % too large."),
         ("gravity_tilt", None, {"about_x": number(0.01745329, "rad", 0.0035), "about_y": number(0.0, "rad", 0.0035)},
          "The arm's base is not level: turned by 1.0° (95 %: 0.8 to 1.2°) about x and 0.0° (95 %: -0.2 to 0.2°) about y of the base "
@@ -166,7 +185,8 @@ def test_every_effect_has_a_sentence_of_its_own_with_all_that_was_found(name):
     if kind.composed:
         values = {"mass": 0.3, "first_moment": [0.1] * 3, "inertia": [[0.1] * 3] * 3}
         parameters = {key: {"value": v, "std": None, "unit": "kg"} for key, v in values.items()}
-    parameters |= {key: {"value": allowed[0], "std": None, "unit": ""} for key, allowed in kind.options.items()}
+    options = {key: [1, -1] if key == "winding" else allowed[0] for key, allowed in kind.options.items()}
+    parameters |= {key: {"value": value, "std": None, "unit": ""} for key, value in options.items()}
     said = plain(found_effect(name, joints, **parameters))
     assert kind.plain, "no words of its own"
     assert not re.search(r"[_{}]|\d{6}", said)

@@ -170,10 +170,10 @@ class BiarticularSpring(Biarticular, ListedSpring):
     """
 
     name = "biarticular_spring"
-    equation = "tau_a = kappa max(-q_a - rho q_b - phi, 0), tau_b = rho tau_a"
+    equation = "tau_a = w_a kappa max(s, 0), tau_b = w_b rho kappa max(s, 0), s = -w_a q_a - w_b rho q_b - phi, w = 1 or -1"
     plain = (
         "A spring that no recording lists acts across {joints}: {kappa} at {own}, with a lever of {rho} times that at "
-        "{other}; its phase is {phi:deg}."
+        "{other}; it pulls while {own} {sign} {rho:bare} times {other} is {side} {slack:deg}, and is slack beyond."
     )
     prior = Prior(
         0.0005, {"kappa": (1.0, "torque")}, "as springs across one joint; across two they are rarer", where_springs=10.0
@@ -189,6 +189,20 @@ class BiarticularSpring(Biarticular, ListedSpring):
         ),
         shop="biarticular_spring",
     )
+
+    @property
+    def law(self):
+        """With the signs that this winding has."""
+        (a, b), terms = self.winding, {1: "-", -1: "+"}
+        stretch = f"{terms[a]} q_a {terms[b]} rho q_b - phi".removeprefix("+ ").replace("- q_a", "-q_a")
+        return f"tau_a = {'-' * (a < 0)}kappa max({stretch}, 0), tau_b = {'-' * (a != b)}rho tau_a"
+
+    @classmethod
+    def sentence(cls, joints, values):
+        """s > 0 in words: w_a q_a + w_b rho q_b < −phi, divided by w_a."""
+        a, b = values.get("winding", (1, 1))
+        told = {"sign": "plus" if a == b else "minus", "side": "below" if a > 0 else "above"}
+        return super().sentence(joints, {**values, **told, "slack": values["phi"] if a < 0 else -values["phi"]})
 
     @classmethod
     def from_entry(cls, joints, entry):

@@ -56,6 +56,11 @@ class ParallelSpring(ListedSpring, DesignSpring, NativeTwin):
             raise UserError(f"a parallel spring is active 'below' or 'above' its equilibrium, got {self.active!r}")
 
     @property
+    def law(self):
+        below = "tau = stiffness max(equilibrium - q, 0)"
+        return below if self.active == "below" else "tau = -stiffness max(q - equilibrium, 0)"
+
+    @property
     def _sign(self) -> int:
         return 1 if self.active == "below" else -1
 

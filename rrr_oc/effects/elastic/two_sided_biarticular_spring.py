@@ -33,7 +33,7 @@ class TwoSidedBiarticularSpring(LinkSpring, NativeTwin):
     equation = "tau_a = -kappa (q_a + rho q_b - phi), tau_b = rho tau_a"
     plain = (
         "A spring that no recording lists acts across {joints} and pulls both ways: {kappa} at {own}, with a lever of {rho} "
-        "times that at {other}; it rests where {own} and {other}, the latter times its lever, add up to {phi:deg}."
+        "times that at {other}; it rests where {own} {sign} {rho:bare abs} times {other} is {phi:deg}."
     )
     parameters = (Parameter("kappa", "Nm/rad", 5.0, lower=0.0), Parameter("rho", "1", 1.0), Parameter("phi", "rad"))
     amplitudes = ("kappa", "phi")
@@ -41,6 +41,10 @@ class TwoSidedBiarticularSpring(LinkSpring, NativeTwin):
     prior = Prior(
         0.0005, {"kappa": (0.5, "torque")}, "as springs across two joints, of hoses as well as of steel", where_springs=10.0
     )
+
+    @classmethod
+    def sentence(cls, joints, values):
+        return super().sentence(joints, {**values, "sign": f"{values['rho']:plus|minus}"})
 
     def __post_init__(self) -> None:
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:

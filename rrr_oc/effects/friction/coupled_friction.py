@@ -35,6 +35,15 @@ class CoupledFriction(Effect):
 
     form: Literal["sum", "difference", "other"] = "sum"
 
+    @property
+    def law(self):
+        rate = {
+            "sum": ", tau_b = tau_a, r = dq_a + dq_b",
+            "difference": ", tau_b = -tau_a, r = dq_a - dq_b",
+            "other": ", r = dq_b",
+        }
+        return "tau_a = -(coulomb sgn(r) + viscous r)" + rate[self.form]
+
     @classmethod
     def sentence(cls, joints, values):
         other = joints[-1]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior, Trial
+from rrr_oc.effects.words import periodic
 from rrr_oc.numerics.smooth import cos, sign
 from rrr_oc.robot.parameters import Parameter
 
@@ -13,7 +14,8 @@ class PositionDependentFriction(Effect):
     name = "position_dependent_friction"
     equation = "tau = -amplitude cos(order q - phase) sgn(dq)"
     plain = (
-        "Dry friction of {joints} changes with its angle: by {amplitude} either way, {order:rev}, with a phase of {phase:deg}."
+        "Dry friction of {joints} changes with its angle: by {amplitude} either way, {order:rev}; it is largest at "
+        "{most:deg} and every {period:bare deg} from there."
     )
     parameters = (Parameter("amplitude", "Nm"), Parameter("order", "1", 1.0, lower=0.0), Parameter("phase", "rad"))
     amplitudes = ("amplitude",)
@@ -22,6 +24,10 @@ class PositionDependentFriction(Effect):
     prior = Prior(
         0.01, {"amplitude": (0.3, "dry")}, "Armstrong-Hélouvry 1991, PUMA 560: friction over the angle of gears and bearings"
     )
+
+    @classmethod
+    def sentence(cls, joints, values):
+        return super().sentence(joints, {**values, **periodic(values, values["phase"])})
 
     def torque(self, signals, theta, width):
         j = self.joints[0]

@@ -4,6 +4,7 @@ import numpy as np
 
 from rrr_oc.effects.base import Prior, Trial, View
 from rrr_oc.effects.capabilities import ExportTwin
+from rrr_oc.effects.words import periodic
 from rrr_oc.numerics.smooth import sin
 from rrr_oc.robot.parameters import Parameter
 
@@ -17,7 +18,8 @@ class TorqueRipple(ExportTwin):
     name = "torque_ripple"
     equation = "tau = amplitude sin(order q + phase)"
     plain = (
-        "The torque of {joints} ripples with its angle: by {amplitude} either way, {order:rev}, with a phase of {phase:deg}."
+        "The torque of {joints} ripples with its angle: by {amplitude} either way, {order:rev}; it pushes forward most at "
+        "{most:deg} and every {period:bare deg} from there."
     )
     parameters = (Parameter("amplitude", "Nm"), Parameter("order", "1", 1.0, lower=0.0), Parameter("phase", "rad"))
     amplitudes = ("amplitude",)
@@ -29,6 +31,11 @@ class TorqueRipple(ExportTwin):
         {"amplitude": (0.07, "torque")},
         "Tuttle & Seering 1996, Taghirad & Bélanger 1998; data sheets: cogging of 1 to 5 % of rated torque",
     )
+
+    @classmethod
+    def sentence(cls, joints, values):
+        """The sine is 1 where its argument is a quarter turn."""
+        return super().sentence(joints, {**values, **periodic(values, -(values["phase"] + -np.pi / 2))})
 
     def torque(self, signals, theta, width):
         return (theta["amplitude"] * sin(theta["order"] * signals.q[self.joints[0]] + theta["phase"]),)
