@@ -29,6 +29,7 @@ from rrr_oc.effects.words import joint_words, words
 from rrr_oc.errors import noted
 from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
+from rrr_oc.report.diagnosis_claims import small
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
 from rrr_oc.report.diagnosis_words import idle, not_claimed, not_made, on_prior, plain, rows, unexplained, verdict
 from rrr_oc.storage import check_folder, code, hash_of
@@ -100,6 +101,13 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
     for row in body:
         table.add_row(*row)
     if body:
+        output.show(table)
+    header, body = small(found)
+    if body:
+        output.show("Sure, but too small to matter, and so not in the model:")
+        table = Table(*header)
+        for row in body:
+            table.add_row(*row)
         output.show(table)
     for line in [*on_prior(found), *idle(found), *not_claimed(found), *not_made(found)]:
         output.show(line)

@@ -13,6 +13,7 @@ from rich.table import Table
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.commands.output import Output
 from rrr_oc.errors import UserError
+from rrr_oc.model.metrics import WORTHLESS
 from rrr_oc.recordings.consistency import Consistency, check_consistency
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
@@ -28,7 +29,6 @@ Workers = Annotated[str, typer.Option(help="local, or the address of a Dask sche
 Joints = Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")]
 
 
-WORTHLESS = 1.0  # NRMSE above which a constant would explain the torque as well: a warning
 
 
 def named(joints: str | None) -> list[str] | None:

@@ -11,6 +11,8 @@ import numpy as np
 
 from rrr_oc.errors import UserError
 
+WORTHLESS = 1.0  # NRMSE above which a constant would explain the signal as well
+
 
 @dataclass(frozen=True)
 class Metrics:

@@ -79,7 +79,7 @@ def about(recordings: RecordingSet) -> str:
     carrying, sprung = sum(bool(r.payload.any()) for r in every), sum(bool(r.springs) for r in every)
     return (
         f"Robot {robot.name}, {robot.n} joint{'s' * (robot.n > 1)} ({', '.join(robot.joints)}); {len(every)} "
-        f"recording{'s' * (len(every) > 1)} of {seconds:.0f} s together, {carrying} with a payload, {sprung} with springs; "
+        f"recording{'s' * (len(every) > 1)} of {seconds:.0f} s together, {carrying or 'none'} with a payload, {sprung or 'none'} with springs; "
         f"{recordings.torque} {'torque ' * (recordings.torque != 'current')}recorded."
         + "".join(f" {note[0].upper()}{note[1:]}." for note in recordings.notes)
     )

@@ -3,6 +3,7 @@
 Everything is made from the content of `diagnosis.json`. The words for an effect are in its own file (`Effect.plain`).
 """
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 from rrr_oc.diagnosis.findings import LESS_PROBABLE
 from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
 from rrr_oc.effects import CATALOGUE
-from rrr_oc.effects.words import default_sentence, joint_words, listed, read, words
+from rrr_oc.effects.words import Number, default_sentence, joint_words, listed, read, rounded, words
+from rrr_oc.model.metrics import WORTHLESS
 
 SURE = 0.999  # probability above which no closer number is shown; nearer to 1, digits that no recordings support
 # Above both times the error within the fit and this NRMSE, held-out recordings count as badly
@@ -22,13 +24,21 @@ VERDICTS = {
     "nothing_missing": "nothing is missing",
     "cannot_tell": "something is missing, and these recordings do not decide what",
 }
+DEGREES = {
+    "rad": (180 / math.pi, "°"),
+    "rad/s": (180 / math.pi, " °/s"),
+    "rad/s²": (180 / math.pi, " °/s²"),
+}  # by the file's unit
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict."""
     if found["verdict"] == "nothing_missing":
-        poor = _unforeseen(found)
+        poor, useless = _unforeseen(found), [worthless(joint, found) for joint in worthless_joints(found)]
+        if useless:
+            others = f"Of the other joints nothing is missing. {' '.join(useless)}"
+            return others if len(useless) < len(found["bootstrap"]) else f"These recordings tell nothing. {' '.join(useless)}"
         few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
         return "Nothing is missing: the calibrated model explains these recordings to their noise." + few * bool(poor)
     if not (found["effects"] or found["unexplained"]):
@@ -40,9 +50,20 @@ def sentence(found: Mapping[str, Any]) -> str:
     lacking, gain = listed(_lacking(found)), _gain_held_out(found)
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
-    rest = [f"{x:.0f} times the noise on {joint_words(joint)}" for joint, x in found.get("left_over", {}).items()]
-    left = f" What is left is still {' and '.join(rest)}: more is missing, or of another shape." if rest else ""
-    return f"The calibrated model lacks {lacking}.{gain}{left}"
+    left = left_over(found)
+    return f"The calibrated model lacks {lacking}.{gain}{f' {left}' * bool(left)}"
+
+
+def left_over(found: Mapping[str, Any]) -> str:
+    """A sentence on joints whose error is far above the noise with all that was found; nothing where there are none."""
+    over = found.get("left_over", {})
+    if not over:
+        return ""
+    rest = listed([f"{x:.0f} times the noise on {joint_words(joint)}" for joint, x in over.items()])
+    if len(over) > EACH:
+        names = listed([joint_words(joint) for joint in over])
+        rest = f"{min(over.values()):.0f} to {max(over.values()):.0f} times the noise on {names}"
+    return f"What is left is still {rest}: more is missing, or of another shape."
 
 
 def _gain_held_out(found: Mapping[str, Any]) -> str:
@@ -56,22 +77,83 @@ def _gain_held_out(found: Mapping[str, Any]) -> str:
     told = {joint: pair for joint, pair in errors.items() if joint in touched}
     if not told:
         return ""
+    if not any(gains(found["bootstrap"][joint]) for joint in told):
+        return (
+            " That changes what the model's numbers mean, not how well it predicts: without it, friction and links take the torque up, and "
+            "the error on data left out of the fit is as small."
+        )
     left_out = "recordings" if found.get("held_out") != "blocks" else "blocks of the recording"
+    better = {joint: pair for joint, pair in told.items() if gains(found["bootstrap"][joint])}
     if len(told) > EACH:
         before, after = ([pair[k] for pair in told.values()] for k in (0, 1))
-        means = (f"{sum(x) / len(x):.1%}" for x in (before, after))
-        worst = f"{max(before):.1%} to {max(after):.1%}"
+        means = (_told_error(sum(x) / len(x)) for x in (before, after))
+        worst = f"{_told_error(max(before))} to {_told_error(max(after))}"
         return (
-            f" On {left_out} left out of the fit the error of the torque goes from {' to '.join(means)} of its spread, as the mean "
+            f" On {left_out} left out of the fit the error of the torque goes from {' to '.join(means)} of its standard deviation, as the mean "
             f"of the {len(told)} joints that this touches, and at the worst of them from {worst}."
         )
-    each = [f"{joint_words(joint)}'s torque goes from {a:.1%} to {b:.1%}" for joint, (a, b) in told.items()]
-    return f" On {left_out} left out of the fit the error of {listed(each)} of its spread."
+    each = [f"{joint_words(joint)}'s torque goes from {_told_error(a)} to {_told_error(b)}" for joint, (a, b) in better.items()]
+    rest = f"; that of {listed([joint_words(joint) for joint in told if joint not in better])} stays" * (
+        len(better) < len(told)
+    )
+    return f" On {left_out} left out of the fit the error of {listed(each)} of its standard deviation{rest}."
+
+
+def gains(errors: Mapping[str, Any]) -> bool:
+    """Whether a joint's error held out falls by a share that matters."""
+    ratio = errors["ratio"]["value"]
+    return ratio is not None and ratio < 1 - MATTERS
+
+
+def _told_error(value: float) -> str:
+    return f"{rounded(100 * value)} %"
+
+
+def error(entry: Mapping[str, Any]) -> str:
+    """An error held out, as a share of the torque's standard deviation, with its interval."""
+    interval = entry["interval"]
+    if entry["value"] is None:
+        return "an error that is not known"
+    if interval is None or None in interval:
+        return _told_error(entry["value"])
+    return f"{Number(entry['value'], '1', (interval[0], interval[1])):%}"
+
+
+def share(size: Mapping[str, Any]) -> str:
+    """By which share an effect lowers an error, with its interval."""
+    between = "" if size["interval"] is None else " (95 %: {:.1f} to {:.1f} %)".format(*(100 * x for x in size["interval"]))
+    return f"{100 * size['share']:.1f} %{between}"
+
+
+def worthless_joints(found: Mapping[str, Any]) -> list[str]:
+    """Joints whose torque the model that is reported explains no better than a constant does."""
+    after = found.get("nrmse", {}).get("calibration", {}).get("after", {})
+    return [joint for joint, value in after.items() if value is not None and value > WORTHLESS]
+
+
+def worthless(joint: str, found: Mapping[str, Any]) -> str:
+    """Such a joint in a sentence."""
+    nrmse = found["nrmse"]["calibration"]["after"][joint]
+    return (
+        f"The torque of {joint_words(joint)} is explained no better than by a constant (its error is {rounded(nrmse)} times its standard "
+        "deviation): the joint hardly moves here, or its units, signs or columns, gravity, tool or payload are not as declared."
+    )
+
+
+def place(where: Mapping[str, Any]) -> str:
+    """A range in which an error is concentrated, in words."""
+    factor, unit = DEGREES.get(where["unit"], (1.0, f" {where['unit']}"))
+    low, high = (factor * x for x in where["range"])
+    ends = " to ".join(rounded(x, (high - low) / 10) for x in (low, high))
+    return (
+        f"{variable(where['variable'])} from {ends}{unit}, with {100 * where['share_of_error']:.0f} % of the error in "
+        f"{100 * where['share_of_time']:.0f} % of the time"
+    )
 
 
 def touches(e: Mapping[str, Any], joints: Sequence[str]) -> list[str]:
     """The joints whose torque an effect changes: its own; of a link's body also those that carry it; of the arm all."""
-    own, kind = _joints(e), CATALOGUE.get(e.get("effect", ""))
+    own, kind = joints_of(e), CATALOGUE.get(e.get("effect", ""))
     known = [joint for joint in own if joint in joints]
     if not known:
         return list(joints)
@@ -81,14 +163,19 @@ def touches(e: Mapping[str, Any], joints: Sequence[str]) -> list[str]:
 
 
 def plain(e: Mapping[str, Any]) -> str:
-    """What was found, in a sentence with number, unit and interval; the recordings that have it, where some have not."""
-    kind, joints = CATALOGUE.get(e["effect"]), [joint_words(joint) for joint in _joints(e)]
+    """What was found, in a sentence with number, unit and interval; the recordings that need it, where some do not."""
+    files = some_recordings(e)
+    only = f" It is needed in {listed(files)}; the other recordings are explained without it."
+    return told(e) + only * bool(files)
+
+
+def told(e: Mapping[str, Any]) -> str:
+    """What was found, in a sentence with number, unit and interval."""
+    kind, joints = CATALOGUE.get(e["effect"]), [joint_words(joint) for joint in joints_of(e)]
     values = {name: read(entry) for name, entry in e["parameters"].items()}
     values |= {option: e[option] for option in (kind.options if kind else ()) if option in e}
     said = default_sentence(e["effect"], joints, values) if kind is None else kind.sentence(joints, values)
-    files = some_recordings(e)
-    only = f" So it is in {listed(files)} only." if files else ""
-    return said[:1].upper() + said[1:] + only
+    return said[:1].upper() + said[1:]
 
 
 def unexplained(u: Mapping[str, Any]) -> str:
@@ -120,8 +207,10 @@ def depends(u: Mapping[str, Any]) -> str:
 
 def told_apart(found: Mapping[str, Any], names: Sequence[str]) -> str:
     """The effects that a suggested recording tells apart, each with its joints: an effect that was found and its rivals."""
+    if not names:
+        return "friction and inertia of all joints"
     for e in found["effects"]:
-        if names and e["effect"] == names[0] and {r["effect"] for r in e["rivals"]} == set(names[1:]):
+        if e["effect"] == names[0] and {r["effect"] for r in e["rivals"]} == set(names[1:]):
             return ", ".join(dict.fromkeys([placed(e), *map(placed, e["rivals"])]))
     return ", ".join(map(words, names))
 
@@ -145,7 +234,7 @@ def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
                 placed(e),
                 ", ".join(some_recordings(e)) or e["recordings"],
                 percent(e["probability"]),
-                *("–" if x is None else f"{x:.1%}" for x in (without, having)),
+                *("–" if x is None else _told_error(x) for x in (without, having)),
                 lowered(e["lowers_error"]),
                 ", ".join(rivals(e)) or "nothing",
             ]
@@ -178,20 +267,22 @@ def on_prior(found: Mapping[str, Any]) -> list[str]:
     ]
     return [
         f"The claim of {name} ({percent(p)}) rests on the prior: had it been {LESS_PROBABLE:g} times less probable before these "
-        f"recordings, it would be below {CLAIM:.0%} now, and not claimed."
+        f"recordings, it would be below {100 * CLAIM:.0f} % now, and not claimed."
         for name, p in named
-        if p * (1 - CLAIM) < LESS_PROBABLE * CLAIM * (1 - p)
+        if rests_on_prior(p)
     ]
 
 
+def rests_on_prior(p: float) -> bool:
+    """Whether a claim of this probability would not be made, had its odds before been `LESS_PROBABLE` times lower."""
+    return p * (1 - CLAIM) < LESS_PROBABLE * CLAIM * (1 - p)
+
+
 def not_claimed(found: Mapping[str, Any]) -> list[str]:
-    """A sentence each on what is small, what is possible and what is not confirmed; none where there is nothing to say."""
+    """A sentence each on what is possible and what is not confirmed; none where there is nothing to say."""
     result = []
-    if found.get("small"):
-        named = ", ".join(f"{placed(e)} (that of {lowered(e['lowers_error'])})" for e in found["small"])
-        result.append(f"Sure, but not sure to lower any joint's error by {MATTERS:.0%}, and not in the model: {named}.")
     if found.get("possible"):
-        result.append(f"Possible, not claimed (below {CLAIM:.0%}): {_listed(found['possible'])}.")
+        result.append(f"Possible, not claimed (below {100 * CLAIM:.0f} %): {_listed(found['possible'])}.")
     if found.get("not_confirmed"):
         result.append(
             f"Not confirmed, not claimed: {_listed(found['not_confirmed'])}. All recordings together make it probable, but without some of "
@@ -226,14 +317,13 @@ def _listed(entries: Sequence[Mapping[str, Any]]) -> str:
 def percent(probability: float) -> str:
     """A probability; none is shown as certain."""
     if probability > SURE:
-        return f"> {SURE:.1%}"
-    return f"{probability:.1%}" if probability > CLAIM else f"{probability:.0%}"
+        return f"> {100 * SURE:.1f} %"
+    return f"{100 * probability:.{int(probability > CLAIM)}f} %"
 
 
 def lowered(size: Mapping[str, Any]) -> str:
     """By how much an effect lowers the error of a joint, with its interval."""
-    between = "" if size["interval"] is None else " ({:.1f} to {:.1f})".format(*(100 * x for x in size["interval"]))
-    return f"{joint_words(size['joint'])} by {100 * size['share']:.1f} %{between}"
+    return f"{joint_words(size['joint'])} by {share(size)}"
 
 
 def rivals(e: Mapping[str, Any]) -> list[str]:
@@ -244,13 +334,14 @@ def rivals(e: Mapping[str, Any]) -> list[str]:
 
 def placed(e: Mapping[str, Any]) -> str:
     """An effect and where it is."""
-    kind, where = CATALOGUE.get(e["effect"]), listed([joint_words(joint) for joint in _joints(e)])
+    kind, where = CATALOGUE.get(e["effect"]), listed([joint_words(joint) for joint in joints_of(e)])
     if kind is not None and kind.role == "black_box":
         return f"a torque on {where} that no effect explains"
     return words(e["effect"]) + f" of {where}" * bool(where)
 
 
-def _joints(e: Mapping[str, Any]) -> list[str]:
+def joints_of(e: Mapping[str, Any]) -> list[str]:
+    """The joints of an effect or of an unexplained torque, none of what is on the arm as a whole."""
     joint = e["joint"]
     return [] if joint is None else [joint] if isinstance(joint, str) else list(joint)
 

@@ -7,6 +7,7 @@ import pytest
 
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.words import Number, joint_words, read
+from rrr_oc.report.diagnosis_claims import claims, record_next, remaining, small
 from rrr_oc.report.diagnosis_words import (
     lowered,
     not_claimed,
@@ -53,26 +54,28 @@ def test_what_is_not_claimed_is_listed():
         entry("coupled_friction", ["a", "b"], 0.07, recordings="all"),
     ]
     first, second = not_claimed({"possible": possible, "not_confirmed": [entry(box, "b", 0.9996), entry(box, "b", 0.9996)]})
-    assert first.endswith(": torque ripple of a (61%), payload mass in 1.csv, 2.csv (8%), coupled friction of a and b (7%).")
-    assert second.startswith("Not confirmed, not claimed: a torque on b that no effect explains (> 99.9%). ")
+    assert first.endswith(": torque ripple of a (61 %), payload mass in 1.csv, 2.csv (8 %), coupled friction of a and b (7 %).")
+    assert second.startswith("Not confirmed, not claimed: a torque on b that no effect explains (> 99.9 %). ")
 
 
 def test_what_is_sure_but_small_is_said_with_its_size():
     one = entry("stribeck", "a", 0.99, lowers_error={"joint": "a", "share": 0.004, "interval": [-0.001, 0.009]})
-    (said,) = not_claimed({"small": [one]})
-    assert said.endswith("and not in the model: stribeck of a (that of a by 0.4 % (-0.1 to 0.9)).")
+    header, body = small({"small": [one]})
+    assert len(header) == len(body[0])
+    assert body == [["stribeck of a", "99.0 %", "a", "0.4 % (95 %: -0.1 to 0.9 %)"]]
+    assert small({})[1] == []
 
 
 def test_numbers_and_names():
     assert [percent(p) for p in (0.054, 0.949, 0.953, 0.9989, 0.9995, 1.0)] == [
-        "5%",
-        "95%",
-        "95.3%",
-        "99.9%",
-        "> 99.9%",
-        "> 99.9%",
+        "5 %",
+        "95 %",
+        "95.3 %",
+        "99.9 %",
+        "> 99.9 %",
+        "> 99.9 %",
     ]
-    assert lowered({"joint": "a", "share": 0.84, "interval": [0.8, 0.876]}) == "a by 84.0 % (80.0 to 87.6)"
+    assert lowered({"joint": "a", "share": 0.84, "interval": [0.8, 0.876]}) == "a by 84.0 % (95 %: 80.0 to 87.6 %)"
     assert lowered({"joint": "a", "share": 0.84, "interval": None}) == "a by 84.0 %"
     one = entry("stribeck", "a", rivals=[{"effect": "quadratic_drag", "joint": "a"}, {"effect": "torque_ripple", "joint": "b"}])
     assert rivals(one) == ["quadratic drag", "torque ripple of b"]
@@ -174,7 +177,9 @@ def test_a_finding_names_the_recordings_that_have_it_and_the_frame_of_a_vector()
     assert "The link that wrist 2 moves has 0.7 kg (95 %: 0.5 to 0.9 kg) less mass than the URDF says" in said
     assert "(0.10 ± 0.02, -0.20 ± 0.04, 0.333) kg m" in said
     assert "(0.5 ± 0.2, 0.2 ± 0.2, 0.7 ± 0.2) kg m²" in said
-    assert said.endswith("in the frame of wrist 2. So it is in 1.csv and 2.csv only.")
+    assert said.endswith(
+        "in the frame of wrist 2. It is needed in 1.csv and 2.csv; the other recordings are explained without it."
+    )
 
 
 @pytest.mark.parametrize("name", [name for name, kind in CATALOGUE.items() if kind.role == "law"])
@@ -262,6 +267,10 @@ def test_rivals_have_their_own_joints_also_in_what_to_record_next():
     assert told_apart({"effects": []}, ["payload_mass", "link_inertial"]) == "payload mass, link inertial"
 
 
+def stribeck(recordings="all") -> dict:
+    return found_effect("stribeck", "a", recordings, excess=number(0.4, "Nm"), velocity=number(0.1, "rad/s"))
+
+
 def bootstrap(**pairs) -> dict:
     one = lambda value: {"value": value, "interval": None}  # noqa: E731
     return {j: {"before": one(a), "after": one(b), "ratio": one(b / a)} for j, (a, b) in pairs.items()}
@@ -275,15 +284,96 @@ def test_the_error_held_out_is_that_of_all_joints_that_the_effect_touches():
     errors = bootstrap(a=(0.4, 0.2), b=(0.3, 0.25), c=(0.6, 0.06), d=(0.5, 0.5))
     found = {"verdict": "missing_physics", "unexplained": [], "bootstrap": errors}
     friction = sentence(found | {"effects": [found_effect("stribeck", "b")]})
-    assert friction.endswith("the error of b's torque goes from 30.0% to 25.0% of its spread.")
+    assert friction.endswith("the error of b's torque goes from 30.0 % to 25.0 % of its standard deviation.")
     link = sentence(found | {"effects": [found_effect("link_inertial", "c")]})
     assert (
-        "a's torque goes from 40.0% to 20.0%, b's torque goes from 30.0% to 25.0% and c's torque goes from 60.0% to 6.0%"
+        "a's torque goes from 40.0 % to 20.0 %, b's torque goes from 30.0 % to 25.0 % and c's torque goes from 60.0 % to 6.00 %"
         in link
     )
     whole = sentence(found | {"effects": [found_effect("payload_mass", None)]})
-    assert "goes from 45.0% to 25.2% of its spread, as the mean of the 4 joints that this touches" in whole
-    assert "from 60.0% to 50.0%." in whole
+    assert "goes from 45.0 % to 25.2 % of its standard deviation, as the mean of the 4 joints that this touches" in whole
+    assert "from 60.0 % to 50.0 %." in whole
+
+
+def test_an_effect_that_changes_no_prediction_is_said_to_change_none():
+    """A gain of all torques, which heavier links stand for: an error that stays is not told as a gain."""
+    found = {"verdict": "missing_physics", "unexplained": [], "mismatch": []}
+    found |= {"effects": [found_effect("torque_gain", None, gain=number(0.4, "1"))]}
+    found |= {"bootstrap": bootstrap(joint1=(0.013, 0.0131), b=(0.0032, 0.0032))}
+    assert sentence(found).endswith("and the error on data left out of the fit is as small.")
+    (claim,) = claims(found, ["0.csv"])
+    assert "a model without it predicts such recordings as well" in dict(claim.facts)["On unseen data"]
+    better = found | {"bootstrap": bootstrap(joint1=(0.047, 0.008), b=(0.0032, 0.0032))}
+    assert sentence(better).endswith(
+        "the error of joint1's torque goes from 4.70 % to 0.800 % of its standard deviation; that of b stays."
+    )
+    (claim,) = claims(better, ["0.csv"])
+    unseen = dict(claim.facts)["On unseen data"]
+    assert unseen == (
+        "It lowers the error of joint1's torque by 12.3 % (95 %: 10.0 to 20.0 %), beside all else that was found. With all that was "
+        "found joint1's goes from 4.70 % to 0.800 % of the torque's standard deviation."
+    )
+
+
+@pytest.mark.parametrize(
+    ("recordings", "said"),
+    [
+        ("all", "On a, in all 3 recordings."),
+        ("each", "On a, in every recording, with a value of its own."),
+        (["0.csv"], "On a, in 1 of 3 recordings (0.csv); the others are explained without it."),
+        (["0.csv", "1.csv", "2.csv"], "On a, in all 3 recordings."),
+    ],
+)
+def test_a_claim_says_where_it_is(recordings, said):
+    where = {"variable": "q_a", "range": [0.1, 0.2], "unit": "rad", "share_of_error": 0.7, "share_of_time": 0.2}
+    found = {"effects": [stribeck(recordings)], "unexplained": [], "bootstrap": bootstrap(a=(0.4, 0.2))}
+    (claim,) = claims(found | {"mismatch": []}, ["0.csv", "1.csv", "2.csv"])
+    assert dict(claim.facts)["Where"] == said
+    assert claim.law == "law"
+    worst = {"joint": "a", "where": [where, {**where, "variable": "time", "share_of_error": 0.99}]}
+    (claim,) = claims(found | {"mismatch": [worst]}, ["0.csv", "1.csv", "2.csv"])
+    assert dict(claim.facts)["Where"] == (
+        f"{said} The model without it fails most at the position of a from 5.7 to 11.5°, with 70 % of the error in 20 % of the time."
+    )
+
+
+def test_a_claim_says_what_it_rests_on_and_what_else_it_could_be():
+    prior = {"effect": "stribeck", "joint": "a", "probability": 0.0005, "source": "a book"}
+    one = stribeck() | {"rivals": [{"effect": "quadratic_drag", "joint": "a"}]}
+    found = {"effects": [one], "unexplained": [], "bootstrap": bootstrap(a=(0.4, 0.2)), "mismatch": [], "priors": [prior]}
+    facts = dict(claims(found, ["0.csv"])[0].facts)
+    assert facts["Rests on"].startswith("Probability 97.0 % that it or one of its rivals is there")
+    assert "Before these recordings 0.05 % were believed (a book). That matters: had it been 10 times" in facts["Rests on"]
+    assert facts["Could also be"].startswith("Quadratic drag, which these recordings do not tell apart from it.")
+    sure = found | {"effects": [stribeck() | {"probability": 1.0}]}
+    facts = dict(claims(sure, ["0.csv"])[0].facts)
+    assert "That matters" not in facts["Rests on"]
+    assert facts["Could also be"].startswith("Nothing else of the catalogue")
+
+
+def test_what_stays_unexplained_and_what_to_record_next_are_always_said():
+    found = {"effects": [], "unexplained": [], "bootstrap": bootstrap(a=(0.02, 0.02), b=(66.0, 66.0)), "mismatch": []}
+    assert remaining(found)[-1].endswith(": 2.00 % on a and 6600 % on b. No joint's error is far above its noise.")
+    (check,) = record_next(found)
+    assert "rrr-oc evaluate" in check
+    errors = {"before": {"a": 0.02, "b": 66.0}, "after": {"a": 0.02, "b": 66.0}}
+    still = found | {"nrmse": {"calibration": errors, "held_out": errors}, "verdict": "nothing_missing"}
+    assert remaining(still)[0].startswith("The torque of b is explained no better than by a constant")
+    assert sentence(still).startswith("Of the other joints nothing is missing. The torque of b is explained no better")
+    assert record_next(still)[0].startswith("b in other motions")
+    place = {"variable": "q_a", "range": [0.1, 0.2], "unit": "rad", "share_of_error": 0.7, "share_of_time": 0.2}
+    left = found | {"left_over": {"a": 7.0}, "mismatch": [{"joint": "a", "where": [place]}]}
+    assert remaining(left)[0] == "What is left is still 7 times the noise on a: more is missing, or of another shape."
+    assert "a at the position of a from 5.7 to 11.5°" in record_next(left)[0]
+    doubtful = record_next(found | {"possible": [entry("torque_ripple", "a", 0.5)]})
+    assert "they decide about torque ripple of a" in doubtful[0]
+
+
+def test_a_mass_that_recordings_do_not_tell_is_not_told():
+    parts = {"first_moment": {"value": [1.0] * 3, "std": None, "unit": "kg m"}}
+    parts["inertia"] = {"value": [[1.0] * 3] * 3, "std": None, "unit": "kg m²"}
+    said = plain(found_effect("link_inertial", "a", mass=number(3.0, "kg", 2000.0), **parts))
+    assert "may have the mass that the URDF says, the difference being 0 kg (95 %: -2000 to 2000 kg);" in said
 
 
 def test_the_table_has_words_and_few_digits():
@@ -293,10 +383,10 @@ def test_the_table_has_words_and_few_digits():
         [
             "payload mass",
             "all",
-            "97.0%",
-            "12.3%",
-            "1.2%",
-            "joint1 by 12.3 % (10.0 to 20.0)",
+            "97.0 %",
+            "12.3 %",
+            "1.23 %",
+            "joint1 by 12.3 % (95 %: 10.0 to 20.0 %)",
             "link inertial of wrist 2, link inertial of wrist 3",
         ]
     ]

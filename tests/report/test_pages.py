@@ -338,6 +338,9 @@ def test_a_browser_shows_a_page_wide_and_narrow_light_and_dark(folders, browser,
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         wide = page.eval_on_selector_all(".plot .main-svg", "plots => plots.map(p => p.getBoundingClientRect().right)")
         assert max(wide) <= width
+        tables = page.eval_on_selector_all(".wide:has(table)", "parts => parts.map(part => part.scrollWidth - part.clientWidth)")
+        assert tables
+        assert max(tables) <= 0  # a table that is cut is not read
         papers[scheme] = page.evaluate("getComputedStyle(document.body).backgroundColor")
         inks = page.eval_on_selector_all(".plot .xtick text", "texts => texts.map(text => getComputedStyle(text).fill)")
         assert set(inks) == {page.evaluate("getComputedStyle(document.body).color")}

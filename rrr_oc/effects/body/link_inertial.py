@@ -15,7 +15,7 @@ class LinkInertial(BodyChange):
     name = "link_inertial"
     equation = "inertial parameters of the link = URDF's + these"
     plain = (
-        "The link that {joints} moves has {mass:abs} {mass:more|less} mass than the URDF says; its first moment differs "
+        "The link that {joints} moves {of_mass}; its first moment differs "
         "by {first_moment} and its moments of inertia xx, yy and zz by {inertia:diag}, in the frame of {joints}."
     )
     parameters = (
@@ -40,6 +40,17 @@ class LinkInertial(BodyChange):
         "first_moment": ("first_moment_x", "first_moment_y", "first_moment_z"),
         "inertia": tuple(tuple(f"inertia_{k}" for k in row.split()) for row in ("xx xy xz", "xy yy yz", "xz yz zz")),
     }
+
+    @classmethod
+    def sentence(cls, joints, values):
+        """A mass that may as well be the URDF's is not told as more or less."""
+        mass = values["mass"]
+        known = mass.interval is None or mass.interval[0] * mass.interval[1] > 0
+        said = f"has {mass:abs} {mass:more|less} mass than the URDF says"
+        return super().sentence(
+            joints,
+            {**values, "of_mass": said if known else f"may have the mass that the URDF says, the difference being {mass}"},
+        )
 
     def change(self, body, theta):
         more = ca.vertcat(*(theta[k] for k in self.amplitudes))

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.prediction_error import SIGNALS
+from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.effects.words import joint_words
 from rrr_oc.report import diagnosis_words as say
+from rrr_oc.report.diagnosis_claims import claims, covered, record_next, remaining, small
 from rrr_oc.report.pages.diagnosis_curves import LEFT, PREDICTED, Curves
 from rrr_oc.report.pages.page import ALL, Curve, Figure, columns, joined, key, render
 from rrr_oc.report.tables import NONE
@@ -45,12 +47,6 @@ def write_diagnosis_page(folder: Path, found: Mapping[str, Any] | None = None) -
 
 def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
     """The page as HTML, from the content of diagnosis.json and of figures.npz."""
-    undecided = [
-        f"{say.placed(e)} ({say.percent(e['probability_of_itself'])}) or {', '.join(say.rivals(e))}: one of them, "
-        + say.percent(e["probability"])
-        for e in found["effects"]
-        if e["rivals"]
-    ]
     joints, errors = curves["joints"].tolist(), found["bootstrap"].items()
     worst = max(range(len(joints)), key=lambda j: found["bootstrap"][joints[j]]["before"]["value"] or 0.0)
     figures, data = _figures(found, curves)
@@ -69,17 +65,25 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
         errors=[[joint_words(joint), *(_with_interval(b[k]) for k in ("before", "after", "ratio"))] for joint, b in errors],
         signals=list(SIGNAL_NAMES.values()),
         simulated=_simulated_rows(found.get("simulated")),
-        findings=[(say.plain(e), e["equation"], _share(e["share_of_error"])) for e in found["effects"]],
-        effects=say.rows(found),
-        unexplained=[
-            (say.unexplained(u), say.percent(u["probability"]), _share(u["share_of_error"])) for u in found["unexplained"]
-        ],
+        claims=claims(found, curves["files"].tolist()),
+        remaining=remaining(found),
+        small=small(found),
+        matters=f"{100 * MATTERS:.0f} %",
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
-        on_prior=say.on_prior(found),
         not_claimed=[*say.idle(found), *say.not_claimed(found), *say.not_made(found)],
-        undecided=undecided,
+        next=record_next(found),
+        covered=covered(joints, _motions(curves)),
         suggestions=[[say.told_apart(found, s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]],
     )
+
+
+def _motions(curves: Curves) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Angles and speeds of all recordings by joint."""
+    rows = LEFT.index("q"), LEFT.index("dq")
+    return {
+        joint: tuple(np.concatenate([curves[f"left {k} {j}"][row] for k in range(len(curves["files"]))]) for row in rows)
+        for j, joint in enumerate(curves["joints"].tolist())
+    }
 
 
 def _figures(found: Mapping[str, Any], curves: Curves) -> tuple[list[Figure], dict[str, dict[str, Any]]]:
@@ -144,10 +148,21 @@ def _errors(found: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[F
 
 
 def _ticks(table: Mapping[str, Sequence[Any]]) -> list[float]:
-    """Where an axis of these errors has numbers: at powers of ten, and at 2 and 5 times these unless the errors are far apart."""
-    values = [v for k in MODELS for v in table[k] if v] or [1.0]
-    decades = range(math.floor(math.log10(min(values))) - 1, math.ceil(math.log10(max(values))) + 2)
-    return [float(f"{m}e{d}") for d in decades for m in ((1, 2, 5) if max(values) < WIDE * min(values) else (1,))]
+    """Where an axis of these errors has numbers: at powers of ten if the errors are far apart, else closer, so that two are between them."""
+    ends = [
+        end
+        for k in MODELS
+        for v, below, above in zip(table[k], table[f"{k}_below"], table[f"{k}_above"], strict=True)
+        for end in ((v - below, v + above) if v else ())
+    ]
+    positive = [end for end in ends if end > 0] or [1.0]
+    low, high = min(positive), max(positive)
+    decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 2)
+    for steps in ((1,), (1, 2, 5), range(1, 10)):
+        ticks = [float(f"{m}e{d}") for d in decades for m in steps]
+        if high > WIDE * low or (len(steps) > 1 and sum(low <= tick <= high for tick in ticks) > 1):
+            return ticks
+    return sorted({float(f"{value:.2g}") for value in (low, high)})
 
 
 def _in_closed_loop(signal: str) -> str:
@@ -223,23 +238,11 @@ def _with_interval(entry: Mapping[str, Any]) -> str:
 
 
 def _mismatch_row(m: dict[str, Any]) -> list[str]:
-    where = "; ".join(
-        f"{say.variable(w['variable'])} in {w['range'][0]:.3g} … {w['range'][1]:.3g} {w['unit']}: {w['share_of_error']:.0%} of the error in "
-        f"{w['share_of_time']:.0%} of the time"
-        for w in m["where"]
-    )
+    where = "; ".join(say.place(w) for w in m["where"])
     return [
-        joint_words(m["joint"]), *(("yes", _chance(m["p_value"])) if m["significant"] else ("no", NONE)),
-        _shown(m["nrmse"]["calibration"]), _shown(m["nrmse"]["held_out"]), where, ", ".join(m["recordings"]),
+        joint_words(m["joint"]), "yes" if m["significant"] else "no", _shown(m["nrmse"]["calibration"]),
+        _shown(m["nrmse"]["held_out"]), where, ", ".join(m["recordings"]),
     ]  # fmt: skip
-
-
-def _share(value: float) -> str:
-    return f"{round(value, 2) + 0.0:.0%}"  # never "-0%"
-
-
-def _chance(p: float) -> str:
-    return f"{p:.1g}" if p > 1e-16 else "< 1e-16"
 
 
 def _shown(value: float | None) -> str:

@@ -1,0 +1,191 @@
+"""What a report says of each claim, of what stays unexplained, and of what to record next, from the content of `diagnosis.json`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rrr_oc.diagnosis.findings import LESS_PROBABLE
+from rrr_oc.effects.words import joint_words, listed, rounded
+from rrr_oc.report import diagnosis_words as say
+
+CONCENTRATED = 1.5  # share of the error over share of the time from which a range tells where a model fails
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim as a report has it.
+
+    Attributes:
+        title: What it is and on which joint.
+        sentence: What was left out, with number, unit and interval.
+        law: The law that was fitted; nothing for what no law explains.
+        facts: Sentences by their headings.
+    """
+
+    title: str
+    sentence: str
+    law: str
+    facts: tuple[tuple[str, str], ...]
+
+
+def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[Claim]:
+    """The claims of a diagnosis, most important first, then what no effect explains.
+
+    Args:
+        files: All recordings.
+    """
+    return [
+        *(_claim(say.placed(e), say.told(e), e, found, files) for e in found["effects"]),
+        *(
+            _claim(f"torque on {joint_words(u['joint'])} that no effect explains", say.unexplained(u), u, found, files)
+            for u in found["unexplained"]
+        ),
+    ]
+
+
+def _claim(title: str, sentence: str, e: Mapping[str, Any], found: Mapping[str, Any], files: Sequence[str]) -> Claim:
+    facts = (
+        ("Where", _where(e, found, files)),
+        ("Rests on", _rests_on(e, found)),
+        ("Could also be", _could_be(e)),
+        ("On unseen data", _unseen(e, found)),
+    )
+    return Claim(title[:1].upper() + title[1:], sentence, e.get("equation", ""), facts)
+
+
+def _where(e: Mapping[str, Any], found: Mapping[str, Any], files: Sequence[str]) -> str:
+    own = [joint_words(joint) for joint in say.joints_of(e)]
+    some = say.some_recordings(e)
+    there = "in the only recording" if len(files) == 1 else f"in all {len(files)} recordings"
+    if e["recordings"] == "each":
+        there = "in every recording, with a value of its own"
+    elif some and len(some) < len(files):
+        there = f"in {len(some)} of {len(files)} recordings ({', '.join(some)}); the others are explained without it"
+    return f"{f'On {listed(own)}' if own else 'On the arm as a whole'}, {there}.{_concentrated(e, found)}"
+
+
+def _concentrated(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    """Where the plain model fails most on the claim's joint, if its error is concentrated anywhere."""
+    joints = {*say.joints_of(e), *([e["lowers_error"]["joint"]] if "lowers_error" in e else [])}
+    places = [w for m in found["mismatch"] if m["joint"] in joints for w in m["where"] if w["variable"] != "time"]
+    places = [w for w in places if w["share_of_error"] > CONCENTRATED * w["share_of_time"]]
+    if not places:
+        return ""
+    most = max(places, key=lambda w: w["share_of_error"] / max(w["share_of_time"], 1e-9))
+    return f" The model without it fails most at {say.place(most)}."
+
+
+def _rests_on(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    either = " or one of its rivals" * bool(e.get("rivals"))
+    text = (
+        f"Probability {say.percent(e['probability'])} that it{either} is there, over all models that were compared; searches "
+        "without a part of the recordings found it again."
+    )
+    prior = next((p for p in found.get("priors", ()) if p["joint"] == e["joint"] and p["effect"] == e.get("effect")), None)
+    if prior is not None:
+        text += f" Before these recordings {100 * prior['probability']:.2g} % were believed ({prior['source']})."
+    if say.rests_on_prior(e["probability"]):
+        text += f" That matters: had it been {LESS_PROBABLE:g} times less probable before, it would not be claimed."
+    return text
+
+
+def _could_be(e: Mapping[str, Any]) -> str:
+    if "effect" not in e:
+        return "A law that the catalogue lacks: the model only has a curve through what was recorded, which holds in its range alone."
+    if not e["rivals"]:
+        return "Nothing else of the catalogue explains these recordings as well; a law that the catalogue lacks might."
+    others = listed(say.rivals(e))
+    return (
+        f"{others[:1].upper()}{others[1:]}, which these recordings do not tell apart from it. That it is itself has a probability of "
+        f"{say.percent(e['probability_of_itself'])}."
+    )
+
+
+def _unseen(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    """By how much the claim lowers the error of a joint that was not fitted, and that joint's error before and after."""
+    size, errors = e.get("lowers_error"), found["bootstrap"]
+    joints = [joint for joint in say.touches(e, list(errors)) if joint in errors]
+    text = ""
+    if size is not None:
+        joints = [size["joint"]] if size["joint"] in errors else joints
+        text = f"It lowers the error of {joint_words(size['joint'])}'s torque by {say.share(size)}, beside all else that was found. "
+    told = [
+        f"{joint_words(joint)}'s goes from {say.error(errors[joint]['before'])} to {say.error(errors[joint]['after'])}"
+        for joint in joints[: say.EACH]
+    ]
+    text += f"With all that was found {listed(told)} of the torque's standard deviation."
+    if any(say.gains(errors[joint]) for joint in joints):
+        return text
+    return (
+        f"{text} So a model without it predicts such recordings as well: its friction and links take the torque up, and their numbers "
+        "are then wrong."
+    )
+
+
+def remaining(found: Mapping[str, Any]) -> list[str]:
+    """What stays unexplained, in at least one sentence."""
+    result = [say.worthless(joint, found) for joint in say.worthless_joints(found)]
+    result += [line for line in [say.left_over(found)] if line]
+    left = {
+        joint: b["after"]["value"]
+        for joint, b in found["bootstrap"].items()
+        if b["after"]["value"] is not None and joint not in say.worthless_joints(found)
+    }
+    if left:
+        each = listed([f"{rounded(100 * x)} % on {joint_words(joint)}" for joint, x in left.items()])
+        rest = "" if result else " No joint's error is far above its noise."
+        result.append(f"Left on data that was not fitted, as a share of the torque's standard deviation: {each}.{rest}")
+    return result or ["Nothing was held out, so that what is left on unseen data is not known."]
+
+
+def small(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """What is sure but does not matter, as a table: header and rows."""
+    body = [
+        [say.placed(e), say.percent(e["probability"]), joint_words(e["lowers_error"]["joint"]), say.share(e["lowers_error"])]
+        for e in found.get("small", ())
+    ]
+    return ["what", "probability", "lowers the error of", "by"], body
+
+
+def record_next(found: Mapping[str, Any]) -> list[str]:
+    """What to record next, in at least one sentence; beside the motions that the diagnosis suggests."""
+    result = [
+        f"{joint_words(joint)} in other motions, larger and faster, once its units, signs, gravity, tool and payload are checked."
+        for joint in say.worthless_joints(found)
+    ]
+    left = {**{u["joint"]: np.inf for u in found["unexplained"]}, **found.get("left_over", {})}
+    places = {m["joint"]: [w for w in m["where"] if w["variable"] != "time"] for m in found["mismatch"] if m["joint"] in left}
+    worst = [joint for joint in sorted(places, key=lambda joint: -left[joint]) if places[joint]][: say.EACH]
+    if worst:
+        where = "; ".join(f"{joint_words(joint)} at {say.place(places[joint][0])}" for joint in worst)
+        result.append(
+            f"More of where the plain model fails most, slowly and fast and both ways, so that the shape of what is missing shows: {where}."
+        )
+    doubtful = dict.fromkeys([say.placed(e) for key in ("possible", "not_confirmed") for e in found.get(key, ())])
+    if doubtful:
+        result.append(
+            f"Further motions with other speeds and payloads, diagnosed together with these: they decide about {listed(list(doubtful))}."
+        )
+    check = "the model, extended as said above," if found["effects"] or found["unexplained"] else "the calibrated model"
+    result.append(
+        f"A motion that takes no part here and goes beyond what these recordings cover, to check {check} where it was never fitted: "
+        "“rrr-oc excite” plans one within the arm's limits, and “rrr-oc evaluate model.json” with the folder of the new recordings says "
+        "how large the error is."
+    )
+    return result
+
+
+def covered(joints: Sequence[str], motions: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> tuple[list[str], list[list[str]]]:
+    """Angles and speeds of the recordings as a table: header and rows.
+
+    Args:
+        motions: Angles [rad] and speeds [rad/s] by joint, each (K,).
+    """
+    body = []
+    for joint in joints:
+        q, dq = motions[joint]
+        low, high, fast = (float(np.degrees(x)) for x in (np.nanmin(q), np.nanmax(q), np.nanmax(np.abs(dq))))
+        body.append([joint_words(joint), f"{round(low)} to {round(high)}°", f"{rounded(fast)} °/s"])
+    return ["joint", "angles", "speed up to"], body
