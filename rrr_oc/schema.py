@@ -80,7 +80,9 @@ def read_preset(what: str, source: str | Path, presets: Mapping[str, str], schem
     elif Path(source).is_file():
         where, text = str(source), read_utf8(source).decode()
     else:
-        raise UserError(f"no {what} at {str(source)!r}; give the path of a JSON file or a preset: {', '.join(presets)}")
+        raise UserError(
+            f"no {what} at {str(source)!r}; give the path of a JSON file or the name of a bundled one: {', '.join(presets)}"
+        )
     return where, validated(where, without_free_text(parsed(where, text, LARGEST)), schema)
 
 

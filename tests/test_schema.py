@@ -102,7 +102,9 @@ def test_files_and_presets(tmp_path):
     assert read_preset("thing", path, {}, Outer) == (str(path), Outer(Inner("x")))
     with pytest.raises(UserError, match=r"nowhere\.json: cannot be read"):
         read_json(tmp_path / "nowhere.json", Outer)
-    with pytest.raises(UserError, match="no thing at 'nowhere'; give the path of a JSON file or a preset: one, two"):
+    with pytest.raises(
+        UserError, match="no thing at 'nowhere'; give the path of a JSON file or the name of a bundled one: one, two"
+    ):
         read_preset("thing", "nowhere", {"one": "1.json", "two": "2.json"}, Outer)
     path.write_bytes(b'{"one": "\xff"}')
     with pytest.raises(UserError, match="byte 0xff; text in UTF-8"):

@@ -41,7 +41,9 @@ def design(
     starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
     motions: Annotated[int, typer.Option(min=0, help="proposed motions of each phase, for springs that starts led to")] = 48,
-    cost: Annotated[str, typer.Option(help=f"of {', '.join(COSTS)}: torque squared (Eq. 13, Eq. 7) or Eq. 11")] = "load",
+    cost: Annotated[
+        str, typer.Option(help=f"of {', '.join(COSTS)}: load torque squared, motor torque squared, or electrical energy")
+    ] = "load",
     actuators: Annotated[
         str | None, typer.Option(help=f"drives, for the costs motor and energy and for --model: {PROTOTYPES}")
     ] = None,

@@ -29,8 +29,6 @@ Workers = Annotated[str, typer.Option(help="local, or the address of a Dask sche
 Joints = Annotated[str | None, typer.Option(help="comma-separated, in the order of the chain; default: all")]
 
 
-
-
 def named(joints: str | None) -> list[str] | None:
     """Names from a comma-separated list."""
     return None if joints is None else [name.strip() for name in joints.split(",")]

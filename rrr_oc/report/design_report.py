@@ -16,7 +16,7 @@ SECOND_ORDER = {
 }
 TRANSFERRED = (
     "Each optimum tracked by P-controllers with the model's own torque as feed-forward; E1 [N²m²s], and its decrease against SA, of the "
-    "load torque that the engine gives, and of the one from the motor torque through Eq. 10."
+    "load torque that the engine gives, and, where the drives' friction is given, of the one that follows from the motor torque."
 )
 LOCAL_OPTIMA = "Distinct local optima (those not refined carry the error of their mesh)"
 UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
@@ -44,7 +44,7 @@ def report(summary: dict[str, Any]) -> str:
     """The whole report in Markdown: results, Table 3, Table 4, certificates, optima, what each search layer contributed."""
     found, quantity = summary["configurations"], Quantity(*summary["quantity"])
     parts = [
-        f"# Co-design of springs and motion, preset `{summary['preset']}`\n",
+        f"# Co-design of springs and motion, task `{summary['preset']}`\n",
         f"Cost: {summary['cost']}. Seed {summary['seed']}, {summary['starts']} starts a configuration, "
         f"{summary['wall_s']:.0f} s.\n",
         *[f"{sentence}\n" for sentence in ends_in_words(summary)],
@@ -130,7 +130,7 @@ def columns_in_words(quantity: Quantity, beside: bool) -> dict[str, str]:
     """What the columns of `optima_table` show, a sentence or two each."""
     published = {"published springs": "Table 4's hardware, its motion re-optimised on this model."} if beside else {}
     return published | {
-        "engine": f"{quantity.engine}re-simulated in MuJoCo with feed-forward and the paper's P-controllers, load torque read from "
+        "engine": f"{quantity.engine}re-simulated in MuJoCo with feed-forward and P-controllers, load torque read from "
         "the engine.",
         "mesh error": "between the nodes, relative.",
         "over limits": "the largest excess of a limit between the nodes, relative to its scale; meshes are refined for limits of range, "
@@ -173,18 +173,19 @@ def transfer_table(found: dict) -> Table | None:
     if not known:
         return None
     stiff, rows = known.get("SA"), []
+    routes = ["engine"] + ["eq10"] * any(c["eq10"] is not None for c in known.values())
     for name, c in known.items():
         cells = [name]
-        for route in ("engine", "eq10"):
-            if c[route] is None:  # the drives are unknown
+        for route in routes:
+            if c[route] is None:  # the drives of this one are unknown
                 cells += [NONE, NONE]
                 continue
             less = "" if stiff is None or name == "SA" else f"{100 * decrease(c[route]['E1'], stiff[route]['E1']):.1f} %"
             cells += [f"{c[route]['E1']:.2f}", less]
         cells += [", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values()), f"{c['tracking_error_rad']:.4f}"]
         rows.append([*cells, "yes" if c["saturated"] else "no"])
-    header = ["", "engine", "decrease", "Eq. 10", "decrease", "RMS motor torque [Nm]", "tracking [rad]", "at its limit"]
-    return header, rows
+    heads = ["engine", "decrease", "from the motor torque", "decrease"][: 2 * len(routes)]
+    return ["", *heads, "RMS motor torque [Nm]", "tracking [rad]", "at its limit"], rows
 
 
 def _certificate(name: str, c: dict, quantity: Quantity, joints: Sequence[str]) -> str:
@@ -217,7 +218,7 @@ def certificate_sentences(c: dict, quantity: Quantity) -> list[str]:
         f"{k['smoothing']:.1e} away (relative).",
         f"An adaptive integrator run with the same controls ends {k['reintegration']['state']:.1e} away from the planned end, with a "
         f"cost that differs by {k['reintegration']['cost']:.1e}.",
-        f"MuJoCo, which simulates the motion with the same springs and the paper's P-controllers, finds an E1 of {error['E1']:.4f} N²m²s, "
+        f"MuJoCo, which simulates the motion with the same springs and P-controllers, finds an E1 of {error['E1']:.4f} N²m²s, "
         f"and follows the motion to {error['tracking_error_rad']:.1e} rad.",
         *bounds_in_words(c),
         f"The lowest point of the tool is {abs(c['lowest_tool_m']):.3f} m {'below' if c['lowest_tool_m'] < 0 else 'above'} the base.",

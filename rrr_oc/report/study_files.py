@@ -28,7 +28,7 @@ from rrr_oc.report.pages.set_page import write_set_page
 from rrr_oc.report.set_figures import draw_set
 from rrr_oc.storage import new_files, plain, write_csv, write_json, write_text
 
-COSTS = {"load": "load torque² (Eq. 13)", "motor": "motor torque²", "energy": "electrical energy (Eq. 11)"}  # in the summary
+COSTS = {"load": "load torque²", "motor": "motor torque²", "energy": "electrical energy"}  # in the summary
 QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
 FILES = (
     "summary.json",

@@ -47,6 +47,8 @@ def test_every_key_has_a_type_a_default_and_a_sentence(name):
         ("recordings", "| `radius1_m` | number | m | required | ≥ 1e-06 and ≤ 5 |"),
         ("task", "| `acceleration_deg_per_s2` | number | °/s² | none | ≥ 1e-12 | Greatest acceleration. |"),
         ("task", "`r_2_mm`: bounds [mm]"),
+        ("task", "| `gravity` | list of 3 numbers | m/s² | none | ≥ -10000 and ≤ 10000 | Acceleration of gravity in the base frame. Default: "
+         "the MJCF's; of a URDF [0, 0, -9.81]. |"),
         ("actuators", "| `viscous_A_s_per_rad` | number | A s/rad | required | ≥ 0 |"),
         ("priors", "| `probability` | number | – | none | > 0 and < 1 |"),
         ("model", "| `interval` | list of 2 numbers | – | required | any | 95 % interval; null as well. |"),

@@ -112,6 +112,16 @@ def test_a_page_is_whole_in_one_file_and_asks_no_network(folders, name):
 
 
 @pages
+def test_reports_of_an_own_arm_do_not_speak_of_the_papers(folders, name):
+    """Neither of its presets, nor of its equations by number, nor of its controllers, whoever's idea these were."""
+    texts = [re.sub(r"<(style|script|pre)[ >].*?</\1>", "", without_plotly(text_of(folders[name])), flags=re.S)]
+    texts += [path.read_text() for path in folders[name].glob("report.md")]
+    assert len(texts) == (1 if name == "diagnosis" else 2)
+    for text in texts:
+        assert re.findall(r"\bpresets?\b|Eq\. ?\d|paper's|paper’s", text) == []
+
+
+@pages
 def test_the_verdict_stands_before_everything_else(folders, name):
     text = without_plotly(text_of(folders[name]))
     first = text.index('<p class="verdict">')
@@ -338,7 +348,9 @@ def test_a_browser_shows_a_page_wide_and_narrow_light_and_dark(folders, browser,
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         wide = page.eval_on_selector_all(".plot .main-svg", "plots => plots.map(p => p.getBoundingClientRect().right)")
         assert max(wide) <= width
-        tables = page.eval_on_selector_all(".wide:has(table)", "parts => parts.map(part => part.scrollWidth - part.clientWidth)")
+        tables = page.eval_on_selector_all(
+            ".wide:has(table)", "parts => parts.map(part => part.scrollWidth - part.clientWidth)"
+        )
         assert tables
         assert max(tables) <= 0  # a table that is cut is not read
         papers[scheme] = page.evaluate("getComputedStyle(document.body).backgroundColor")

@@ -142,7 +142,9 @@ def test_bad_input(tmp_path):
         load_actuators(("elbow",))
     with pytest.raises(UserError, match=r"'dissipative' or 'printed', got 'guessed'"):
         load_actuators(JOINTS, form="guessed")
-    with pytest.raises(UserError, match=r"no actuators at 'nowhere.json'; give the path of a JSON file or a preset: prototype"):
+    with pytest.raises(
+        UserError, match=r"no actuators at 'nowhere.json'; give the path of a JSON file or the name of a bundled one: prototype"
+    ):
         load_actuators(JOINTS, "nowhere.json")
     path = tmp_path / "drives.json"
     path.write_text("{")

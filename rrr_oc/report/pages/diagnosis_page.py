@@ -79,11 +79,11 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
 
 def _motions(curves: Curves) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Angles and speeds of all recordings by joint."""
-    rows = LEFT.index("q"), LEFT.index("dq")
-    return {
-        joint: tuple(np.concatenate([curves[f"left {k} {j}"][row] for k in range(len(curves["files"]))]) for row in rows)
-        for j, joint in enumerate(curves["joints"].tolist())
-    }
+    result = {}
+    for j, joint in enumerate(curves["joints"].tolist()):
+        every = np.concatenate([curves[f"left {k} {j}"] for k in range(len(curves["files"]))], axis=1)
+        result[joint] = every[LEFT.index("q")], every[LEFT.index("dq")]
+    return result
 
 
 def _figures(found: Mapping[str, Any], curves: Curves) -> tuple[list[Figure], dict[str, dict[str, Any]]]:

@@ -31,6 +31,7 @@ from rrr_oc.schema import spellings
 from rrr_oc.storage import write_text
 
 DIAGNOSIS = "What a diagnosis found; `rrr-oc diagnose` writes it. Probabilities and p values are from 0 to 1."
+UNIT = r" \[([^\],`]+)\](?=\.|$)"  # at the end of a sentence; a list of numbers in brackets is a default
 COLUMNS = ("key", "type", "unit", "default", "allowed", "meaning")
 # Units by the ending of a key, the longest ending first
 ENDINGS = {
@@ -230,12 +231,12 @@ def _table(structure: Any) -> str:
     rows = [list(COLUMNS), ["---"] * len(COLUMNS)]
     for one in msgspec.structs.fields(structure):
         key, meaning = one.encode_name, meanings.get(one.name, "")
-        unit = re.search(r" \[([^\]`]+)\]\.?$", meaning)
+        unit = re.search(UNIT, meaning)
         allowed = _Allowed.of(one.type)
         default = "required" if one.required else _default(one)
         also = [f"`{name}`" for name in spellings(one.type) if name != key]
         shown = f"`{key}`" + f" or {', '.join(also)}" * bool(also)
-        meaning = re.sub(r" \[([^\]`]+)\]\.?$", ".", meaning) if unit else meaning
+        meaning = re.sub(UNIT, "", meaning, count=1) if unit else meaning
         rows.append([shown, allowed.kind, unit[1] if unit else _unit(key, allowed.kind), default, allowed.values, meaning])
     return "\n".join(f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |" for row in rows)
 
