@@ -45,12 +45,12 @@ def design(
         str, typer.Option(help=f"of {', '.join(COSTS)}: load torque squared, motor torque squared, or electrical energy")
     ] = "load",
     actuators: Annotated[
-        str | None, typer.Option(help=f"drives, for the costs motor and energy and for --model: {PROTOTYPES}")
+        str | None, typer.Option(help=f"drives, for costs motor and energy and for --model: {PROTOTYPES}")
     ] = None,
     catalogue: Annotated[str | None, typer.Option(help=f"springs to buy, for the starred designs: {PROTOTYPES}")] = None,
     tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
     model: Annotated[
-        Path | None, typer.Option(help="model.json of calibrate or diagnose: every optimum is tracked in it too")
+        Path | None, typer.Option(help="model.json of calibrate or diagnose, in which optima are tracked too")
     ] = None,
     repaired: Annotated[
         bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")

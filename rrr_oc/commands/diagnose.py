@@ -29,9 +29,9 @@ from rrr_oc.effects.words import joint_words, words
 from rrr_oc.errors import noted
 from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
-from rrr_oc.report.diagnosis_claims import small
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
 from rrr_oc.report.diagnosis_words import idle, not_claimed, not_made, on_prior, plain, rows, unexplained, verdict
+from rrr_oc.report.pages.diagnosis_claims import small
 from rrr_oc.storage import check_folder, code, hash_of
 from rrr_oc.storage import plain as plain_data
 

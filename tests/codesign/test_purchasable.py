@@ -261,7 +261,9 @@ def test_a_wrong_catalogue_is_explained(tmp_path, changes, message):
 
 
 def test_a_wrong_catalogue_file_is_explained(tmp_path):
-    with pytest.raises(UserError, match="no catalogue at 'nowhere'; give the path of a JSON file or the name of a bundled one: prototype"):
+    with pytest.raises(
+        UserError, match="no catalogue at 'nowhere'; give the path of a JSON file or the name of a bundled one: prototype"
+    ):
         load_catalogue("nowhere")
     file = tmp_path / "shop.json"
     for content in (b"{", b"[]", b"\xff\xfe"):

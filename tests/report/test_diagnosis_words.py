@@ -7,7 +7,6 @@ import pytest
 
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.words import Number, joint_words, read
-from rrr_oc.report.diagnosis_claims import claims, record_next, remaining, small
 from rrr_oc.report.diagnosis_words import (
     lowered,
     not_claimed,
@@ -23,6 +22,7 @@ from rrr_oc.report.diagnosis_words import (
     unexplained,
     variable,
 )
+from rrr_oc.report.pages.diagnosis_claims import claims, record_next, remaining, small
 from rrr_oc.report.pages.diagnosis_page import diagnosis_page
 from rrr_oc.robot.parameters import Parameter
 

@@ -126,7 +126,7 @@ def symbols(found: Mapping[str, Any]) -> list[tuple[str, str]]:
         "q_n": "angle of the joint at which the angle of that table is 0",
         "k_c": "stiffness of a spring that a clutch connects to one joint in one phase",
         "q_c": "angle of the joint at which that spring is slack, in the middle between start and release",
-        "k_bc": "with q_0c and r_1c to r_3c a spring across two joints that a clutch connects in one phase, named as those of one that is always connected",
+        "k_bc": "with q_0c and r_1c to r_3c a spring across two joints that a clutch connects in one phase, named as if always connected",
         "k_b": "stiffness of a spring across two joints",
         "q_0": "angle that sets where the spring across two joints is slack",
         "r_1": "radius of the pulley at the spring, which turns its stiffness into torque",

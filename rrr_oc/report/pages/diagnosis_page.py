@@ -13,7 +13,7 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.effects.words import joint_words
 from rrr_oc.report import diagnosis_words as say
-from rrr_oc.report.diagnosis_claims import claims, covered, record_next, remaining, small
+from rrr_oc.report.pages.diagnosis_claims import claims, covered, record_next, remaining, small
 from rrr_oc.report.pages.diagnosis_curves import LEFT, PREDICTED, Curves
 from rrr_oc.report.pages.page import ALL, Curve, Figure, columns, joined, key, render
 from rrr_oc.report.tables import NONE
