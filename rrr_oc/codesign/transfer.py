@@ -9,7 +9,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion, describe, start_of
-from rrr_oc.codesign.task import PHASES
+from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Body, BodyChange, OnlyRecorded
 from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import Metrics, measure
@@ -23,7 +23,7 @@ from rrr_oc.simulation.tracking import Reference, Tracked, check_gears, track
 def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
     """Raise `UserError` unless every optimum of the design can be simulated with the calibrated model: it has the joints of the
     task's robot, every term holds for all recordings, and no gear or spring between drive and link gives."""
-    _check_joints(design, calibrated)
+    check_joints(design.task, calibrated)
     if design.series.rows:
         raise UserError(
             "the design has springs between drives and links; a model of recordings without them says nothing of such drives"
@@ -35,10 +35,14 @@ def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
     check_gears(twin(arm.model, arm.theta, settings=Settings("native")))
 
 
-def _check_joints(design: CoDesign, calibrated: CalibratedModel) -> None:
-    own = design.task.robot.joints
+def check_joints(task: Task, calibrated: CalibratedModel) -> None:
+    """Raise `UserError` unless a model has the joints of a task's robot."""
+    own = task.robot.joints
     if calibrated.joints != own:
-        raise UserError(f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(own)}")
+        raise UserError(
+            f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(own)}; they must be the same: "
+            '"joints" of the task says which are the arm\'s'
+        )
 
 
 def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str]) -> CoDesign:
@@ -54,7 +58,7 @@ def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str
     Raises:
         UserError: The model has other joints; an effect, other than of the payload, holds in one phase only.
     """
-    _check_joints(design, calibrated)
+    check_joints(design.task, calibrated)
     known, payload = [], design.task.payload
     for term in calibrated.terms:
         effect = term.effect

@@ -11,6 +11,7 @@ from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.springs import SavedSprings, saved_springs
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.codesign.trajectory import FORMATS, sampled, saved_motion
+from rrr_oc.codesign.transfer import check_joints
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.effects import OfEach
@@ -171,9 +172,8 @@ def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings
         robot, tool = task.robot, task.tool
     else:
         robot, tool = found.robot, found.tool
-        if task is not None and task.robot.joints != robot.joints:
-            own, other = ", ".join(robot.joints), ", ".join(task.robot.joints)
-            raise UserError(f"the model has the joints {own}, but the task's robot {other}; they must be the same")
+        if task is not None:
+            check_joints(task, found)
     effects = (*(effect for effect, _ in springs.mounted), *(t.effect for t in terms))
     values = [*(list(theta.values()) for _, theta in springs.mounted), *(t.values for t in terms)]
     return Model(robot, tool, effects), np.concatenate([np.zeros(0), *values]), left_out

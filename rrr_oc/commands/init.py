@@ -197,7 +197,8 @@ def _readme(folder: Path, robot: Robot, why: str) -> str:
     return f"""# {robot.name}
 
 Put your recordings beside `{SET}/{RECORDING}`, with its columns, and list them in `{SET}/{HEADER}`. Move all joints to and fro,
-fast and slowly, over much of their range; 20 s each and three of them are a start. {task}
+fast and slowly, over much of their range; 20 s each and three of them are a start. Take a joint that you do not record, such as a gripper's,
+out of "joints" of every file. {task}
 
 ```
 rrr-oc calibrate {shown(SET)} --out {shown("calibrated")}

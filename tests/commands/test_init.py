@@ -213,6 +213,7 @@ def test_the_command_says_what_comes_next(tmp_path, capsys, monkeypatch):
     assert commands == ["calibrate", "diagnose", "design"]
     readme = (tmp_path / "set" / "README.md").read_text()
     assert all(line in readme for line in said.splitlines() if line.startswith("rrr-oc"))
+    assert "Take a joint that you do not record" in readme
     assert run("init", "rrr", "--out", tmp_path / "set") == 2
     assert "is there already" in capsys.readouterr().err
     assert run("init", tmp_path / "nowhere.urdf", "--out", tmp_path / "b") == 2

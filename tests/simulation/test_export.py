@@ -209,7 +209,8 @@ MISTAKES = {
         {},
         "the model has the joints joint1, joint2, but",
     ),
-    "other joints": (["{two}", *DESIGN], {}, "the model has the joints joint1, joint2, but the task's robot joint1, joint2, joint3"),
+    "other joints": (["{two}", *DESIGN], {}, "the model has the joints joint1, joint2, but the task's robot joint1, joint2, joint3; "
+                     'they must be the same: "joints" of the task says which'),
 }  # fmt: skip
 
 
