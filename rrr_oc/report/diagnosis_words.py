@@ -128,7 +128,8 @@ def share(size: Mapping[str, Any]) -> str:
 def worthless_joints(found: Mapping[str, Any]) -> list[str]:
     """Joints whose torque the model that is reported explains no better than a constant does."""
     after = found.get("nrmse", {}).get("calibration", {}).get("after", {})
-    return [joint for joint, value in after.items() if value is not None and value > WORTHLESS]
+    still = {e["joint"] for e in found.get("idle", ())}  # of which more is known
+    return [joint for joint, value in after.items() if value is not None and value > WORTHLESS and joint not in still]
 
 
 def worthless(joint: str, found: Mapping[str, Any]) -> str:

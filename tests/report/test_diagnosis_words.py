@@ -361,6 +361,10 @@ def test_what_stays_unexplained_and_what_to_record_next_are_always_said():
     assert remaining(still)[0].startswith("The torque of b is explained no better than by a constant")
     assert sentence(still).startswith("Of the other joints nothing is missing. The torque of b is explained no better")
     assert record_next(still)[0].startswith("b in other motions")
+    idle = still | {"idle": [{"joint": "b", "torque": 2.0}]}
+    assert remaining(idle)[0].startswith("B never moved")
+    assert remaining(idle)[-1].endswith(": 2.00 % on a.")
+    assert record_next(idle)[0] == "Motions of b, which never moved here."
     place = {"variable": "q_a", "range": [0.1, 0.2], "unit": "rad", "share_of_error": 0.7, "share_of_time": 0.2}
     left = found | {"left_over": {"a": 7.0}, "mismatch": [{"joint": "a", "where": [place]}]}
     assert remaining(left)[0] == "What is left is still 7 times the noise on a: more is missing, or of another shape."

@@ -127,11 +127,12 @@ def _unseen(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
 def remaining(found: Mapping[str, Any]) -> list[str]:
     """What stays unexplained, in at least one sentence."""
     result = [say.worthless(joint, found) for joint in say.worthless_joints(found)]
-    result += [line for line in [say.left_over(found)] if line]
+    result += [*say.idle(found), *([said] if (said := say.left_over(found)) else [])]
+    silent = {*say.worthless_joints(found), *(e["joint"] for e in found.get("idle", ()))}
     left = {
         joint: b["after"]["value"]
         for joint, b in found["bootstrap"].items()
-        if b["after"]["value"] is not None and joint not in say.worthless_joints(found)
+        if b["after"]["value"] is not None and joint not in silent
     }
     if left:
         each = listed([f"{rounded(100 * x)} % on {joint_words(joint)}" for joint, x in left.items()])
@@ -155,6 +156,8 @@ def record_next(found: Mapping[str, Any]) -> list[str]:
         f"{joint_words(joint)} in other motions, larger and faster, once its units, signs, gravity, tool and payload are checked."
         for joint in say.worthless_joints(found)
     ]
+    still = [joint_words(e["joint"]) for e in found.get("idle", ())]
+    result += [f"Motions of {listed(still)}, which never moved here."] * bool(still)
     left = {**{u["joint"]: np.inf for u in found["unexplained"]}, **found.get("left_over", {})}
     places = {m["joint"]: [w for w in m["where"] if w["variable"] != "time"] for m in found["mismatch"] if m["joint"] in left}
     worst = [joint for joint in sorted(places, key=lambda joint: -left[joint]) if places[joint]][: say.EACH]
