@@ -42,11 +42,7 @@ def sentence(found: Mapping[str, Any]) -> str:
         few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
         return "Nothing is missing: the calibrated model explains these recordings to their noise." + few * bool(poor)
     if not (found["effects"] or found["unexplained"]):
-        names = listed([joint_words(m["joint"]) for m in found["mismatch"] if m["significant"]])
-        return (
-            f"Something is missing on {names}, where the error is far beyond the noise, and these recordings do not decide what: "
-            "nothing that would explain it holds on recordings left out of the search."
-        )
+        return _undecided(found)
     lacking, gain = listed(_lacking(found)), _gain_held_out(found)
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
@@ -64,6 +60,20 @@ def left_over(found: Mapping[str, Any]) -> str:
         names = listed([joint_words(joint) for joint in over])
         rest = f"{min(over.values()):.0f} to {max(over.values()):.0f} times the noise on {names}"
     return f"What is left is still {rest}: more is missing, or of another shape."
+
+
+def _undecided(found: Mapping[str, Any]) -> str:
+    """The verdict where something is missing and nothing is claimed: on joints with an error, on joints that never moved, or on both."""
+    still = {e["joint"] for e in found.get("idle", ())}
+    names = [joint_words(m["joint"]) for m in found["mismatch"] if m["significant"] and m["joint"] not in still]
+    missed = (
+        f"Something is missing on {listed(names)}, where the error is far beyond the noise, and these recordings do not decide what: "
+        "nothing that would explain it holds on recordings left out of the search."
+    )
+    moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if still else ""
+    return " ".join(
+        [missed if names else moved or "Something is missing, and these recordings do not decide what.", *idle(found)]
+    )
 
 
 def _gain_held_out(found: Mapping[str, Any]) -> str:

@@ -363,6 +363,12 @@ def test_what_stays_unexplained_and_what_to_record_next_are_always_said():
     assert record_next(still)[0].startswith("b in other motions")
     idle = still | {"idle": [{"joint": "b", "torque": 2.0}]}
     assert remaining(idle)[0].startswith("B never moved")
+    undecided = idle | {"verdict": "cannot_tell"}
+    assert sentence(undecided).startswith(
+        "Nothing is missing on the joints that move, and these recordings do not tell of the others. B never moved"
+    )
+    missed = {"joint": "a", "significant": True, "where": []}
+    assert sentence(undecided | {"mismatch": [missed]}).startswith("Something is missing on a, where the error is far")
     assert remaining(idle)[-1].endswith(": 2.00 % on a.")
     assert record_next(idle)[0] == "Motions of b, which never moved here."
     place = {"variable": "q_a", "range": [0.1, 0.2], "unit": "rad", "share_of_error": 0.7, "share_of_time": 0.2}
