@@ -44,14 +44,10 @@ def design(
     cost: Annotated[
         str, typer.Option(help=f"of {', '.join(COSTS)}: load torque squared, motor torque squared, or electrical energy")
     ] = "load",
-    actuators: Annotated[
-        str | None, typer.Option(help=f"drives, for costs motor and energy and for --model: {PROTOTYPES}")
-    ] = None,
+    actuators: Annotated[str | None, typer.Option(help=f"drives, for costs motor, energy and --model: {PROTOTYPES}")] = None,
     catalogue: Annotated[str | None, typer.Option(help=f"springs to buy, for the starred designs: {PROTOTYPES}")] = None,
     tolerance: Annotated[float, typer.Option(min=1e-10, max=1e-2, help="mesh tolerance, relative")] = 1e-6,
-    model: Annotated[
-        Path | None, typer.Option(help="model.json of calibrate or diagnose, in which optima are tracked too")
-    ] = None,
+    model: Annotated[Path | None, typer.Option(help="model.json of calibrate or diagnose: optima are tracked in it")] = None,
     repaired: Annotated[
         bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")
     ] = False,
