@@ -14,7 +14,7 @@ from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import Robot, ToolPoint
 
 KINEMATICS = 1e-3  # [m] and 1, by which two descriptions of a robot may differ; doubled, coarser errors of a URDF pass
-Kind = Literal["motor", "load", "current"]
+Kind = Literal["motor", "load", "current", "command"]
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class CalibratedModel:
         source: Name of the bundled model, or "urdf".
         urdf: Text of the URDF that the kinematics come from.
         tool: Where a payload is held.
-        torque: What `predict` returns: "motor" or "load" torque [Nm], or "current" [A].
+        torque: What `predict` returns: "motor" or "load" torque [Nm], "current" [A], or of a loop that follows a "command" its torque [Nm].
         torque_constant: Per joint [Nm/A at the output]; None where it is not given.
         inertial: "nominal": the URDF's inertial parameters; "identify": estimated ones.
         terms: The effects, in the order in which they are added up.

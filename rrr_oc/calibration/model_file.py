@@ -143,7 +143,7 @@ class ModelFile(msgspec.Struct):
     joints: Annotated[list[str], Meta(min_length=1)]
     gravity: Vector
     tool: ToolEntry
-    torque: Literal["motor", "load", "current"]
+    torque: Literal["motor", "load", "current", "command"]
     torque_constant: dict[str, float | None]
     inertial: Literal["nominal", "identify"]
     effects: list[TermEntry]

@@ -126,7 +126,7 @@ def pieces_of(only: Prepared) -> tuple[Prepared, ...]:
     began = r.t[0] if r.start is None else r.start
     for part in blocks_of(r):
         a, b = int(part[0]), int(part[-1]) + 1
-        arrays = {k: getattr(r, k)[..., a:b] for k in ("t", "q", "dq", "ddq", "tau", "payload")}
+        arrays = r.samples(slice(a, b))
         inside = [(max(s.start, a) - a, min(s.stop, b) - a) for s in r.segments]
         segments = tuple(slice(first, end) for first, end in inside if end - first > SHORT)
         piece = replace(r, **arrays, segments=segments, start=float(began))
@@ -244,7 +244,7 @@ def _thinned(prepared: Prepared, stride: int, share: float) -> Prepared:
     ends = np.cumsum([0, *map(len, kept)]).tolist()
     segments = [slice(a, b) for a, b in pairwise(ends)]
     rows = np.concatenate(kept)
-    arrays = {name: getattr(r, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    arrays = r.samples(rows)
     coarse = replace(r, **arrays, segments=tuple(segments))
     return replace(prepared, recording=coarse, measured=measured[:, rows], moving=prepared.moving[:, rows])
 

@@ -9,6 +9,7 @@ from rich.table import Table
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.importers import JointStates, import_arrays, import_csv, import_lerobot, import_prototype, import_ros
+from rrr_oc.recordings.importers.lerobot import Efforts
 from rrr_oc.recordings.importers.prototype import PAYLOAD_AT
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.schema import decimal
@@ -50,7 +51,7 @@ def ros(
 ) -> None:
     """Bags of ROS 1 and ROS 2."""
     names = None if joints is None else [name.strip() for name in joints.split(",")]
-    states = JointStates(names, topic, torque, inertial, _constants(torque_constant))
+    states = JointStates(names, topic, torque, inertial, _numbers("--torque-constant", torque_constant))
     _show_set(import_ros(files, robot, out, states), Output(quiet, as_json))
 
 
@@ -79,12 +80,16 @@ def lerobot(
     torque_constant: Annotated[
         str | None, typer.Option(help="JOINT=Nm/A, comma-separated, for currents; of loads in counts: Nm a count")
     ] = None,
+    kp: Annotated[
+        str | None, typer.Option(help="Nm/rad of the loop that follows the commands (action): a number, or JOINT=NUMBER,…")
+    ] = None,
+    kd: Annotated[str | None, typer.Option(help="as --kp, Nm s/rad; with both, torques are made of commands")] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Data sets of LeRobot with torques, currents or loads, versions 2 and 3."""
-    made = import_lerobot(folder, robot, out, mapping, unit, _constants(torque_constant))
-    _show_set(made, Output(quiet, as_json))
+    """Data sets of LeRobot with torques, currents, loads, or commands of a loop of known gains, versions 2 and 3."""
+    efforts = Efforts(_numbers("--torque-constant", torque_constant), _gain("--kp", kp), _gain("--kd", kd))
+    _show_set(import_lerobot(folder, robot, out, mapping, unit, efforts), Output(quiet, as_json))
 
 
 @app.command()
@@ -100,13 +105,23 @@ def arrays(
     _show_set(import_arrays(files, robot, out, mapping), Output(quiet, as_json))
 
 
-def _constants(text: str | None) -> dict[str, float]:
+def _gain(option: str, text: str | None) -> float | dict[str, float] | None:
+    """A number of all joints, or one of each by name."""
+    if text is None or "=" in text:
+        return None if text is None else _numbers(option, text)
+    number = decimal(text.strip())
+    if number is None:
+        raise UserError(f"{option} is {text!r}; a number, or JOINT=NUMBER, comma-separated, is required")
+    return number
+
+
+def _numbers(option: str, text: str | None) -> dict[str, float]:
     if text is None:
         return {}
     pairs = [pair.partition("=") for pair in text.split(",")]
     found = {name.strip(): decimal(value.strip()) for name, _, value in pairs}
     if None in found.values() or len(found) < len(pairs):
-        raise UserError(f"--torque-constant is {text!r}; JOINT=NUMBER, comma-separated, is required")
+        raise UserError(f"{option} is {text!r}; JOINT=NUMBER, comma-separated, is required")
     return {name: value for name, value in found.items() if value is not None}
 
 

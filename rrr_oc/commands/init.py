@@ -139,12 +139,13 @@ def _header(name: str, robot: Robot, exact: bool) -> str:
   "format": "{FORMAT}",
   "robot": {json.dumps(name)}, // {_where(name)}
   "joints": {json.dumps(list(robot.joints))}, // recorded ones, in the order of the chain
-  "torque": "motor", // or "load" (behind the gear), or "current" with "actuators"
+  "torque": "motor", // or "load" (behind the gear), "current" with "actuators", or "command" with "kp" and "kd"
   "inertial": "{"nominal" if exact else "identify"}", // "nominal": masses of the URDF; "identify": they are estimated
   "gravity": {gravity}, // in the base frame [m/s²]; another one for an arm on a wall
   // "fixed_deg": {{}}, // angles of joints that are not recorded, by name; else 0, or the middle of a range that lacks 0
   // "tool": {{"link": {tool}, "position": [0.0, 0.0, 0.0]}}, // where a payload is held
   // "actuators": {{{first}: {{"torque_constant": 10.0}}}}, // Nm of {_plain(robot.joints[0])} per A, for all joints if currents are recorded
+  // "kp": 20.0, "kd": 0.5, // Nm/rad and Nm s/rad of a loop whose commands are recorded; or by joint
   "recordings": [
     {{
       "file": "{RECORDING}"

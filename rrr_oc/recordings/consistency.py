@@ -16,6 +16,7 @@ from scipy.optimize import nnls
 from rrr_oc.effects import Effect
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.along import along
+from rrr_oc.recordings.header import EFFORTS
 from rrr_oc.recordings.plausibility import DEGREES
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.rigid_body import rigid_body
@@ -44,11 +45,12 @@ UNITS = {1e3: "mNm", 1e2: "Ncm", 9.80665: "kgf m", 980.665: "gf m", 98.0665: "kg
 
 @dataclass(frozen=True)
 class Reading:
-    """How columns are read: joint j's position is `signs[j]` times the column of joint `order[j]`, and its torque likewise.
+    """How columns are read: joint j's position is `signs[j]` times the column of joint `order[j]`, and its torque, or
+    its command, likewise.
 
     Attributes:
         signs, order: Of positions and their rates, (n,) each; a sign is another factor than ±1 where the unit is another.
-        torque_signs, torque_order: Of torques, (n,) each.
+        torque_signs, torque_order: Of torques or commands, (n,) each.
     """
 
     signs: tuple[float, ...]
@@ -111,10 +113,10 @@ class Samples:
 
     @cached_property
     def torque(self) -> np.ndarray:
-        """Recorded torque at the output [Nm], (n, K)."""
+        """Recorded torque at the output [Nm], or commands [rad], (n, K)."""
         parts = []
         for r, rows in zip(self.recordings.recordings, self.rows, strict=True):
-            torque = self.recordings.output_torque(r)
+            torque = self.recordings.output_torque(r) if r.command is None else r.command
             parts.append(
                 torque[:, rows] if not self.lag else np.array([np.interp(r.t[rows] + self.lag, r.t, x) for x in torque])
             )
@@ -128,6 +130,15 @@ class Samples:
             motion[1:] *= rates
             found.append((r, motion, r.payload[None, rows]))
         return found
+
+    def read(self, reading: Reading, given: np.ndarray) -> np.ndarray:
+        """The torque at the output [Nm], (n, K), by `torque` as it is read; of commands with the motion as it is read."""
+        given = np.array(reading.torque_signs)[:, None] * given[list(reading.torque_order)]
+        loop = self.recordings.recordings[0].loop
+        if loop is None:
+            return given
+        q, dq, _ = np.concatenate([motion for _, motion, _ in self.motion(reading)], axis=2)
+        return loop.torque(given, q, dq)
 
     def load(self, reading: Reading, rates: bool = True) -> np.ndarray:
         """Torque that the rigid arm and its listed springs need [Nm], (n, K)."""
@@ -175,8 +186,7 @@ class Comparison:
     def nrmse(self, reading: Reading, scale: Sequence[float] | None = None, torque: np.ndarray | None = None) -> np.ndarray:
         """NRMSE of each joint's torque, (n,), read as `scale` times the recorded one; NaN where it never changes."""
         load, columns = self._motion(reading)
-        given = self.samples.torque if torque is None else torque
-        tau = np.array(reading.torque_signs)[:, None] * given[list(reading.torque_order)]
+        tau = self.samples.read(reading, self.samples.torque if torque is None else torque)
         tau = tau if scale is None else tau * np.array(scale)[:, None]
         return np.array([_error(tau[j] - load[j], tau[j], columns[j], self._rotors[j]) for j in range(len(tau))])
 
@@ -194,7 +204,7 @@ class Comparison:
     def factors(self, reading: Reading) -> np.ndarray:
         """How many times the arm's torque each recorded one is, (n,); NaN where the arm's hardly changes or does not explain it."""
         load, columns = self._motion(reading)
-        tau = np.array(reading.torque_signs)[:, None] * self.samples.torque[list(reading.torque_order)]
+        tau = self.samples.read(reading, self.samples.torque)
         found = []
         for j in range(len(tau)):
             solution, size = _least(np.column_stack([load[j], columns[j]]), tau[j])[0], float(np.std(tau[j]))
@@ -318,8 +328,10 @@ def _others(compared: Comparison, reading: Reading) -> Iterator[tuple[Reading, s
         yield replace(reading, signs=turned, torque_signs=flipped), "sign", (*q, *columns), said
     for factor, how in ((DEGREES, "angles in rad that were taken for degrees"), (1 / DEGREES, "angles in degrees")):
         q, scaled = tuple(f"q_{joint}" for joint in names), tuple(factor * s for s in reading.signs)
+        both = scaled if torque == "command" else reading.torque_signs
         if compared.nominal:
-            yield replace(reading, signs=scaled), "unit", q, f"positions fit when they are multiplied by {factor:.3g}, as {how}"
+            said = f"positions fit when they are multiplied by {factor:.3g}, as {how}"
+            yield replace(reading, signs=scaled, torque_signs=both), "unit", q, said
     for i, j in itertools.combinations(range(len(names)), 2):
         pair = tuple(f"{torque}_{names[k]}" for k in (i, j))
         order = _swapped(reading.torque_order, i, j)
@@ -338,7 +350,7 @@ def _others(compared: Comparison, reading: Reading) -> Iterator[tuple[Reading, s
 
 
 def _torque_column(recordings: RecordingSet) -> str:
-    return "current" if recordings.torque == "current" else "tau"
+    return EFFORTS.get(recordings.torque, "tau")
 
 
 def _flipped(signs: tuple[float, ...], j: int) -> tuple[float, ...]:
@@ -363,7 +375,8 @@ def _units(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
     for j in far:
         if _mends(max(before[j], 1.0), after[j]):
             unit = next((f", as if in {unit}" for factor, unit in UNITS.items() if abs(factors[j] / factor - 1) < 0.1), "")
-            said = f"{torque}_{names[j]} is {factors[j]:.3g} times the torque that the arm needs{unit}"
+            what = f"{torque}_{names[j]}" if torque != "command" else f"what kp and kd make of command_{names[j]}"
+            said = f"{what} is {factors[j]:.3g} times the torque that the arm needs{unit}"
             told = f"{said}: divided by that, NRMSE {before[j]:.2g} → {after[j]:.2g}"
             yield Doubt("unit", (f"{torque}_{names[j]}",), told, float(before[j]), float(after[j]))
 
@@ -371,6 +384,8 @@ def _units(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
 def _clocks(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
     """Torques that are late or early beside the positions."""
     recordings = compared.samples.recordings
+    if recordings.torque == "command":
+        return  # commands that are early look like viscous friction, whatever the time
     step = max(float(np.median(np.diff(r.t))) for r in recordings.recordings)
     before = compared.nrmse(reading)
     grid = [k * LAG_STEP for k in range(-round(LAGS / LAG_STEP), round(LAGS / LAG_STEP) + 1)]

@@ -1,11 +1,15 @@
 """`recordings.json`: what a recording set says about itself, read and checked key by key."""
 
+import math
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from msgspec import Meta, field
 
 from rrr_oc.effects import Effect
+from rrr_oc.recordings.loop import Loop
 from rrr_oc.schema import LARGEST, Payload, Position, Schema, Text, Vector, check_names, parsed, validated, without_free_text
 from rrr_oc.storage import read_utf8
 
@@ -13,6 +17,10 @@ HEADER = "recordings.json"
 FORMAT = "rrr_oc-recordings/1"
 
 Spring = tuple[Effect, dict[str, float]]
+Torque = Literal["motor", "load", "current", "command"]  # what may be recorded
+Gain = float | dict[str, float]  # of a loop: of all joints, or by joint
+EFFORTS = {"current": "current", "command": "command"}  # by what is recorded, what its columns' names begin with; else "tau"
+UNIT_OF = {"current": "A", "command": "rad"}  # of these columns; else Nm
 
 
 class Tool(Schema, frozen=True):
@@ -69,24 +77,29 @@ class Header(Schema, frozen=True):
         robot: A bundled model or the path of a URDF or MJCF, relative to this file.
         joints: The recorded joints, in the order of the chain; all others are held still.
         recordings: The recordings.
-        torque: What the effort columns hold: motor or load torque [Nm], or current [A] with a `torque_constant` in `actuators`.
+        torque: What the effort columns hold: motor or load torque [Nm], current [A] with a `torque_constant` in `actuators`, or
+            "command": commanded angles q_d [rad] of a loop that gives kp (q_d − q) − kd dq.
         inertial: Whether the URDF's masses and inertias are about right ("nominal") or unknown ("identify").
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where a payload is held; by default the last link's tool frame.
         actuators: Drives by joint.
         fixed_deg: Angles of joints that are not recorded [°]; 0 for those left out, or the middle of a range that lacks 0.
+        kp: Of the loop where `torque` is "command", above 0: a number, or one per joint by name [Nm/rad].
+        kd: As `kp`, 0 or above [Nm s/rad].
     """
 
     format: Literal["rrr_oc-recordings/1"]
     robot: Text
     joints: Annotated[tuple[Text, ...], Meta(min_length=1)]
     recordings: Annotated[tuple[Entry, ...], Meta(min_length=1)]
-    torque: Literal["motor", "load", "current"] = "motor"
+    torque: Torque = "motor"
     inertial: Literal["nominal", "identify"] = "nominal"
     gravity: Vector | None = None
     tool: Tool | None = None
     actuators: dict[str, Actuator] = field(default_factory=dict)
     fixed_deg: dict[str, float] = field(default_factory=dict)
+    kp: Gain | None = None
+    kd: Gain | None = None
 
     def __post_init__(self) -> None:
         if len(set(self.joints)) != len(self.joints):
@@ -100,11 +113,41 @@ class Header(Schema, frozen=True):
             raise ValueError(
                 f"actuators: no torque_constant [Nm/A] of {', '.join(missing)}; torque 'current' needs one per joint"
             )
+        check_gains(self.torque, self.kp, self.kd, self.joints)
+
+    @property
+    def loop(self) -> Loop | None:
+        """The loop that follows the commands; None where torques or currents are recorded."""
+        return None if self.torque != "command" else Loop(_by_joint(self.kp, self.joints), _by_joint(self.kd, self.joints))
 
     @property
     def torque_constant(self) -> tuple[float | None, ...]:
         """Per joint [Nm/A]; None where it is not given."""
         return tuple(self.actuators.get(joint, Actuator()).torque_constant for joint in self.joints)
+
+
+def check_gains(torque: str, kp: Gain | None, kd: Gain | None, joints: Sequence[str]) -> None:
+    """Raise `ValueError` for gains of a loop that some joint lacks, that are out of range, or that nothing recorded needs."""
+    for key, gain, unit, above in (("kp", kp, "Nm/rad", True), ("kd", kd, "Nm s/rad", False)):
+        if torque != "command" and gain is not None:
+            raise ValueError(f"{key}: found {gain!r} and torque {torque!r}; {key} is allowed with torque 'command' alone")
+        if torque != "command":
+            continue
+        if gain is None:
+            raise ValueError(f"{key}: is missing; torque 'command' needs it: a number of {unit}, or one per joint by name")
+        found = gain if isinstance(gain, dict) else dict.fromkeys(joints, gain)
+        unknown, missing = [j for j in found if j not in joints], [j for j in joints if j not in found]
+        if unknown or missing:
+            said = f"unknown joint {unknown[0]!r}" if unknown else f"no number for {', '.join(missing)}"
+            raise ValueError(f"{key}: {said}; one for each of {', '.join(joints)} is required")
+        for joint, value in found.items():
+            if not (math.isfinite(value) and (value > 0 if above else value >= 0)):
+                least = "above 0" if above else "of 0 or more"
+                raise ValueError(f"{key}: found {value:g} for {joint!r}; a finite number of {unit} {least} is required")
+
+
+def _by_joint(gain: Gain | None, joints: Sequence[str]) -> np.ndarray:
+    return np.array([gain[joint] if isinstance(gain, dict) else gain for joint in joints], float)
 
 
 def read_header(path: Path) -> Header:

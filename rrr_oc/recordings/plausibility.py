@@ -108,6 +108,21 @@ def check_positions(where: str, robot: Robot, q: np.ndarray) -> None:
             )
 
 
+def check_commands(where: str, robot: Robot, command: np.ndarray, q: np.ndarray) -> None:
+    """Raise `UserError` where commands (n, K) are positions q (n, K) up to the factor between degrees and radians."""
+    for i, joint in enumerate(robot.joints):
+        scales = float(np.std(command[i])), float(np.std(q[i]))
+        if not min(scales) > 0 or np.corrcoef(command[i], q[i])[0, 1] < CORRELATION:
+            continue
+        ratio = scales[0] / scales[1]
+        for factor, column in ((DEGREES, f"command_{joint}"), (1 / DEGREES, f"q_{joint}")):
+            if abs(ratio / factor - 1) < TOLERANCE:
+                raise UserError(
+                    f"{where}: column 'command_{joint}' moves {ratio:.4g} times as far as 'q_{joint}'; the unit of both is rad, "
+                    f"'{column}' looks like degrees"
+                )
+
+
 def check_derivative(
     where: str, t: np.ndarray, segments: tuple[slice, ...], value: tuple[str, np.ndarray], rate: tuple[str, np.ndarray]
 ) -> None:
@@ -202,6 +217,17 @@ def swapped(t: np.ndarray, segments: tuple[slice, ...], q: np.ndarray, dq: np.nd
     with np.errstate(invalid="ignore", divide="ignore"):  # a joint at rest is correlated with nothing
         alike = np.corrcoef(dq[:, part], computed)[: len(q), len(q) :] > CORRELATION
     return [(i, j) for i, j in np.argwhere(alike).tolist() if i != j and not alike[i, i]]
+
+
+def check_loop(where: str, robot: Robot, torque: np.ndarray) -> None:
+    """Raise `UserError` where the median of the torque (n, K) [Nm] that commands and gains give exceeds `TORQUE_FACTOR` effort limits."""
+    for i, joint in enumerate(robot.joints):
+        middle, limit = float(np.median(np.abs(torque[i]))), float(robot.effort[i])
+        if limit > 0 and middle > TORQUE_FACTOR * limit:
+            raise UserError(
+                f"{where}: 'command_{joint}' and the gains give a median torque of {middle:.3g} Nm, and the effort limit of {joint} is "
+                f"{limit:g} Nm; kp in Nm/rad, kd in Nm s/rad and commands in rad are required"
+            )
 
 
 def check_torques(where: str, robot: Robot, torque: np.ndarray, columns: tuple[str, ...], unit: str) -> None:

@@ -12,7 +12,7 @@ from rrr_oc.errors import UserError
 from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
-from rrr_oc.recordings.header import HEADER, Entry, Header, Spring, read_header
+from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Entry, Header, Spring, read_header
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
@@ -65,7 +65,7 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
     if not resolved(path).is_relative_to(resolved(folder)):  # a message may show what stands in it
         raise UserError(f"{path}: is a link that leads out of the set's folder; a recording must lie in it")
     table = _one_payload(read_table(path))
-    recorded = tuple(f"{'current' if header.torque == 'current' else 'tau'}_{joint}" for joint in robot.joints)
+    recorded = tuple(f"{EFFORTS.get(header.torque, 'tau')}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
     values = table.columns(used)
     rows = _usable_rows(table, used, values)
@@ -76,15 +76,21 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         plausibility.check_magnitudes(str(path), columns)
         segments = split(columns["t"])
         turned = _unwrap(columns, robot.joints, segments)
+        if header.loop is not None:
+            _turn_commands(columns, turned)
         filled = _fill_rates(columns, robot.joints, segments)
         plausibility.check_positions(str(path), robot, np.array([columns[f"q_{joint}"] for joint in robot.joints]))
         wrong = _drop_wrong_rates(str(path), columns, robot.joints, segments)
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
-        tau = np.array([columns[name] for name in recorded])
+        tau = signal = np.array([columns[name] for name in recorded])
+        if header.loop is not None:
+            plausibility.check_commands(str(path), robot, signal, q)
+            tau = header.loop.torque(signal, q, dq)
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
             dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, wrong=wrong,
+            command=None if header.loop is None else signal, loop=header.loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
         _check_units(path, result, robot, header, recorded)
@@ -112,7 +118,9 @@ def _used_columns(table: Table, joints: Sequence[str], recorded: Sequence[str]) 
     absent = [name for name in optional if name not in table.names]
     for name in ignored:
         close = difflib.get_close_matches(name, absent, 1, 0.85)
-        if close and not name.startswith(("q_", "dq_", "ddq_", "tau_", "current_")):  # those belong to joints not recorded
+        if close and not name.startswith(
+            ("q_", "dq_", "ddq_", "tau_", "current_", "command_")
+        ):  # those belong to joints not recorded
             raise UserError(f"{table.path}, line {table.header_line}: unknown column {name!r}; is it {close[0]!r}? {allowed}")
     return (*required, *(name for name in optional if name in table.names)), ignored
 
@@ -158,6 +166,13 @@ def _unwrap(columns: dict[str, np.ndarray], joints: Sequence[str], segments: Seq
     for name in turned:
         columns[name] = np.unwrap(columns[name])
     return tuple(turned)
+
+
+def _turn_commands(columns: dict[str, np.ndarray], turned: Sequence[str]) -> None:
+    """Put commands of joints whose positions were unwrapped on the turn nearest to these."""
+    for joint in (name.removeprefix("q_") for name in turned):
+        command, q = columns[f"command_{joint}"], columns[f"q_{joint}"]
+        columns[f"command_{joint}"] = command - 2 * np.pi * np.round((command - q) / (2 * np.pi))
 
 
 def _fill_rates(
@@ -227,7 +242,7 @@ def _without_short_segments(path: Path, recording: Recording) -> Recording:
             "give dq and ddq or longer pieces"
         )
     rows = np.concatenate(kept)
-    arrays = {name: getattr(recording, name)[..., rows] for name in ("t", "q", "dq", "ddq", "tau", "payload")}
+    arrays = recording.samples(rows)
     for name in ("dq", "ddq"):
         if not np.all(np.isfinite(arrays[name])):
             raise UserError(
@@ -241,7 +256,10 @@ def _check_units(path: Path, recording: Recording, robot: Robot, header: Header,
     where, r = str(path), recording
     if all(f"dq_{joint}" in r.computed for joint in robot.joints):
         plausibility.check_slowness(where, robot, r.t, r.q, r.dq)
-    unit = "A" if header.torque == "current" else "Nm"
+    unit = UNIT_OF.get(header.torque, "Nm")
     constants = np.array(header.torque_constant, float) if unit == "A" else np.ones(robot.n)
-    plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)
+    if header.loop is None:
+        plausibility.check_torques(where, robot, constants[:, None] * r.tau, recorded, unit)
+    else:
+        plausibility.check_loop(where, robot, r.tau)
     plausibility.check_changes(where, r.q, r.tau)

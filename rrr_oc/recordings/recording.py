@@ -4,14 +4,17 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from rrr_oc.model.motion import Motion
 from rrr_oc.recordings import plausibility
-from rrr_oc.recordings.header import HEADER, Spring
+from rrr_oc.recordings.header import HEADER, Spring, Torque
+from rrr_oc.recordings.loop import Loop
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint
+
+BEYOND = 0.01  # share of rows in which a loop's torque beyond the joint's limit is said; doubled, more of them pass unsaid
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -21,7 +24,7 @@ class Recording(Motion):
     Attributes:
         file: Its CSV file, as listed in `recordings.json`; also its name in reports.
         group: Label of the physical set-up.
-        tau: What was recorded, in the recorded unit: torque [Nm] or current [A], shape (n, K).
+        tau: What was recorded, in the recorded unit: torque [Nm] or current [A], shape (n, K); of commands, the loop's torque.
         springs: Springs believed to be mounted, each an effect with its parameters.
         computed: Names of the columns that the file lacks and Savitzky–Golay derivatives fill.
         dropped: Number of rows dropped for a NaN.
@@ -30,6 +33,8 @@ class Recording(Motion):
         turned: Columns of positions that jumped by a whole turn and were unwrapped.
         filled: Columns of rates that are missing in some rows, where derivatives fill them, and the number of these rows.
         wrong: Columns of rates that are not used since they are no derivatives, and how many times the derivative they are.
+        command: Commanded positions [rad], shape (n, K), and
+        loop: the loop that follows them, where these are recorded.
     """
 
     file: str
@@ -43,6 +48,13 @@ class Recording(Motion):
     turned: tuple[str, ...] = ()
     filled: tuple[tuple[str, int], ...] = ()
     wrong: tuple[tuple[str, float], ...] = ()
+    command: np.ndarray | None = None
+    loop: Loop | None = None
+
+    def samples(self, rows: Any) -> dict[str, np.ndarray]:
+        """All that is recorded, by attribute, at some samples: an index array or a slice."""
+        names = ("t", "q", "dq", "ddq", "tau", "payload", *(("command",) if self.command is not None else ()))
+        return {name: getattr(self, name)[..., rows] for name in names}
 
     @classmethod
     def planned(cls, name: str, motion: Motion, springs: tuple[Spring, ...] = (), group: str | None = None) -> "Recording":
@@ -58,8 +70,8 @@ class RecordingSet:
     Attributes:
         robot: The chain of the joints recorded, under the set's gravity.
         source: Where the robot comes from: the name of a bundled model or the path of a URDF or MJCF.
-        torque: The signal in `Recording.tau`: "motor" torque at the joint's output k_t I [Nm], "load" torque of Eq. 1 [Nm], or
-            motor "current" [A].
+        torque: The signal in `Recording.tau`: "motor" torque at the joint's output k_t I [Nm], "load" torque of Eq. 1 [Nm],
+            motor "current" [A], or motor torque [Nm] by a loop whose angles of "command" are recorded.
         inertial: "nominal": the URDF's inertial parameters are trusted up to usual errors; "identify": only its kinematics are.
         tool: Where a payload is held.
         torque_constant: Per joint [Nm/A at the output]; None where it is not given.
@@ -69,7 +81,7 @@ class RecordingSet:
 
     robot: Robot
     source: str | Path
-    torque: Literal["motor", "load", "current"]
+    torque: Torque
     inertial: Literal["nominal", "identify"]
     tool: ToolPoint
     torque_constant: tuple[float | None, ...]
@@ -158,6 +170,12 @@ class RecordingSet:
         for r in self.recordings:
             for doubt in plausibility.sampling_doubts(r.t, r.segments):
                 found.setdefault(doubt, []).append(r)
+            limited = (self.robot.effort > 0) & (r.loop is not None)
+            beyond = limited * np.mean(np.abs(r.tau) > np.where(limited, self.robot.effort, np.inf)[:, None], axis=1)
+            for joint, share in zip(self.joints, beyond, strict=True):
+                if share > BEYOND:
+                    doubt = f"the gains give {joint} more than its effort limit in {100 * share:.2g} % of the rows, where a motor gives less"
+                    found.setdefault(f"{doubt}; NaN in its column leaves rows out", []).append(r)
             for joint in itertools.compress(self.joints, np.ptp(r.tau, axis=1) == 0):
                 found.setdefault(f"the recorded torque of {joint} never changes; was it recorded?", []).append(r)
         travel = np.degrees(max(float(np.max(np.ptp(r.q, axis=1))) for r in self.recordings))
@@ -174,7 +192,9 @@ class RecordingSet:
         return result
 
     def output_torque(self, recording: Recording) -> np.ndarray:
-        """Recorded torque at the joints' output [Nm], shape (n, K): k_t I for currents."""
+        """Recorded torque at the joints' output [Nm], shape (n, K): k_t I for currents, of commands as the motion's speeds say."""
+        if recording.loop is not None and recording.command is not None:
+            return recording.loop.torque(recording.command, recording.q, recording.dq)
         if self.torque != "current":
             return recording.tau
         return np.array(self.torque_constant, float)[:, None] * recording.tau

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.recordings.header import FORMAT, HEADER
+from rrr_oc.recordings.header import EFFORTS, FORMAT, HEADER
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import spring_json
@@ -30,6 +30,7 @@ def save_recordings(recordings: RecordingSet, folder: str | Path) -> None:
         "gravity": robot.gravity.tolist(),
         "tool": {"link": robot.links[tool.joint], "position": (pose[:3, :3].T @ (tool.position - pose[:3, 3])).tolist()},
         "actuators": constants({j: k for j, k in zip(robot.joints, recordings.torque_constant, strict=True) if k is not None}),
+        **_gains(recordings),
         "fixed_deg": {joint: float(np.degrees(angle)) for joint, angle in robot.held.items()},
     }
     tables = {r.file: _table(r, robot.joints, recordings.torque) for r in recordings.recordings}
@@ -94,11 +95,20 @@ def write_set(
     return replace(written, path=folder, source=source if bundled else folder / robot)
 
 
+def _gains(recordings: RecordingSet) -> dict[str, dict[str, float]]:
+    """The keys `kp` and `kd` of a set with commands; none of any other."""
+    loop = recordings.recordings[0].loop
+    if loop is None:
+        return {}
+    gains = (("kp", loop.kp), ("kd", loop.kd))
+    return {key: dict(zip(recordings.joints, gain.tolist(), strict=True)) for key, gain in gains}
+
+
 def _table(recording: Recording, joints: Sequence[str], torque: str) -> dict[str, np.ndarray]:
     """Columns of a recording's CSV file."""
-    recorded = "current" if torque == "current" else "tau"
+    recorded = EFFORTS.get(torque, "tau"), recording.tau if recording.command is None else recording.command
     columns = {"t": recording.t}
-    for kind, values in (("q", recording.q), ("dq", recording.dq), ("ddq", recording.ddq), (recorded, recording.tau)):
+    for kind, values in (("q", recording.q), ("dq", recording.dq), ("ddq", recording.ddq), recorded):
         columns |= {f"{kind}_{joint}": values[i] for i, joint in enumerate(joints)}
     columns = {name: values for name, values in columns.items() if name not in recording.computed}
     if np.ptp(recording.payload) > 0:

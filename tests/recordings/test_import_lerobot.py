@@ -196,3 +196,44 @@ def test_currents_and_loads_with_a_constant_per_joint(effort, tmp_path, monkeypa
     for number, r in enumerate(made.recordings):
         expected = np.array([[2.0], [0.5], [-0.1]]) * _episode(number)[".torque"]
         np.testing.assert_allclose(made.output_torque(r), expected, atol=1e-6)
+
+
+GAINS = ["--kp", "300", "--kd", "joint1=2,joint2=1,joint3=0"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "no feature is named as torques or currents"),
+        (["--kp", "300"], "--kp is given and --kd is not; a loop that follows commands needs both"),
+        (["--kp", "much", "--kd", "1"], "--kp is 'much'; a number, or JOINT=NUMBER, comma-separated, is required"),
+        (["--kp", "300", "--kd", "joint1=2"], "kd: no number for joint2, joint3"),
+        (GAINS, None),
+    ],
+)
+def test_commands_of_a_loop_with_gains(options, said, tmp_path, monkeypatch, capsys):
+    """A data set of positions and commands alone: the frames' `action` holds the same names in the other order."""
+    folder = write(tmp_path / "data", "v3.0", kinds=(".pos",))
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    info["features"]["action"]["names"] = [f"{joint}.pos" for joint in reversed(JOINTS)]
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    for file in folder.glob("data/*/*.parquet"):  # commands 0.02 rad ahead
+        table = parquet.read_table(file)
+        ahead = [[x + float(np.degrees(0.02)) for x in row] for row in table["action"].to_pylist()]
+        column = table.column_names.index("action")
+        parquet.write_table(table.set_column(column, "action", pa.array(ahead, pa.list_(pa.float32()))), file)
+    call = ["rrr-oc", "import", "lerobot", str(folder), "--robot", "rrr", "--unit", "deg", "--out", str(tmp_path / "set")]
+    monkeypatch.setattr(sys, "argv", [*call, *options])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    printed = " ".join(capsys.readouterr().err.split())
+    if said is not None:
+        assert ended.value.code == 2
+        assert said in printed
+        return
+    made = load_recordings(tmp_path / "set")
+    assert made.torque == "command"
+    for r in made.recordings:
+        np.testing.assert_allclose(r.command - r.q, 0.02, atol=1e-6)
+        expected = 300 * 0.02 - np.array([[2.0], [1.0], [0.0]]) * r.dq
+        np.testing.assert_allclose(made.output_torque(r), expected, atol=1e-3)

@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import field
 
 from rrr_oc.errors import UserError
+from rrr_oc.recordings.header import EFFORTS, Gain, Torque, check_gains
 from rrr_oc.recordings.writer import constants
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.schema import Payload, Schema, Text, check_names, spellings
@@ -36,6 +37,7 @@ QUANTITIES = {  # by what a column's name begins with
     "ddq": "acceleration",
     "tau": "torque",
     "current": "current",
+    "command": "position",
     "payload": "mass",
 }
 
@@ -68,18 +70,22 @@ class ColumnMapping(Schema, frozen=True):
     Attributes:
         columns: By name of the set's column, yours: its name alone where the unit is SI's, else with its unit.
         joints: Joints recorded, in the order of the chain; by default all of the robot's.
-        torque: What the effort columns hold: motor or load torque, or current.
+        torque: What the effort columns hold: motor or load torque, current, or "command": angles that a PD loop follows.
         inertial: Whether the URDF's masses and inertias are used ("nominal") or estimated ("identify").
         torque_constant: By joint, for currents, or for the counts of a drive, then Nm a count [Nm/A].
         rate_Hz: Samples a second, in place of a column of times [Hz].
+        kp: Of that loop, a number or one per joint by name [Nm/rad].
+        kd: As `kp` [Nm s/rad].
     """
 
     columns: dict[str, str | Column]
     joints: tuple[Text, ...] | None = None
-    torque: Literal["motor", "load", "current"] = "motor"
+    torque: Torque = "motor"
     inertial: Literal["nominal", "identify"] = "nominal"
     torque_constant: dict[str, float] = field(default_factory=dict)
     rate_Hz: float | None = None
+    kp: Gain | None = None
+    kd: Gain | None = None
 
     def __post_init__(self) -> None:
         for joint, constant in self.torque_constant.items():
@@ -154,13 +160,18 @@ def understood(where: str | Path, mapping: ColumnMapping, robot: str | Path) -> 
         "torque": mapping.torque,
         "inertial": mapping.inertial,
         "actuators": constants(mapping.torque_constant),
+        **{key: gain for key, gain in (("kp", mapping.kp), ("kd", mapping.kd)) if gain is not None},
     }
+    try:
+        check_gains(mapping.torque, mapping.kp, mapping.kd, joints)
+    except ValueError as error:
+        raise UserError(f"{where}: {error}") from None
     return Understood(str(where), sources, header, mapping.rate_Hz)
 
 
 def _sources(path: str | Path, mapping: ColumnMapping, joints: Sequence[str]) -> dict[str, tuple[Column, float]]:
     """Source and size of its unit in SI's, by column of the set; raises `UserError` for a mapping that makes no set."""
-    effort = "current" if mapping.torque == "current" else "tau"
+    effort = EFFORTS.get(mapping.torque, "tau")
     required = [*(["t"] if mapping.rate_Hz is None else []), *(f"{kind}_{joint}" for kind in ("q", effort) for joint in joints)]
     optional = [*(f"{kind}_{joint}" for kind in ("dq", "ddq") for joint in joints), *spellings(Payload)]
     check_names(mapping.columns, [*required, *optional], f"{path}: columns", "column of a set")

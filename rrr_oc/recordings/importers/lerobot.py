@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import msgspec
 import numpy as np
 
 from rrr_oc.errors import UserError
+from rrr_oc.recordings.header import Gain
 from rrr_oc.recordings.importers.column_mapping import UNITS, Column, ColumnMapping, understood
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.recordings.writer import write_set
@@ -20,8 +22,38 @@ INFO, DATA = "meta/info.json", "data/chunk-*/*.parquet"  # both versions: one fi
 VERSIONS = re.compile(r"v?[23]\.")
 TIME, EPISODE, FRAME, STATE = "timestamp", "episode_index", "frame_index", "observation.state"
 EFFORT = re.compile(r"torque|effort|current|load", re.IGNORECASE)  # in the name of a column of torques, currents or loads
+ACTION = "action"  # the feature of commands, or what its name begins with
 # What a column's name ends with, or its feature's where it is that of a joint alone, by the set's column
-WORDS = {"q": ("pos", "position"), "dq": ("vel", "velocity"), "tau": ("torque", "effort"), "current": ("current", "load")}
+WORDS = {
+    "q": ("pos", "position"),
+    "dq": ("vel", "velocity"),
+    "tau": ("torque", "effort"),
+    "current": ("current", "load"),
+    "command": ("pos", "position"),
+}
+
+
+@dataclass(frozen=True)
+class Efforts:
+    """How torques are made of what a data set has in their place; beside what a mapping says of it.
+
+    Attributes:
+        torque_constant: By joint, Nm per unit of its column of currents or loads.
+        kp, kd: Of the loop that follows the commands (`action`), a number or one per joint by name [Nm/rad, Nm s/rad]; with both,
+            commands are read.
+    """
+
+    torque_constant: Mapping[str, float] = field(default_factory=dict)
+    kp: Gain | None = None
+    kd: Gain | None = None
+
+    @property
+    def of_commands(self) -> bool:
+        """Whether torques are those of a loop; raises `UserError` for half of its gains."""
+        if (self.kp is None) != (self.kd is None):
+            given, missing = ("kp", "kd") if self.kd is None else ("kd", "kp")
+            raise UserError(f"--{given} is given and --{missing} is not; a loop that follows commands needs both")
+        return self.kp is not None
 
 
 class Feature(msgspec.Struct, frozen=True):
@@ -39,27 +71,31 @@ class Info(msgspec.Struct, frozen=True):
     features: dict[str, Feature]
 
 
+NOTHING_MORE = Efforts()
+
+
 def import_lerobot(
     folder: str | Path,
     robot: str | Path,
     out: str | Path,
     mapping: str | Path | None = None,
     unit: str = "rad",
-    torque_constant: Mapping[str, float] | None = None,
+    efforts: Efforts = NOTHING_MORE,
 ) -> RecordingSet:
     """Write the episodes of a data set, each one recording, of a robot (bundled model, URDF or MJCF) as a new set in the folder `out`.
 
     A column is a number of a feature: `observation.state.shoulder` where the feature names its numbers, `observation.state.0` where
-    it does not, `timestamp` where there is one alone. Commands (`action`) and pictures have no place in a recording set.
+    it does not, `timestamp` where there is one alone. Commands (`action`) are read where `efforts` has the gains of the loop
+    that follows them, or the mapping; pictures are not.
 
     Args:
         mapping: TOML file as `ColumnMapping` describes it; without `t`, time is `timestamp`. Default: columns whose names are those
             of joints, alone or with a word such as `.pos`, `.vel`, `.torque` or `.current`.
         unit: Of positions, and per second of speeds, where there is no mapping: a unit of positions of `UNITS`.
-        torque_constant: By joint, Nm per unit of its column of currents or loads; beside those of the mapping.
+        efforts: What torques are made of.
 
     Raises:
-        UserError: The packages for Parquet are missing; the folder holds no such data set, or one without torques and currents; the
+        UserError: The packages for Parquet are missing; the folder holds no such data set, or one without torques, currents and gains; the
             mapping is wrong (`understood`), or there is none and a joint's columns are not found; `out` exists.
     """
     folder = Path(folder)
@@ -67,18 +103,19 @@ def import_lerobot(
     columns = _columns(info.features)
     given = None if mapping is None else validated(mapping, read_toml(mapping), ColumnMapping)
     mapped = () if given is None else given.columns
-    efforts = [name for name in columns if EFFORT.search(name) and not name.startswith("action")]
-    if not efforts and not any(name.startswith(("tau_", "current_")) for name in mapped):
+    named = any(EFFORT.search(name) and not name.startswith(ACTION) for name in columns)
+    if not named and not efforts.of_commands and not any(name.startswith(("tau_", "current_", "command_")) for name in mapped):
         raise UserError(
             f"{folder}: no feature is named as torques or currents, without which an arm cannot be calibrated (--map says which "
-            f"column holds them if one does); there are {', '.join(info.features)}"
+            f"column holds them if one does; --kp and --kd make torques of the commands); there are {', '.join(info.features)}"
         )
     if given is None:
-        where, chosen = f"{folder / INFO}", _by_names(folder, columns, load_robot(robot).joints, unit)
+        joints = load_robot(robot).joints
+        where, chosen = f"{folder / INFO}", _by_names(folder, columns, joints, unit, efforts.of_commands)
     else:
         time = {} if given.rate_Hz is not None else {"t": TIME}
         where, chosen = str(mapping), msgspec.structs.replace(given, columns={**time, **given.columns})
-    chosen = _with_constants(folder, chosen, torque_constant or {})
+    chosen = _with_efforts(folder, chosen, efforts)
     known = understood(where, chosen, robot)
     wanted = {source.column for source, _ in known.sources.values()} & columns.keys()
     tables = {}
@@ -117,30 +154,36 @@ def _columns(features: Mapping[str, Feature]) -> dict[str, tuple[str, int]]:
     return found
 
 
-def _by_names(folder: Path, columns: Mapping[str, tuple[str, int]], joints: Sequence[str], unit: str) -> ColumnMapping:
-    """The mapping that columns' names tell; raises `UserError` where a joint has no position, torque or current."""
+def _by_names(
+    folder: Path, columns: Mapping[str, tuple[str, int]], joints: Sequence[str], unit: str, commands: bool
+) -> ColumnMapping:
+    """The mapping that columns' names tell; raises `UserError` where a joint has no position, or no torque, current or command."""
     check_names([unit], UNITS["position"], "--unit", "unit of positions")
-    units = {"q": unit, "dq": f"{unit}/s"}
+    units = {"q": unit, "dq": f"{unit}/s", "command": unit}
     check_names([units["dq"]], UNITS["speed"], "--unit", "unit of speeds")
     found = {kind: [_column(columns, joint, kind) for joint in joints] for kind in WORDS}
-    effort = "tau" if all(found["tau"]) else "current"
-    for kind, what in (("q", "position"), (effort, "torque or current")):
+    effort = "command" if commands else "tau" if all(found["tau"]) else "current"
+    for kind, what in (("q", "position"), (effort, "command" if commands else "torque or current")):
         if None in found[kind]:
             joint = joints[found[kind].index(None)]
-            there = ", ".join(name for name, (feature, _) in columns.items() if not feature.startswith("action"))
+            there = ", ".join(
+                name for name, (feature, _) in columns.items() if feature.startswith(ACTION) == (kind == "command")
+            )
             raise UserError(
-                f"{folder}: no column is by its name the {what} of joint {joint!r}; --map says which it is; there are {there}"
+                f"{folder}: no column is by its name the {what} of joint {joint!r}; --map says which it is; there are {there or 'none'}"
             )
     kinds = ["q", *(["dq"] if all(found["dq"]) else []), effort]
     named: dict[str, str | Column] = {"t": TIME}
     for kind in kinds:
         named |= {f"{kind}_{j}": Column(str(name), units.get(kind)) for j, name in zip(joints, found[kind], strict=True)}
-    return ColumnMapping(named, joints=tuple(joints), torque="motor" if effort == "tau" else "current")
+    return ColumnMapping(named, joints=tuple(joints), torque="motor" if effort == "tau" else effort)
 
 
-def _with_constants(folder: Path, mapping: ColumnMapping, torque_constant: Mapping[str, float]) -> ColumnMapping:
-    """The mapping with more constants of joints; raises `UserError` where currents or loads lack one."""
-    every = {**mapping.torque_constant, **torque_constant}
+def _with_efforts(folder: Path, mapping: ColumnMapping, efforts: Efforts) -> ColumnMapping:
+    """The mapping with what torques are made of; raises `UserError` where currents or loads lack a constant."""
+    if efforts.of_commands:
+        return msgspec.structs.replace(mapping, torque="command", kp=efforts.kp, kd=efforts.kd)
+    every = {**mapping.torque_constant, **efforts.torque_constant}
     joints = [name.removeprefix("current_") for name in mapping.columns if name.startswith("current_")]
     missing = [joint for joint in joints if joint not in every]
     if missing:
@@ -155,9 +198,9 @@ def _column(columns: Mapping[str, tuple[str, int]], joint: str, kind: str) -> st
     """The column of a joint that its name tells, if there is one."""
     for name, (feature, _) in columns.items():
         own, last = name.removeprefix(f"{feature}."), feature.rsplit(".", 1)[-1]
-        if feature.startswith("action"):
+        if feature.startswith(ACTION) != (kind == "command"):
             continue
-        of_feature = (kind == "q" and feature == STATE) or last in WORDS[kind]
+        of_feature = (kind, feature) in (("q", STATE), ("command", ACTION)) or last in WORDS[kind]
         if (own == joint and of_feature) or own in {f"{joint}{mark}{word}" for word in WORDS[kind] for mark in "._"}:
             return name
     return None

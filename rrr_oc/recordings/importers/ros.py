@@ -36,6 +36,9 @@ class JointStates:
     torque_constant: Mapping[str, float] = field(default_factory=dict)
 
 
+EFFORTS_OF_STATES = ("motor", "load", "current")  # what efforts of joint states may be
+
+
 def import_ros(
     files: Sequence[str | Path], robot: str | Path, out: str | Path, states: JointStates | None = None
 ) -> RecordingSet:
@@ -52,6 +55,10 @@ def import_ros(
     if not files:
         raise UserError("no bag given; at least one is required")
     states = states or JointStates()
+    if states.torque not in EFFORTS_OF_STATES:
+        raise UserError(
+            f"torque: found {states.torque!r}; joint states have efforts: {', '.join(EFFORTS_OF_STATES)} are allowed"
+        )
     names = load_robot(robot, None, states.inertial == "nominal").joints if states.joints is None else states.joints
     effort = "current" if states.torque == "current" else "tau"
     header = {

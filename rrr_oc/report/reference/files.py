@@ -143,7 +143,8 @@ def _described() -> dict[str, Page]:
 
 def _unit_notes() -> str:
     columns = (
-        'Keys of `columns` are `t`, `q_<joint>` and `tau_<joint>`, or `current_<joint>` where `torque` is "current", and, if '
+        'Keys of `columns` are `t`, `q_<joint>` and `tau_<joint>`, or `current_<joint>` where `torque` is "current", or `command_<joint>` '
+        'where it is "command", and, if '
         "measured, `dq_<joint>`, `ddq_<joint>` and `payload`. A value is factor (cell − zero). Units are:"
     )
     return (
