@@ -18,7 +18,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.effects import BlackBox, Body, BodyChange, Delay, Effect, MovesLink, Signals, Trial, WithStates
-from rrr_oc.model.recorded_physics import Physics, felt_load, later, moved, states_along
+from rrr_oc.model.recorded_physics import Physics, braking_of, felt_load, later, moved, states_along
 from rrr_oc.model.shared_model import KEPT
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
@@ -203,7 +203,7 @@ class Prediction:
     def of_motion(self) -> Signals:
         """The signals on which effects may depend, as arrays, without those that the model predicts."""
         r = self.recording
-        return Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload, group=r.group)
+        return Signals(r.q, r.dq, r.ddq, time=r.clock, payload=r.payload, group=r.group, braking=braking_of(r))
 
     @cached_property
     def signals(self) -> Signals:

@@ -60,7 +60,8 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
 
 def trials(seen: View, torque: str) -> list[Trial]:
     """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive."""
-    kinds = [kind for kind in CATALOGUE.values() if kind.role in SOUGHT and not (torque == "load" and kind.side == "drive")]
+    kinds = [kind for kind in CATALOGUE.values() if kind.role in SOUGHT and torque in kind.recorded_as]
+    kinds = [kind for kind in kinds if not (torque == "load" and kind.side == "drive")]
     return [trial for kind in kinds for trial in kind.trials(seen)]
 
 
@@ -102,7 +103,7 @@ class Along:
     @cached_property
     def signals(self) -> Signals:
         """The signals on which effects of the instant may depend, (n, K) of all recordings."""
-        names = ("q", "dq", "ddq", "load", "friction", "rotor", "time", "payload")
+        names = ("q", "dq", "ddq", "load", "friction", "rotor", "time", "payload", "braking")
         return Signals(**{name: np.concatenate([getattr(at.signals, name) for at in self.parts], axis=-1) for name in names})
 
     @cached_property

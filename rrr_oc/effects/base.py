@@ -54,6 +54,7 @@ class Signals:
         rotor: Torque of the inertia of each joint's rotor [Nm].
         springs: The springs that a recording lists, by their joints: (effect, its parameters, its width).
         group: Label of the recording's set-up.
+        braking: Torque kd dq against the motion by the listed gains of a loop whose commands are recorded [Nm]; 0 without one.
     """
 
     q: Any
@@ -67,6 +68,7 @@ class Signals:
     rotor: Any = None
     springs: Any = None
     group: Any = None
+    braking: Any = None
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,7 @@ class Effect:
             "some": never all, where it would be what every model has. "mounted": as "set_up", and it is put on and taken off between
             recordings, so that it is more probable where only some have it.
         placement: See `PLACEMENTS`.
+        recorded_as: With which recorded signals (see `recordings.header`) a diagnosis looks for it.
         resembles: What other description its torque may be taken for. "friction_over_speed": another course of plain dry friction
             over the speed. "position_harmonic", "constant": a harmonic and the mean of a series over the joint's position. Or "".
         alters: The field of `Body` that a `BodyChange` changes.
@@ -226,6 +229,7 @@ class Effect:
     role: ClassVar[Role] = "law"
     scope: ClassVar[Scope] = "everywhere"
     placement: ClassVar[Literal["joint", "joint or arm", "many", "pair", "spring", "arm"]] = "joint"
+    recorded_as: ClassVar[tuple[str, ...]] = ("motor", "load", "current", "command")
     resembles: ClassVar[Literal["", "friction_over_speed", "position_harmonic", "constant"]] = ""
     alters: ClassVar[Literal["", "inertial", "gravity", "payload", "position"]] = ""
     moves_link: ClassVar[bool] = False

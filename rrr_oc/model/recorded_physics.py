@@ -261,7 +261,8 @@ class Physics:
         for effect, theta, width in self.named():
             if effect.side == "sensor":
                 delay += effect.delay(theta) if isinstance(effect, Delay) else 0.0
-                more = effect.torque(Signals(motion.q, load=torque, group=group_of(motion)), theta, width)
+                signals = Signals(motion.q, load=torque, group=group_of(motion), braking=braking_of(motion))
+                more = effect.torque(signals, theta, width)
                 for j, one in zip(effect.on(len(torque)), more, strict=True):
                     result[j] += one
         return later(motion, result, delay) if delay else result
@@ -318,6 +319,12 @@ def _summed(shifts: Shifts, motion: Motion) -> np.ndarray:
 def group_of(motion: Motion) -> str | None:
     """Label of the set-up of a recorded motion."""
     return getattr(motion, "group", None)
+
+
+def braking_of(motion: Motion) -> np.ndarray:
+    """Torque kd dq (n, K) [Nm] of the loop whose commands were recorded along a motion; 0 where there is none."""
+    loop = getattr(motion, "loop", None)
+    return np.zeros(motion.q.shape) if loop is None else loop.braking(motion.dq)
 
 
 def felt_load(motion: Motion, effect: MovesLink, load: np.ndarray) -> np.ndarray:

@@ -54,6 +54,7 @@ from rrr_oc.model.recorded_physics import states_along
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.numerics.smooth import TURNS, ramp, ramp_integral
 from rrr_oc.numerics.smooth import sign as smooth_sign
+from rrr_oc.recordings.loop import Loop
 from rrr_oc.robot.robot import load_robot
 
 WINDINGS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
@@ -381,6 +382,7 @@ CONTRACT = {
     "torque_ripple": "amplitude order phase",
     "torque_gain": "gain",
     "torque_offset": "offset",
+    "controller_gain": "kp_scale kd_scale",
     "backlash": "gap",
     "joint_elasticity": "stiffness",
     "cable_harness": "stiffness rest",
@@ -402,6 +404,7 @@ CONTRACT = {
 }
 LISTED = {(1,): (ParallelSpring((1,)), {"stiffness": 6.0, "equilibrium": 0.8}, 1e-3)}
 SAMPLES = 40
+LOOP = Loop(np.array([300.0, 400.0, 200.0]), np.array([3.0, 5.0, 2.0]))  # for the effects of recorded commands
 
 
 def placed(name: str) -> Effect:
@@ -422,7 +425,7 @@ def random_signals(rng) -> dict[str, np.ndarray]:
     """Arrays that `Signals` may hold, of three joints."""
     found = {k: rng.normal(0, scale, (3, SAMPLES)) for k, scale in (("q", 1.0), ("dq", 0.5), ("ddq", 3.0), ("load", 12.0))}
     found |= {"time": rng.uniform(0, 20, SAMPLES), "payload": rng.uniform(0, 5, SAMPLES)}
-    found |= {"rotor": -0.3 * found["ddq"]}
+    found |= {"rotor": -0.3 * found["ddq"], "braking": 1.5 * found["dq"]}
     return found | {"states": rng.uniform(-1, 1, (2, SAMPLES)), "friction": -np.sign(found["dq"]) * rng.uniform(1, 2, (3, 1))}
 
 
@@ -443,6 +446,7 @@ def law(effect: Effect, arrays: dict[str, np.ndarray], theta: dict[str, float], 
 def symbolic(effect: Effect, width: float | None = 0.05) -> tuple[ca.Function, list[str]]:
     """The same as a CasADi Function of (inputs by name, theta)."""
     shapes = {"q": 3, "dq": 3, "ddq": 3, "load": 3, "time": 1, "payload": 1, "states": 2, "friction": 3, "rotor": 3}
+    shapes["braking"] = 3
     inputs = {k: ca.SX.sym(k, rows) for k, rows in shapes.items()}
     theta = ca.SX.sym("theta", len(effect.parameters))
     named = {p.name: theta[i] for i, p in enumerate(effect.parameters)}
@@ -724,7 +728,7 @@ def test_what_is_said_of_an_effect_holds(name):
     theta, arrays = admissible(effect, rng), random_signals(rng)
     before, after = (law(effect, {**arrays, "load": load}, theta) for load in (arrays["load"], 1.1 * arrays["load"]))
     differs = bool(np.any(np.abs(before - after) > 1e-9))
-    of_load = "load" in effect.inputs or name == "torque_gain"  # "load" of a sensor is the true torque
+    of_load = "load" in effect.inputs or name in ("torque_gain", "controller_gain")  # "load" of a sensor is the true torque
     assert differs == of_load
     nothing = effect.side == "body" or effect.moves_link or name == "time_delay"
     assert (before.size > 0 and bool(np.any(before != 0))) == (not nothing)
@@ -774,13 +778,16 @@ def arm():
     recordings = as_set(
         plant, [record(plant, f"{i}.csv", rng, 6.0, pea={1: (6.0, 0.5)}, payload=2.0, tool=tool) for i in range(2)]
     )
+    recordings = replace(recordings, recordings=tuple(replace(r, loop=LOOP) for r in recordings.recordings))
     start = plain_model(recordings)
     values = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
     model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, values, strict=True)))
     prepared = prepare(recordings)
     by_name: dict[str, list[Trial]] = {}
-    for trial in trials(view(prepared, model), "motor"):
-        by_name.setdefault(trial.effect.name, []).append(trial)
+    for torque in ("motor", "command"):
+        for trial in trials(view(prepared, model), torque):
+            if torque == "motor" or trial.effect.recorded_as == ("command",):
+                by_name.setdefault(trial.effect.name, []).append(trial)
     span = tuple(prepared[0].recording.q[1].min() + x * np.ptp(prepared[0].recording.q[1]) for x in (0.1, 0.9))
     surface = Empirical((1,), (("q", 1), ("load", 1)), (span[0], -30.0), (span[1], 30.0), (2, 1), "turned")
     zero = dict.fromkeys(surface.amplitudes, 0.0)

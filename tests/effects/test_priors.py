@@ -87,7 +87,8 @@ def test_black_box_terms_of_a_joint_are_rarer_than_laws():
 def test_sizes_are_positive_for_all_trials_and_no_larger_than_the_arm_bears(arm):
     """One standard deviation of all coefficients of a trial together: up to a few times the torque that the joint needs anyhow."""
     model, prepared, there = arm
-    every = trials(there, model.torque) + [t for j in range(3) for t in black_box_trials(prepared, there, model, j)]
+    of_loops = [t for t in trials(there, "command") if t.effect.recorded_as == ("command",)]
+    every = trials(there, model.torque) + of_loops + [t for j in range(3) for t in black_box_trials(prepared, there, model, j)]
     assert {trial.effect.name for trial in every} == set(MISSING)
     rng, at = np.random.default_rng(2), Prediction(model, prepared[0].recording)
     for trial in every:

@@ -19,6 +19,7 @@ LEAST_SOME = 8.0  # nats that all groups by themselves must gain together for an
 LEAST_APART = 4.0  # nats: with less, an effect of some groups only is not sought
 FAINT = 8.0  # nats below the best shape of an effect within which another counts
 REGULAR = (1e-12, 1e-10, 1e-8, 1e-6)  # of the mean of a diagonal, against a matrix that is singular but for rounding
+HELD = 1e9  # times its own precision, by which a coefficient stays at its bound; ten times less or more, no change
 UNIQUE = 1e-7  # share of a signature that the model's parameters do not reproduce, below which it says nothing
 
 
@@ -67,6 +68,13 @@ def root_of(matrix: np.ndarray) -> np.ndarray:
         except LinAlgError:
             pass
     raise LinAlgError("not positive definite")
+
+
+def at_bounds(post: Solution) -> np.ndarray:
+    """Which coefficients are at a bound where they began, and would leave it if they could, (p,): no other effect moves them."""
+    prior = post.prior
+    slope = post.right + prior.precision * prior.mean - post.matrix @ post.step
+    return ((prior.lower >= 0) & (slope < 0)) | ((prior.upper <= 0) & (slope > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +127,9 @@ class Screen:
             cross[:, gram.live[:, None], products.used] += x / sigma2
             right[:, products.used] += (summed[0][:, -1] - np.einsum("f,fgt->gt", d * gram.ty, features)) / sigma2
             through.append(features * np.sqrt(d / sigma2)[:, None, None])
-        scale = np.sqrt(np.maximum(np.diag(post.matrix), 1e-30))
-        factor = root_of(post.matrix / np.outer(scale, scale))
+        matrix = post.matrix + np.diag(HELD * np.diag(post.matrix) * at_bounds(post))
+        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
+        factor = root_of(matrix / np.outer(scale, scale))
         flat = np.moveaxis(cross, 0, 1).reshape(count, -1) / scale[:, None]
         half = solve_triangular(factor, flat, lower=True, check_finite=False)
         share = solve_triangular(factor, half, lower=True, trans=1, check_finite=False) / scale[:, None]

@@ -15,6 +15,7 @@ class TorqueGain(Effect):
     side = "sensor"
     scope = "set_up"
     placement = "joint or arm"
+    recorded_as = ("motor", "load", "current")  # of a loop, `controller_gain` is the same and says more
     prior = Prior(0.02, {"gain": (0.1, "")}, "data sheets: torque constants within 10 %, torque sensors within some per cent")
 
     def possible(self, theta, payload):

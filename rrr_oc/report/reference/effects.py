@@ -246,6 +246,9 @@ def _uses(kind: type[Effect]) -> list[str]:
         and f"Recordings list it as `{kind.listing.key}` ([recordings.json](../reference/recordings.md)).",
         issubclass(kind, DesignSpring) and f"A co-design uses it in `{kind.design.label}` ([task.json](../reference/task.md)).",
         issubclass(kind, ExportTwin) and "MuJoCo has its law as an element of its own ([export](../export.md)).",
+        kind.recorded_as == ("command",) and "A diagnosis looks for it where commands are recorded in place of torques.",
+        "command" not in kind.recorded_as
+        and "A diagnosis does not look for it where commands are recorded in place of torques.",
         kind.energy is not Effect.energy and "It stores energy.",
     ]
     return ["\n".join(f"- {use}" for use in uses if use)]

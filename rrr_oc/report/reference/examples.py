@@ -20,6 +20,7 @@ from rrr_oc.effects import CATALOGUE, BlackBox, Effect, Trial, View, listed_spri
 from rrr_oc.effects.base import SOUGHT
 from rrr_oc.effects.words import Number, Several
 from rrr_oc.model.motion import Motion
+from rrr_oc.recordings.loop import Loop
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import load_robot
 
@@ -30,6 +31,7 @@ CENTRES, SWINGS, HERTZ = (0.0, 60.0, -90.0), (60.0, 45.0, 50.0), (0.15, 0.2, 0.3
 SECOND, FASTER = 0.25, 2.6  # its amplitude and frequency over those of the first
 SPRING = {"stiffness_Nm_per_rad": 6.0, "equilibrium_rad": 2.0}  # of joint 2, in parallel, as the recording lists it
 DRY, VISCOUS, ARMATURE = (2.0, 3.0, 1.5), (3.0, 4.0, 2.0), (0.2, 0.3, 0.1)  # [Nm], [Nm s/rad], [kg m²], of the plain model
+KP, KD = 600.0, 5.0  # [Nm/rad], [Nm s/rad], of the loop, for effects of recorded commands
 FEW = 4  # curves that a picture shows, the largest ones
 SHAPE = 0.25  # where in the list of an effect's trials the example is taken
 CLOSE = 0.05  # share of a curve's mean square that a variable may leave open if the curve is said to follow it
@@ -95,7 +97,9 @@ class _Arm:
 
     def trials(self, name: str) -> list[Trial]:
         """The ways in which a diagnosis would try an effect."""
-        every = [*trials(self.view, "motor"), *black_box_trials([self.prepared], self.view, self.model, J)]
+        recorded = CATALOGUE[name].recorded_as
+        torque = "motor" if "motor" in recorded else recorded[0]
+        every = [*trials(self.view, torque), *black_box_trials([self.prepared], self.view, self.model, J)]
         return [trial for trial in every if trial.effect.name == name]
 
 
@@ -111,6 +115,7 @@ def _arm() -> _Arm:
     )
     motion = Motion(t, q, dq, ddq, np.full(t.size, PAYLOAD))
     recording = Recording.planned("example", motion, (listed_springs()["pea"].from_entry((J,), SPRING),))
+    recording = replace(recording, loop=Loop(np.full(robot.n, KP), np.full(robot.n, KD)))
     unknown = (None,) * robot.n
     recordings = RecordingSet(robot, "rrr", "motor", "nominal", robot.tool, unknown, (recording,), Path("example"))
     model = plain_model(recordings)

@@ -1,0 +1,66 @@
+"""Arms that loops drive to commanded angles, in MuJoCo: what calibration and diagnosis make of commands and positions."""
+
+import numpy as np
+import pytest
+from chains import arm
+from driven import driven_set
+from recorded import Plant
+
+from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.model_file import load_model, save_model
+from rrr_oc.calibration.prediction_error import evaluate_inverse
+from rrr_oc.calibration.samples import prepare
+from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.diagnosis.signatures import trials, view
+from rrr_oc.recordings.loop import Loop
+
+TRUE = Loop(np.array([200.0, 120.0]), np.array([6.0, 4.0]))
+
+
+@pytest.fixture
+def plant(tmp_path) -> Plant:
+    (tmp_path / "arm.urdf").write_text(arm(2))
+    return Plant(tmp_path / "arm.urdf", np.array([0.8, 0.5]), np.array([0.6, 0.4]), np.array([0.05, 0.03]))
+
+
+def test_friction_and_armature_are_those_of_the_engine(plant, tmp_path):
+    """Friction within 1 %; armature within 10 %: a joint that reverses against dry friction accelerates within the window."""
+    rng = np.random.default_rng(1)
+    model = calibrate(driven_set(plant, TRUE, TRUE, rng, 3))
+    for name, expected, tolerance in (
+        ("dry_friction", plant.dry, 0.01),
+        ("viscous_friction", plant.viscous, 0.01),
+        ("armature", plant.armature, 0.1),
+    ):
+        found = [t.values[0] for t in model.terms if t.effect.name == name]
+        np.testing.assert_allclose(found, expected, rtol=tolerance)
+    save_model(model, tmp_path / "model.json")
+    new = driven_set(plant, TRUE, TRUE, rng, 1)
+    for errors in evaluate_inverse(load_model(tmp_path / "model.json"), new).values():
+        assert all(e["nrmse"] < 0.15 for e in errors.values())  # what is left is at reversals
+
+
+def test_a_loop_as_listed_lacks_nothing(plant):
+    assert diagnose(driven_set(plant, TRUE, TRUE, np.random.default_rng(2), 3)).findings == ()
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(1.25, 0.8), (0.8, 1.1)])
+def test_gains_that_are_not_as_listed_are_found(plant, kp, kd):
+    """kp to 1 %; kd, which moves the arm as viscous friction does, within what is said of it."""
+    listed = Loop(TRUE.kp / [1.0, kp], TRUE.kd / [1.0, kd])
+    (found,) = diagnose(driven_set(plant, TRUE, listed, np.random.default_rng(1), 3)).findings
+    assert (found.term.effect.name, found.term.effect.joints) == ("controller_gain", (1,))
+    assert found.term.named["kp_scale"] == pytest.approx(kp, rel=0.01)
+    value, std = found.term.named["kd_scale"], found.term.estimates[1].std
+    assert std is not None
+    assert std > 0.1  # far more than noise makes
+    assert abs(value - kd) < 2 * std
+
+
+def test_gains_are_sought_of_loops_alone(plant):
+    recordings = driven_set(plant, TRUE, TRUE, np.random.default_rng(3), 1)
+    seen = view(prepare(recordings), plain_model(recordings))
+    named = {torque: {t.effect.name for t in trials(seen, torque)} for torque in ("motor", "command")}
+    assert named["command"] - named["motor"] == {"controller_gain"}
+    assert named["motor"] - named["command"] == {"torque_gain"}
