@@ -1,13 +1,16 @@
 """How well a calibrated model predicts recordings, from the measured motion and in simulation: NRMSE by signal and joint."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.numerics.savitzky_golay import WINDOW, smooth
+from rrr_oc.recordings.loop import Loop
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.robot.robot import BUNDLED
 from rrr_oc.simulation.engine_model import K_P, Controller
@@ -63,10 +66,20 @@ def evaluate_simulated(model: CalibratedModel, recordings: RecordingSet, window:
 
 
 def simulated(model: CalibratedModel, recordings: RecordingSet) -> dict[str, Simulated]:
-    """What the MuJoCo model does while it tracks the recorded motion, by file."""
+    """What the MuJoCo model does while it tracks the recorded motion, or follows recorded commands by its own loop, by file."""
     model = model.placed(recordings)
     control = recorded_controller(model, recordings)
-    return {r.file: replay(model.physics(r), r, control) for r in recordings.recordings}
+    return {r.file: _followed(model.physics(r), r, control) for r in recordings.recordings}
+
+
+def _followed(physics: Physics, r: Recording, control: Controller) -> Simulated:
+    """A recorded motion in the engine; recorded commands by controllers with the gains of their loop, the model's where it has them."""
+    gains = physics.gains(r)
+    if gains is None or r.command is None:
+        return replay(physics, r, control)
+    own = Loop(*gains)
+    # k_p q_ref + k_d dq_ref + this is k_p q_d: the engine is told nothing of the recorded motion but where it starts
+    return replay(physics, r, replace(control, k_p=own.kp, k_d=own.kd), own.torque(r.command, r.q, r.dq))
 
 
 def errors_simulated(

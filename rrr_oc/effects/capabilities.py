@@ -129,6 +129,17 @@ class Delay(Effect):
         return ()
 
 
+class LoopChange(Effect):
+    """The loop that follows recorded commands has other gains than are listed."""
+
+    side = "sensor"
+    recorded_as = ("command",)
+
+    def gains(self, kp: Any, kd: Any, theta: Mapping[str, Any]) -> tuple[Any, Any]:
+        """Gains of a joint's loop [Nm/rad], [Nm s/rad], from the listed ones."""
+        raise NotImplementedError
+
+
 class WithStates(Effect):
     """The torque depends on internal states, the `states`, which follow from the motion."""
 

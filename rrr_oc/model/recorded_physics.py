@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects import Delay, Effect, FollowsLoad, MotionShift, MovesLink, OnlyRecorded, Signals, WithStates
+from rrr_oc.effects import Delay, Effect, FollowsLoad, LoopChange, MotionShift, MovesLink, OnlyRecorded, Signals, WithStates
 from rrr_oc.model.motion import Motion
 from rrr_oc.model.shared_model import KEPT, shared_model
 from rrr_oc.model.symbolic_model import Model
@@ -266,6 +266,17 @@ class Physics:
                 for j, one in zip(effect.on(len(torque)), more, strict=True):
                     result[j] += one
         return later(motion, result, delay) if delay else result
+
+    def gains(self, motion: Motion) -> tuple[np.ndarray, np.ndarray] | None:
+        """kp and kd (n,) of the loop at work where commands were recorded, [Nm/rad] and [Nm s/rad]; None where they were not."""
+        loop = getattr(motion, "loop", None)
+        if loop is None:
+            return None
+        kp, kd = np.array(loop.kp), np.array(loop.kd)
+        for effect, theta, _ in self.named():
+            for j in effect.on(len(kp)) if isinstance(effect, LoopChange) else ():
+                kp[j], kd[j] = effect.gains(kp[j], kd[j], theta)
+        return kp, kd
 
     def passed_on(self, motion: Motion, change: np.ndarray) -> np.ndarray:
         """Change of the recorded torque with a change (n, K) of the true torque, (n, K) [Nm]."""

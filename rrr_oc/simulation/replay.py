@@ -55,13 +55,16 @@ def tracking_controller(robot: Robot, k_p: float | None = None, recorded: np.nda
     return replace(controller(plain, gain), limit=limit)
 
 
-def replay(physics: Physics, motion: Motion, control: Controller) -> Simulated:
-    """The engine follows a recorded motion; the model's own motor torque is fed forward to the controllers.
+def replay(physics: Physics, motion: Motion, control: Controller, forward: np.ndarray | None = None) -> Simulated:
+    """The engine follows a recorded motion.
 
     Pieces between gaps, and between changes of the payload, are followed one by one, each from the recorded state.
+
+    Args:
+        forward: Torque that is fed forward to the controllers [Nm], (n, K); by default the motor torque of the model itself.
     """
     physics = physics.arm
-    forward = physics.torques(motion)[0]
+    forward = physics.torques(motion)[0] if forward is None else forward
     engine = twin(physics.built, physics.theta, control, SETTINGS, physics.widths)
     hidden = Hidden(physics.twist(motion), physics.states(motion))
     q, dq, tau = (x[0] for x in follow([engine], motion, forward[None], as_recorded(control), hidden))

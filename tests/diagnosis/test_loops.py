@@ -1,5 +1,7 @@
 """Arms that loops drive to commanded angles, in MuJoCo: what calibration and diagnosis make of commands and positions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from chains import arm
@@ -7,12 +9,14 @@ from driven import driven_set
 from recorded import Plant
 
 from rrr_oc.calibration.calibrate import calibrate
+from rrr_oc.calibration.calibrated_model import nominal_term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.model_file import load_model, save_model
-from rrr_oc.calibration.prediction_error import evaluate_inverse
+from rrr_oc.calibration.prediction_error import errors_simulated, evaluate_inverse, simulated
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.diagnosis.signatures import trials, view
+from rrr_oc.effects.sensor.controller_gain import ControllerGain
 from rrr_oc.recordings.loop import Loop
 
 TRUE = Loop(np.array([200.0, 120.0]), np.array([6.0, 4.0]))
@@ -64,3 +68,23 @@ def test_gains_are_sought_of_loops_alone(plant):
     named = {torque: {t.effect.name for t in trials(seen, torque)} for torque in ("motor", "command")}
     assert named["command"] - named["motor"] == {"controller_gain"}
     assert named["motor"] - named["command"] == {"torque_gain"}
+
+
+@pytest.mark.parametrize("kp", [1.0, 1.25])
+def test_the_engine_follows_commands_as_the_arm_did(plant, kp):
+    """With the loop's true gains it goes where the arm went; with those that are listed it does not."""
+    rng, listed = np.random.default_rng(5), Loop(TRUE.kp / [1.0, kp], TRUE.kd)
+    recordings = driven_set(plant, TRUE, listed, rng, 1)
+    start = plain_model(recordings)
+    values = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
+    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, values, strict=True)))
+    gain = nominal_term(ControllerGain((1,))).with_values(np.array([kp, 1.0]))
+    known = replace(model, terms=(*model.terms, gain))
+    (r,) = recordings.recordings
+    with_gain, without = (simulated(m, recordings)["0.csv"] for m in (known, model))
+    loop_error = np.std(r.command - r.q, axis=1)
+    off, far = (np.sqrt(np.mean((found.q - r.q) ** 2, axis=1)) / loop_error for found in (with_gain, without))
+    assert np.all(off < 0.03)  # friction turns within a width, so that a joint that sticks in the plant creeps
+    assert (far[1] > 0.15) == (kp != 1.0)
+    errors = errors_simulated(known, recordings, {"0.csv": with_gain})["0.csv"]
+    assert all(error["tau_motor"]["nrmse"] < 0.05 for error in errors.values())

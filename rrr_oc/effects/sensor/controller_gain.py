@@ -2,13 +2,14 @@
 
 import numpy as np
 
-from rrr_oc.effects.base import Effect, Prior, Trial
+from rrr_oc.effects.base import Prior, Trial
+from rrr_oc.effects.capabilities import LoopChange
 from rrr_oc.robot.parameters import Parameter
 
 STEP = 1e-4  # of a scale, for the derivatives of trials; doubled, they change by 0.01 %
 
 
-class ControllerGain(Effect):
+class ControllerGain(LoopChange):
     """true torque = kp_scale kp (q_d − q) − kd_scale kd dq, of one joint, or of all joints alike.
 
     What is recorded is kp (q_d − q) − kd dq. The error q_d − q is what the true torque tau asks for, (tau + kd_scale kd dq) / (kp_scale
@@ -22,10 +23,8 @@ class ControllerGain(Effect):
     plain = "The loop of {joints} has {kp_scale} times its listed kp, and {kd_scale} times its listed kd."
     parameters = (Parameter("kp_scale", "1", 1.0, lower=0.4, upper=2.5), Parameter("kd_scale", "1", 1.0, lower=0.0, upper=5.0))
     amplitudes = ("kp_scale", "kd_scale")
-    side = "sensor"
     scope = "set_up"
     placement = "joint or arm"
-    recorded_as = ("command",)
     prior = Prior(
         0.05,
         {"kp_scale": (0.2, ""), "kd_scale": (0.3, "")},
@@ -44,6 +43,9 @@ class ControllerGain(Effect):
         kp, kd = theta["kp_scale"], theta["kd_scale"]
         more = 1 / kp - 1, kd / kp - 1
         return tuple(more[0] * signals.load[j] + more[1] * signals.braking[j] for j in self.on(signals.load.shape[0]))
+
+    def gains(self, kp, kd, theta):
+        return theta["kp_scale"] * kp, theta["kd_scale"] * kd
 
     def trial(self, view, **shape):
         return Trial(self, ({"kp_scale": 1 + STEP, "kd_scale": 1.0}, {"kp_scale": 1.0, "kd_scale": 1 + STEP}), STEP)
