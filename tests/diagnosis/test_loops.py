@@ -18,6 +18,10 @@ from rrr_oc.diagnosis.procedure import diagnose
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.effects.sensor.controller_gain import ControllerGain
 from rrr_oc.recordings.loop import Loop
+from rrr_oc.recordings.reader import load_recordings
+from validation.concealed.build import build
+from validation.concealed.cases import Case, Concealed
+from validation.concealed.write import write_case
 
 TRUE = Loop(np.array([200.0, 120.0]), np.array([6.0, 4.0]))
 
@@ -88,3 +92,20 @@ def test_the_engine_follows_commands_as_the_arm_did(plant, kp):
     assert (far[1] > 0.15) == (kp != 1.0)
     errors = errors_simulated(known, recordings, {"0.csv": with_gain})["0.csv"]
     assert all(error["tau_motor"]["nrmse"] < 0.05 for error in errors.values())
+
+
+@pytest.mark.parametrize("effect", [None, "controller_gain", "payload_mass"])
+def test_what_the_concealed_plant_hides_behind_a_loop(effect, tmp_path):
+    """Torques of its commands are those of its motors; a gain is found on its joint, and a payload is no gain."""
+    concealed = (Concealed(effect, 8.0),) if effect else ()
+    case = Case("loop", "test", 3, "arm3", concealed, short=True, torque="command")
+    built = build(case)
+    write_case(built, tmp_path)
+    recordings = load_recordings(tmp_path / case.id / "data")
+    (r, *_) = recordings.recordings
+    seen = np.array([np.interp(r.t, built.signals.t, row) for row in built.signals.tau[0]])
+    off = np.sqrt(np.mean((r.tau - seen)[:, 50:-50] ** 2, axis=1))
+    assert np.all(off < 2 * built.sensing.torque_noise)  # the noise of derivatives beside it
+    findings = [(f.term.effect.name, f.term.effect.joints) for f in diagnose(recordings).findings]
+    joints = built.scaled[0].effect.joints if effect else ()
+    assert findings == ([(effect, joints)] if effect else [])

@@ -50,6 +50,7 @@ CONTRACT = {
     "torque_ripple": {"amplitude", "order", "phase"},
     "torque_gain": {"gain"},
     "torque_offset": {"offset"},
+    "controller_gain": {"kp_scale", "kd_scale"},
     "backlash": {"gap"},
     "joint_elasticity": {"stiffness"},
     "cable_harness": {"stiffness", "rest"},

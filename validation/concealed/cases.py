@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from validation.concealed.catalogue import CATALOGUE, FIRST, OUTSIDE, RELATIVES, TWO_JOINTS
+from validation.concealed.catalogue import CATALOGUE, FIRST, OUTSIDE, RECORDED_AS, RELATIVES, TWO_JOINTS
 
 RATIOS = (3.0, 1.0, 0.5)  # residual after plain calibration / noise
 OWN = tuple(f"set-up {b + 1}" for b in range(8))  # of recordings that share none
@@ -101,6 +101,11 @@ def clean(seed: int) -> list[Case]:
     return out
 
 
+def recorded_as(name: str) -> dict[str, str]:
+    """Options of a case that is to conceal an effect."""
+    return {"torque": RECORDED_AS[name]} if name in RECORDED_AS else {}
+
+
 def single(seed: int) -> list[Case]:
     """Every effect of the catalogue at three strengths, once on an arm of the paper and once on a generated one."""
     out = []
@@ -110,7 +115,8 @@ def single(seed: int) -> list[Case]:
                 key = f"single/{name}/{ratio}/{family}"
                 rng = draw(seed, key)
                 robot = fitting_robot((name,), rng, choices)
-                out.append(Case(key, "single", seed, robot, (Concealed(name, ratio),), options=options(rng)))
+                concealed = (Concealed(name, ratio),)
+                out.append(Case(key, "single", seed, robot, concealed, options=options(rng), **recorded_as(name)))
     return out
 
 
@@ -121,7 +127,7 @@ def short_single(seed: int) -> list[Case]:
         for ratio in RATIOS[:2]:
             key = f"short/{name}/{ratio}"
             robot = fitting_robot((name,), draw(seed, key))
-            out.append(Case(key, "short", seed, robot, (Concealed(name, ratio),), short=True))
+            out.append(Case(key, "short", seed, robot, (Concealed(name, ratio),), short=True, **recorded_as(name)))
     return out
 
 
@@ -132,7 +138,7 @@ def faint(seed: int) -> list[Case]:
         for ratio in FAINT:
             key = f"faint/{name}/{ratio}"
             robot = fitting_robot((name,), draw(seed, key))
-            out.append(Case(key, "faint", seed, robot, (Concealed(name, ratio),), short=True))
+            out.append(Case(key, "faint", seed, robot, (Concealed(name, ratio),), short=True, **recorded_as(name)))
     return out
 
 
@@ -204,7 +210,7 @@ def related(seed: int) -> list[Case]:
             names = (name, str(rng.choice(FIRST)))
             robot = fitting_robot(names, rng, tuple(r for r in ROBOTS if r != "arm1"))
             concealed = tuple(Concealed(n, float(rng.choice([3.0, 2.0, 1.0]))) for n in names)
-            out.append(Case(key, "related", seed, robot, concealed, options=options(rng)))
+            out.append(Case(key, "related", seed, robot, concealed, options=options(rng), **recorded_as(name)))
     return out
 
 
@@ -225,13 +231,14 @@ def outside(seed: int) -> list[Case]:
 
 
 def other_data(seed: int) -> list[Case]:
-    """Other kinds of data: currents, load torques, unknown inertials, locked joints, the prototype's motors."""
+    """Other kinds of data: currents, load torques, commands of a loop, unknown inertials, locked joints, the prototype's motors."""
     out = []
     of_motor = ("load_dependent_friction", "stribeck", "torque_ripple")  # a load torque does not hold them
     effects: tuple[str | None, ...] = (None, *of_motor, "cable_harness", "payload_mass", "encoder_offset")
     kinds: dict[str, dict] = {
         "current": {"torque": "current"},
         "load": {"torque": "load"},
+        "command": {"torque": "command"},
         "identify": {"inertial": "identify"},
         "locked": {"locked": 2},
         "motor": {"motor": True},

@@ -21,6 +21,7 @@ RELATIVES = (
     "hardening_harness",
     "torque_zeros",
     "encoder_zeros",
+    "controller_gain",
 )
 FIRST = tuple(name for name in CATALOGUE if name not in RELATIVES)
 TWO_JOINTS = {
@@ -31,6 +32,7 @@ TWO_JOINTS = {
     "posture_torque",
     "cross_talk",
 }
+RECORDED_AS = {"controller_gain": "command"}  # what is recorded where an effect is concealed; else the motor torque
 SENSED = {name for name, x in (CATALOGUE | OUTSIDE).items() if x.sense is not Effect.sense}
 
 

@@ -8,6 +8,7 @@ import pinocchio as pin
 
 from validation.concealed.arms import Arm
 from validation.concealed.effect import Effect, Motion, Signals, any_joint, loaded_joint
+from validation.concealed.loop import gains
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,28 @@ class CommonGain(Effect):
 
     def parameters(self, arm: Arm):
         return {"gain": (self.shape["direction"] * self.strength, "1")}
+
+
+@dataclass(frozen=True)
+class ControllerGain(Effect):
+    """A loop whose kp is not as listed, where its commands are recorded: what it gives is more or less than they say."""
+
+    name = "controller_gain"
+    equation = "true torque = kp_scale kp (q_d - q) - kd_scale kd dq"
+    largest = 0.5
+
+    @classmethod
+    def draw(cls, arm, motion, rng):
+        j = loaded_joint(motion, rng)
+        return cls((j,), 0.05, {"direction": float(rng.choice([-1, 1])), "kd": float(gains(arm)[1][j])})
+
+    def sense(self, x: Signals, arm: Arm) -> None:
+        scale = 1 + self.mask[:, None] * self.shape["direction"] * self.strength
+        braking = self.shape["kd"] * x.dq[:, self.j]
+        x.tau[:, self.j] = (x.tau[:, self.j] + braking) / scale - braking  # kp times the error, less what is listed
+
+    def parameters(self, arm: Arm):
+        return {"kp_scale": (1 + self.shape["direction"] * self.strength, "1"), "kd_scale": (1.0, "1")}
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from validation.concealed.build import Built
+from validation.concealed.loop import commands, gains
 from validation.concealed.sensors import sample
 from validation.concealed.strength import Scaled
 
@@ -77,6 +78,10 @@ def header(built: Built, which: range) -> dict:
     }
     if built.constants is not None:
         out["actuators"] = {j: {"torque_constant": float(k)} for j, k in zip(arm.joints, built.constants, strict=True)}
+    if case.torque == "command":
+        out |= {
+            key: dict(zip(arm.joints, gain.tolist(), strict=True)) for key, gain in zip(("kp", "kd"), gains(arm), strict=True)
+        }
     return out | {"recordings": recordings}
 
 
@@ -85,6 +90,9 @@ def write_csv(built: Built, b: int, path: Path) -> int:
     rng = built.case.rng(f"noise of recording {b}")
     x = sample(built.signals, b, built.sensing, rng, None if built.ends is None else built.ends[b])
     effort, tau = "tau", x["tau"]
+    if built.case.torque == "command":
+        speeds = np.array([np.interp(x["t"], built.signals.t, row) for row in built.signals.dq[b]])
+        effort, tau = "command", commands(built.arm, x["q"], speeds, tau)
     if built.constants is not None:
         effort, tau = "current", tau / built.constants[:, None]
     joints = built.arm.joints

@@ -10,7 +10,7 @@ STEP = 1e-4  # of a scale, for the derivatives of trials; doubled, they change b
 
 
 class ControllerGain(LoopChange):
-    """true torque = kp_scale kp (q_d − q) − kd_scale kd dq, of one joint, or of all joints alike.
+    """true torque = kp_scale kp (q_d − q) − kd_scale kd dq, of one joint.
 
     What is recorded is kp (q_d − q) − kd dq. The error q_d − q is what the true torque tau asks for, (tau + kd_scale kd dq) / (kp_scale
     kp), so that the recorded torque is tau / kp_scale + (kd_scale / kp_scale − 1) kd dq. In this form no recorded torque explains itself.
@@ -24,7 +24,6 @@ class ControllerGain(LoopChange):
     parameters = (Parameter("kp_scale", "1", 1.0, lower=0.4, upper=2.5), Parameter("kd_scale", "1", 1.0, lower=0.0, upper=5.0))
     amplitudes = ("kp_scale", "kd_scale")
     scope = "set_up"
-    placement = "joint or arm"
     prior = Prior(
         0.05,
         {"kp_scale": (0.2, ""), "kd_scale": (0.3, "")},
@@ -42,7 +41,7 @@ class ControllerGain(LoopChange):
     def torque(self, signals, theta, width):
         kp, kd = theta["kp_scale"], theta["kd_scale"]
         more = 1 / kp - 1, kd / kp - 1
-        return tuple(more[0] * signals.load[j] + more[1] * signals.braking[j] for j in self.on(signals.load.shape[0]))
+        return tuple(more[0] * signals.load[j] + more[1] * signals.braking[j] for j in self.joints)
 
     def gains(self, kp, kd, theta):
         return theta["kp_scale"] * kp, theta["kd_scale"] * kd
@@ -56,7 +55,3 @@ class ControllerGain(LoopChange):
 
     def combined(self, points, coefficients):
         return {name: 1 + float(c) for name, c in zip(self.amplitudes, coefficients, strict=True)}
-
-    @classmethod
-    def sentence(cls, joints, values):
-        return super().sentence(joints or ("all joints",), values)
