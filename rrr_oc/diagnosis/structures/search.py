@@ -189,7 +189,7 @@ class Search:
                 best, chosen = found, p
         if best is not None and chosen is not None:
             best = self._restarted(best, chosen)
-            self.report(f"{_said(at.fitted, best.fitted)}: {best.score - at.score:+.1f}", len(self.visited))
+            self.report(_said(at.fitted, best.fitted), len(self.visited))
         return best
 
     def _fitted(self, at: State, p: Predicted) -> State:
