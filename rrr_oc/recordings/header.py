@@ -127,11 +127,9 @@ class Header(Schema, frozen=True):
 
 
 def check_gains(torque: str, kp: Gain | None, kd: Gain | None, joints: Sequence[str]) -> None:
-    """Raise `ValueError` for gains of a loop that some joint lacks, that are out of range, or that nothing recorded needs."""
+    """Raise `ValueError` for gains of a loop that some joint lacks, or that are out of range."""
     for key, gain, unit, above in (("kp", kp, "Nm/rad", True), ("kd", kd, "Nm s/rad", False)):
-        if torque != "command" and gain is not None:
-            raise ValueError(f"{key}: found {gain!r} and torque {torque!r}; {key} is allowed with torque 'command' alone")
-        if torque != "command":
+        if gain is None and torque != "command":
             continue
         if gain is None:
             raise ValueError(f"{key}: is missing; torque 'command' needs it: a number of {unit}, or one per joint by name")

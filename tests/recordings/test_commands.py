@@ -90,7 +90,6 @@ MISTAKES = {
     "kp of 0": ({"kp": 0.0}, None, "kp: found 0 for 'joint1'; a finite number of Nm/rad above 0 is required"),
     "kd below 0": ({"kd": -1.0}, None, "kd: found -1 for 'joint1'; a finite number of Nm s/rad of 0 or more is required"),
     "kp as text": ({"kp": "20"}, None, "kp"),
-    "gains of torques": ({"torque": "motor"}, None, "kp is allowed with torque 'command' alone"),
     "no command": ({}, lambda c: without(c, "command_joint2"), "column 'command_joint2' is missing"),
     "degrees": (
         {},
