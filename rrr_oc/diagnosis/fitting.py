@@ -11,7 +11,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.diagnosis.knobs import EXCESS
-from rrr_oc.effects import Effect, MovesLink, OfEach, Trial, View
+from rrr_oc.effects import Effect, OfEach, Trial, View
 from rrr_oc.effects.priors import Priors
 
 BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
@@ -105,7 +105,7 @@ class Fitter(PlainFitter):
     def restarted(self, fitted: Fitted, i: int) -> Fitted:
         """The most probable of a fit and of those from other starts of one of the added effects, by its number."""
         k, best, (effect, named) = fitted.base + i, fitted, (fitted.extra[i].effect, fitted.extra[i].named)
-        for other, theta in effect.starts(named) if isinstance(effect, MovesLink) else ():
+        for other, theta in effect.starts(named):
             term = replace(fitted.extra[i], effect=other).with_values(np.array([theta[p.name] for p in other.parameters]))
             terms = (*fitted.model.terms[:k], term, *fitted.model.terms[k + 1 :])
             new = self.fit(replace(fitted.model, terms=terms), fitted.links, fitted.posterior)

@@ -273,6 +273,10 @@ class Effect:
         """The parameters in their usual range, where several sets of values give the same law."""
         return dict(theta)
 
+    def starts(self, theta: dict[str, float]) -> Iterator[tuple["Effect", dict[str, float]]]:
+        """Other forms of the effect on the same joints, and parameters, from which a fit may end higher than from a fit's own."""
+        yield from ()
+
     @property
     def sign_forms(self) -> tuple["Effect", ...]:
         """For plain dry friction, whose width that of all friction of the joint follows: itself with each way to change sign.

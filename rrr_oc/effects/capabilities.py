@@ -191,10 +191,6 @@ class MovesLink(Effect):
         """Change of `motion` by an initial deviation of 1 rad and of 1 rad/s, (2, 3, K), to first order; empty where it is known."""
         return np.zeros((0, 3, len(t)))
 
-    def starts(self, theta: dict[str, float]) -> Iterator[tuple["MovesLink", dict[str, float]]]:
-        """Other forms of the effect on the same joints, and parameters, from which a fit may end higher than from a fit's own."""
-        yield from ()
-
 
 class ExportTwin(Effect):
     """MuJoCo has the law as an element of its own, which exported files have.

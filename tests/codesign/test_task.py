@@ -230,7 +230,7 @@ def test_a_wrong_task_is_explained(tmp_path, changes, message):
 
 
 def test_a_wrong_file_is_explained(tmp_path):
-    with pytest.raises(UserError, match=r"no task at 'nowhere.json'.* preset: paper, prototype"):
+    with pytest.raises(UserError, match=r"no task at 'nowhere.json'.* bundled one: paper, prototype"):
         load_task("nowhere.json")
     file = tmp_path / "task.json"
     for content, message in ((b"{", "not valid JSON"), (b"\xff\xfe\x00", "UTF-8"), (b"[]", "an object with format")):

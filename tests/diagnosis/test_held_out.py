@@ -115,7 +115,7 @@ def test_the_page_holds_its_figures_and_says_what_was_not_simulated(diagnosis, t
     write_diagnosis(diagnosis, tmp_path, simulated)
     text = (tmp_path / "report.html").read_text()
     assert "The extended model was not simulated: a &lt;gap&gt; moves the link by itself." in text
-    assert "<td>0.2500 → –</td>" in text
+    assert ">0.2500 → –</td>" in text
 
 
 def test_the_page_says_for_which_recordings_nothing_could_be_foretold(diagnosis, tmp_path):
@@ -140,7 +140,7 @@ def test_the_verdict_is_a_sentence(diagnosis):
     }
     text = sentence(found)
     assert text.startswith("The calibrated model lacks payload mass in 1 of the recordings.")
-    assert "joint2's torque goes from 80.0% to 20.0%" in text
+    assert "joint2's torque goes from 80.0 % to 20.0 %" in text
     errors = {
         "calibration": {"before": {"joint1": 0.05, "joint2": 0.1}},
         "held_out": {"before": {"joint1": 0.06, "joint2": 0.8}},

@@ -153,9 +153,9 @@ def recordings_of_two(folder: Path) -> Path:
     """A recording set of the paper's arm at rest in two files, of which the second lists a spring."""
     (folder / "set").mkdir()
     t = np.arange(200) / 100
-    zeros = {f"{kind}_joint{k + 1}": np.zeros(200) for kind in ("q", "tau") for k in range(3)}
+    moved = {f"{kind}_joint{k + 1}": np.sin(t) for kind in ("q", "tau") for k in range(3)}
     for name in ("bare.csv", "sprung.csv"):
-        write_csv(folder / "set" / name, {"t": t} | zeros)
+        write_csv(folder / "set" / name, {"t": t} | moved)
     spring = {"stiffness_Nm_per_rad": 10.0, "equilibrium_rad": 1.0}
     every = [{"file": "bare.csv"}, {"file": "sprung.csv", "springs": {"pea": {"joint2": spring}}}]
     header = {"format": "rrr_oc-recordings/1", "robot": "rrr", "joints": ["joint1", "joint2", "joint3"], "recordings": every}

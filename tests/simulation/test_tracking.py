@@ -550,7 +550,7 @@ def test_each_effect_has_its_torque_in_the_engine(name, form):
         load, speed = load_of(engine, d), dq * 0.2
         friction = np.array([0, -1.5 * speed[1], 0])
         listed = {(1,): (COMPANY[0], spring, 1e-3)}
-        signals = Signals(q, speed, d.qacc, load, time, payload, z, friction, listed)
+        signals = Signals(q, speed, d.qacc, load, time, payload, z, friction, springs=listed)
         expected = np.zeros((2, 3))
         expected[0, 1] += max(0.8 - q[1], 0) * 6.0
         expected[1, 1] += -1.5 * speed[1]

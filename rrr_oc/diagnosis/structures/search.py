@@ -17,7 +17,7 @@ from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
 from rrr_oc.diagnosis.structures.linear import Candidate, Key, Level, Linear, Structure, key_of, numbered
 from rrr_oc.diagnosis.structures.neighbours import Kind, Levels, Neighbours, Predicted, kind, overlapping
-from rrr_oc.effects import Trial
+from rrr_oc.effects import MovesLink, Trial
 
 FITTED = 3  # neighbours of a structure by one kind of move that are fitted exactly
 LEVELS = 4  # fits about which structures are predicted on parts of the recordings
@@ -204,10 +204,10 @@ class Search:
         return self.scored(self.fitter.with_signs(self.fitter.fit(model, links, at.fitted.posterior)))
 
     def _restarted(self, found: State, p: Predicted) -> State:
-        """The most probable of a fit and of those from other starts of what is new in it."""
+        """The most probable of a fit and of those from other starts of its effects, of gears only where they are new."""
         fitted = found.fitted
         for i, a in enumerate(p.structure):
-            if isinstance(a.source, Candidate):
+            if isinstance(a.source, Candidate) or not isinstance(a.effect, MovesLink):  # fits of which take long
                 fitted = self.fitter.restarted(fitted, i)
         return found if fitted is found.fitted else self.scored(fitted)
 

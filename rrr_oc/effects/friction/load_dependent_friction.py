@@ -1,7 +1,7 @@
 """Friction that changes with the torque that the gear transmits, or with that of the motor."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from rrr_oc.effects.base import SIGN_WIDTH, Effect, Prior
@@ -70,6 +70,11 @@ class LoadDependentFriction(Effect):
     @classmethod
     def sentence(cls, joints, values):
         return super().sentence(joints, {**values, "felt": FELT[str(values.get("follows", "load")).split()[0]]})
+
+    def starts(self, theta):
+        for follows in LAWS:
+            if follows != self.follows:
+                yield replace(self, follows=follows), theta
 
     def torque(self, signals, theta, width):
         (j,), mu = self.joints, theta["mu"]
