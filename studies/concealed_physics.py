@@ -36,7 +36,6 @@ from scipy.stats import beta, chi2
 
 from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel
-from rrr_oc.calibration.estimator.evidence import solve
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.prediction_error import evaluate_inverse
 from rrr_oc.commands.shared import Jobs, Workers
@@ -309,10 +308,9 @@ def weighted_square(fitter: Fitter, fitted: Fitted, other: Fitted) -> float:
     The links' errors add the square that their prior gives them. The difference of two fits under the noise of the better one is
     twice the logarithm of their likelihood ratio; the priors of the effects and their Occam factors do not enter.
     """
-    prior = fitter.prior(fitted.model, fitted.links)
-    post = solve(fitter.data, fitted.residual, fitted.posterior.columns, prior, other.posterior, fixed=True)
-    size = len(fitted.model.values)
-    links = slice(size, size + len(fitted.links))
+    again = fitter.fit(fitted.model, fitted.links, other.posterior, fixed=True)
+    post, size = again.posterior, len(again.model.values)
+    links = slice(size, size + len(again.links))
     off = (post.step - post.prior.mean)[links]
     return post.predicted(post.step) - post.prior_cost(post.step) + float(post.prior.precision[links] @ off**2)
 

@@ -274,8 +274,9 @@ class Physics:
             return None
         kp, kd = np.array(loop.kp), np.array(loop.kd)
         for effect, theta, _ in self.named():
-            for j in effect.on(len(kp)) if isinstance(effect, LoopChange) else ():
-                kp[j], kd[j] = effect.gains(kp[j], kd[j], theta)
+            if isinstance(effect, LoopChange):
+                for j in effect.on(len(kp)):
+                    kp[j], kd[j] = effect.gains(kp[j], kd[j], theta)
         return kp, kd
 
     def passed_on(self, motion: Motion, change: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ import hashlib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -101,7 +102,7 @@ def clean(seed: int) -> list[Case]:
     return out
 
 
-def recorded_as(name: str) -> dict[str, str]:
+def recorded_as(name: str) -> dict[str, Any]:
     """Options of a case that is to conceal an effect."""
     return {"torque": RECORDED_AS[name]} if name in RECORDED_AS else {}
 

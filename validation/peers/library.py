@@ -209,7 +209,8 @@ def signatures(plain: Plain) -> Problem:
     """One regression for all joints, whose columns are those of all trials, with the plain parameters' share taken out."""
     data, model, n = plain.data, plain.model, plain.data.n
     found, own = table(data.prepared, model, plain.trials), data.rows(model)
-    size = own.deviation()
+    count = np.maximum(own.moving.sum(axis=1), 1)
+    size = np.maximum(np.sqrt(np.sum(own.residual**2, axis=1) / count), 1e-9)  # root mean square of each joint, (n,)
     plain_columns = np.concatenate([own.jacobian[j, :, : len(model.values)] / size[j] for j in range(n)])
     basis, triangle = np.linalg.qr(plain_columns)
     columns = np.zeros((n, len(data.at), found.start[-1]))

@@ -245,7 +245,7 @@ class Noise:
             turning: Where the joint turns, (M,).
             taken: Columns whose products are the covariance of what parameters have taken up of the noise, (M, r); none by default.
         """
-        order = order_of(np.count_nonzero(place >= 0))
+        order = order_of(float(np.count_nonzero(place >= 0)))
         lags = np.zeros((len(residual), order))
         for k in range(order):
             lags[k + 1 :, k] = residual[: -k - 1]
@@ -306,7 +306,7 @@ def autocovariance(columns: np.ndarray, place: np.ndarray, most: int) -> np.ndar
     return np.array([np.sum(columns[r] * columns[r - k]) / max(len(rows[0]), 1) for k, r in enumerate(rows)])
 
 
-def order_of(count: int) -> int:
+def order_of(count: float) -> int:
     """Number of rows before one on which its noise is taken to depend, where so many rows count."""
     return int(np.clip(count // ROWS_PER_LAG, 0, round(MEMORY / STRIDE / EVERY)))
 
