@@ -226,7 +226,7 @@ def task_file(folder: Path, name: str = "task.json", **changes) -> str:
 
 PRISMATIC, FLOATING = arm(3, {2: "prismatic"}), arm(3, {1: "floating"})
 MASSLESS = robot(link("base", 0), link("l1"), link("l2", 0), joint("j1", "base", "l1"), joint("j2", "l1", "l2"))
-TORQUE = {"torque_Nm": 5.0, **PAPER["limits"]["joint2"]}
+TORQUE = {**PAPER["limits"]["joint2"], "torque_Nm": 5.0}
 BAD = {
     "unknown preset": (lambda f: ["--preset", "nowhere"], "no task at 'nowhere'"),
     "missing URDF": (lambda f: ["--preset", task_file(f, robot="gone.urdf")], "no robot at 'gone.urdf'"),

@@ -111,10 +111,12 @@ class PlainFitter:
             missed = np.sum((after - (residual - columns @ step)) ** 2)
             linear = missed <= NONLINEAR**2 * np.sum((after - residual) ** 2)
             model, links, residual, fall = there, errors, after, before - cost
-            if linear and rung == 0:
+            # a width has no derivative where there is no friction, and may have one after the step
+            without = not np.all(np.any(columns, axis=(0, 1)))
+            if linear and rung == 0 and not without:
                 best = Fitted(model, links, post, residual, len(data.start.terms))
                 break
-            exact = bool(missed > NONLINEAR * np.sum((found.residual - after) ** 2))
+            exact = without or bool(missed > NONLINEAR * np.sum((found.residual - after) ** 2))
             if exact:
                 found = data.rows(model)
                 columns = self.columns(model, links, found)
