@@ -239,7 +239,10 @@ BAD = {
     ),
     "out of reach": (lambda f: ["--preset", task_file(f, release__position_m=[0.7, 0, 0.07])], "no nearer than 0.1000 m"),
     "too little time": (lambda f: ["--preset", task_file(f, duration_s=[0.2, 1.0])], "joint3 needs 1.11 s"),
-    "too weak": (lambda f: ["--preset", task_file(f, limits__joint2=TORQUE)], "joint2 needs 10.34 Nm to hold 5 kg at the start"),
+    "too weak": (
+        lambda f: ["--preset", task_file(f, limits__joint2=TORQUE)],
+        "joint2 needs 10.34 Nm to hold 5 kg at the start",
+    ),
     "prismatic": (lambda f: ["--preset", with_robot(f, PRISMATIC)], "joint 'j2' is prismatic; allowed are revolute"),
     "floating": (lambda f: ["--preset", with_robot(f, FLOATING)], "joint 'j1' is floating; allowed are revolute"),
     "massless": (lambda f: ["--preset", with_robot(f, MASSLESS)], "'l2', moved by joint 'j2', has no <inertial>"),
