@@ -77,6 +77,8 @@ NOT_RUN = {
         "needs the authors' recordings; the same as a part of real_arms",
         "studies/real_arms.py",
     ),
+    "rrr-oc calibrate go2_legs": ("needs recordings of a real robot", "tests/recordings/test_commanded_angles.py"),
+    "rrr-oc evaluate FL/model.json": ("needs recordings of a real robot", "tests/recordings/test_commanded_angles.py"),
     "studies/real_arms.py": ("needs recordings of real arms", "tests/whole/test_real_arms_study.py"),
     "studies/gradient_vs_evolution.py": ("minutes to hours", "tests/whole/test_comparison_study.py"),
     "studies/transfer.py": ("an hour", "tests/whole/test_transfer_study.py"),
