@@ -85,7 +85,7 @@ def claims(found: Diagnosis) -> str:
 def diagnosed(make: Callable[[Path], RecordingSet], right: Callable[[Diagnosis], bool], folder: Path) -> tuple[str, bool]:
     """Make recordings and diagnose them."""
     found = diagnose(make(folder))
-    return claims(found), right(found)
+    return claims(found), bool(right(found))
 
 
 def single(found: Diagnosis, right: Callable[[Finding], bool]) -> bool:
@@ -331,8 +331,24 @@ def _of(make: Callable[[Path], RecordingSet], right: Callable[[Diagnosis], bool]
 
 
 PAIR = (Concealed("payload_mass", 2.0), Concealed("payload_com", 2.0))
+
+
+def without_gravity(folder: Path) -> RecordingSet:
+    """Efforts without gravity, of light links."""
+    names, axes = ["base", "l1", "l2"], ["0 0 1", "0 -1 0"]
+    parts = [chains.link(name, mass) for name, mass in zip(names, (0.0, 1.0, 1.0), strict=True)]
+    parts += [chains.joint(f"j{i + 1}", names[i], names[i + 1], axis=axes[i]) for i in range(2)]
+    (folder / "upright.urdf").write_text(chains.robot(*parts))
+    plant = Plant(folder / "upright.urdf", *(np.full(2, size) for size in (0.1, 0.05, 0.01)))
+    rng = np.random.default_rng(33)
+    made = [record(plant, f"{i}.csv", rng, 10.0, 0.003) for i in range(3)]
+    still = np.zeros(made[0].q.shape)
+    return as_set(plant, [replace(r, tau=r.tau - plant.load(r.q, still, still)) for r in made])
+
+
 LAWS = (Concealed("parallel_spring", 3.0), Concealed("quadratic_drag", 3.0))
 CASES = {
+    "gravity": Known("efforts without gravity, light links", "missing_gravity", _of(without_gravity, named("missing_gravity"))),
     "payload": Known(
         "a payload's mass and centre, three joints",
         "payload_mass and payload_com rather than one effect that equals both",
@@ -405,7 +421,7 @@ def _judge(name: str, folder: Path, longest: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     begin = time.process_time()
     found, right = CASES[name].judge(folder)
-    write_json(folder / "found.json", {"found": found, "right": right, "processor_s": time.process_time() - begin})
+    write_json(folder / "found.json", {"found": found, "right": bool(right), "processor_s": time.process_time() - begin})
 
 
 def judged(name: str, out: Path, longest: int) -> None:
