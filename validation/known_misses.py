@@ -339,7 +339,7 @@ def without_gravity(folder: Path) -> RecordingSet:
     parts = [chains.link(name, mass) for name, mass in zip(names, (0.0, 1.0, 1.0), strict=True)]
     parts += [chains.joint(f"j{i + 1}", names[i], names[i + 1], axis=axes[i]) for i in range(2)]
     (folder / "upright.urdf").write_text(chains.robot(*parts))
-    plant = Plant(folder / "upright.urdf", *(np.full(2, size) for size in (0.1, 0.05, 0.01)))
+    plant = Plant(folder / "upright.urdf", np.full(2, 0.1), np.full(2, 0.05), np.full(2, 0.01))
     rng = np.random.default_rng(33)
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.003) for i in range(3)]
     still = np.zeros(made[0].q.shape)
