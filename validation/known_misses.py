@@ -85,7 +85,7 @@ def claims(found: Diagnosis) -> str:
 def diagnosed(make: Callable[[Path], RecordingSet], right: Callable[[Diagnosis], bool], folder: Path) -> tuple[str, bool]:
     """Make recordings and diagnose them."""
     found = diagnose(make(folder))
-    return claims(found), bool(right(found))
+    return claims(found), right(found)
 
 
 def single(found: Diagnosis, right: Callable[[Finding], bool]) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.calibrate import data_of, first_estimate
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
@@ -162,11 +162,9 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         findings, possible = found(search, at)
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
     near = search.neighbours(at.fitted)
-    findings, small = sized(near, findings)
-    refuted, small = (
-        [*unstable, *(f for f in small if f.fall and f.fall.high <= 0)],
-        [f for f in small if f.fall and f.fall.high > 0],
-    )
+    findings, rest = sized(near, findings)
+    worse = [f for f in rest if f.fall and f.fall.high <= 0]
+    small = [f for f in rest if f not in worse]
     checks = checked(near, [*findings, *small])
     folds = with_claims(fitter, begin, searched, findings)
     kept = tuple(f.term for f in findings)
@@ -174,9 +172,11 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     if kept and kept != at.fitted.extra:  # some are missing, or in another order
         model = replace(at.fitted.model, terms=(*at.fitted.model.terms[: at.fitted.base], *kept))
         final = fitter.fit(model, at.fitted.links, at.fitted.posterior)
-    small = [replace(f, term=term_of(at.fitted, f)) for f in small]
+    small = with_intervals(at.fitted, small)
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
-    return _assembled(recordings, whole, fitter, (begin, final), (findings, small, possible, refuted), (way, checks, folds))
+    return _assembled(
+        recordings, whole, fitter, (begin, final), (findings, small, possible, [*unstable, *worse]), (way, checks, folds)
+    )
 
 
 def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: Stages) -> tuple[Search, State]:
@@ -316,7 +316,7 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
     )
 
 
-def term_of(fitted: Fitted, finding: Finding) -> Term:
-    """A finding's term with standard errors and intervals from a fit that has it."""
-    number = next(i for i, t in enumerate(fitted.model.terms) if t is finding.term)
-    return described(fitted).terms[number]
+def with_intervals(fitted: Fitted, findings: Sequence[Finding]) -> list[Finding]:
+    """Findings of a fit with the standard errors and intervals of their terms."""
+    terms = {id(t): shown for t, shown in zip(fitted.model.terms, described(fitted).terms, strict=True)} if findings else {}
+    return [replace(f, term=terms[id(f.term)]) for f in findings]
