@@ -302,8 +302,9 @@ def autocovariance(columns: np.ndarray, place: np.ndarray, most: int) -> np.ndar
 
     Divided by the same number at all lags, as else it would not be positive definite.
     """
-    rows = [np.flatnonzero(place >= k) for k in range(most + 1)]
-    return np.array([np.sum(columns[r] * columns[r - k]) / max(len(rows[0]), 1) for k, r in enumerate(rows)])
+    size, count = len(place), max(np.count_nonzero(place >= 0), 1)
+    products = [np.einsum("ij,ij->i", columns[k:], columns[: size - k]) for k in range(most + 1)]
+    return np.array([np.sum(one[place[k:] >= k]) / count for k, one in enumerate(products)])
 
 
 def order_of(count: float) -> int:

@@ -16,8 +16,10 @@ from scipy.special import gammaln
 
 import rrr_oc.calibration.estimator._evidence as extension
 from rrr_oc.calibration.estimator.data import Data, Noise
+from rrr_oc.numerics.rank import lengths
 
 ROUNDING = 1e-12  # share of the largest squared length of a combination of features below which one is 0
+ROUNDED = 1e-13  # added to the diagonal of a precision with a diagonal of 1
 LEAST = 1e-5  # of a size over its unit, against a singular precision
 FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
@@ -123,10 +125,10 @@ class Joint(Spectrum):
         )
 
     @classmethod
-    def estimated(cls, data: Data, j: int, left: np.ndarray) -> tuple["Joint", float]:
-        """The noise of a residual (M,), without features yet, and its σ."""
+    def estimated(cls, data: Data, j: int, left: np.ndarray, taken: np.ndarray) -> tuple["Joint", float]:
+        """The noise of a residual (M,), without features yet, and its σ; `taken` (M, r) is as in `Noise.of`."""
         place, turning = data.place[j], data.turning[j]
-        noise = Noise.of(left, place, turning)
+        noise = Noise.of(left, place, turning, taken)
         white, log_det = noise.whitening(place, turning)
         error = (white @ left)[place >= 0]
         tails = {freedom: _tail(error, freedom) for freedom in FREEDOMS}
@@ -314,7 +316,8 @@ def solve(
         if best is not None and found.log_evidence < best.log_evidence + SMALL_GAIN:
             break
         best = found
-        renewed = [_renewed(data, found, j) for j in range(data.n)]
+        root = root_of_covariance(found.matrix)
+        renewed = [_renewed(data, found, j, root) for j in range(data.n)]
         if all(one is old for (one, _), old in zip(renewed, joints, strict=True)):
             break
         grams = [
@@ -328,10 +331,10 @@ def solve(
     return best
 
 
-def _renewed(data: Data, found: Posterior, j: int) -> tuple[Joint, float]:
+def _renewed(data: Data, found: Posterior, j: int, root: np.ndarray) -> tuple[Joint, float]:
     """A joint with its noise estimated from the residual that is left, and σ; as it is where that changes the evidence little."""
     left, old, sigma = _left(data, found, j), found.joints[j], found.hyper.sigma[j]
-    new, size = Joint.estimated(data, j, left)
+    new, size = Joint.estimated(data, j, left, _taken(data, found, j, root))
     logs = [
         one.log_det - one.count * np.log(s) - 0.5 * np.sum((one.white @ left) ** 2) / s**2
         for one, s in ((old, sigma), (new, size))
@@ -402,6 +405,28 @@ def _left(data: Data, found: Posterior, j: int) -> np.ndarray:
     """Residual of a joint without parameters' step and discrepancy, (M,)."""
     r = found.residual[j] - found.columns[j] @ found.step
     return (r - found.joints[j].explained(data.features[j], r, found.ratio(j))) * (data.place[j] >= 0)
+
+
+def _taken(data: Data, found: Posterior, j: int, root: np.ndarray) -> np.ndarray:
+    """Columns whose products are the covariance of what parameters and discrepancy explain of a joint, given the data, (M, r).
+
+    Args:
+        root: Of the covariance of the parameters, (p, p).
+    """
+    one, rho = found.joints[j], found.ratio(j)
+    live = np.any(found.columns[j], axis=0)
+    by_parameters = found.columns[j][:, live] @ root[live]
+    features, weights = data.features[j] @ one.turn, 1 / (one.values + rho)
+    by_parameters -= features @ (weights[:, None] * one.along(one.white @ by_parameters))
+    both = np.column_stack([by_parameters, features * (found.hyper.sigma[j] * np.sqrt(weights))])
+    return both * (data.place[j] >= 0)[:, None]
+
+
+def root_of_covariance(matrix: np.ndarray) -> np.ndarray:
+    """A matrix (p, p) whose product with its transpose is the inverse of a posterior precision."""
+    scale = lengths(matrix)
+    factor = np.linalg.cholesky(matrix / np.outer(scale, scale) + ROUNDED * np.eye(len(scale)))
+    return np.linalg.inv(factor).T / scale[:, None]
 
 
 def _first(data: Data, residual: np.ndarray) -> Hyperparameters:

@@ -10,11 +10,10 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
-from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Posterior, Prior, Start, solve
+from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Posterior, Prior, Start, root_of_covariance, solve
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.effects import Effect
-from rrr_oc.numerics.rank import lengths
 
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
@@ -23,7 +22,6 @@ NONLINEAR = 0.01  # of the squared change over a step, by which residuals may mi
 DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 CLOSER = 2  # fits of least squares, whose weights depend on what the one before leaves
-ROUNDING = 1e-13  # added to the diagonal of a precision with a diagonal of 1
 OTHER_SIGN = 3.0  # nats from which another way in which friction changes sign is fitted
 
 
@@ -228,9 +226,8 @@ def at_low_frequency(data: Data, fitted: Fitted) -> Hyperparameters:
 
     What the parameters have taken up of the noise is added to what is left, as the posterior has it.
     """
-    white, post, scale = Noise((np.zeros(0),), np.ones(1), 1.0), fitted.posterior, lengths(fitted.posterior.matrix)
-    factor = np.linalg.cholesky(post.matrix / np.outer(scale, scale) + ROUNDING * np.eye(len(scale)))
-    root = np.linalg.inv(factor).T / scale[:, None]
+    white, post = Noise((np.zeros(0),), np.ones(1), 1.0), fitted.posterior
+    root = root_of_covariance(post.matrix)
     sigma = [
         low_frequency(left, place, turning, (columns @ root) * (place >= 0)[:, None])
         for left, place, turning, columns in zip(fitted.residual, data.place, data.turning, post.columns, strict=True)
