@@ -16,7 +16,7 @@ from rrr_oc.effects.priors import Priors
 
 BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
 MIXTURES = 2  # directions in which ways of changing sign are mixed
-EXACT_LINKS, EXACT_LAWS = 0.01, 0.01  # sizes of the errors of links, and of a discrepancy, that an exact arm has
+EXACT_LAWS = 0.01  # size of a discrepancy that exact laws have
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,11 @@ def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -
     return result
 
 
-def exact(hyper: Hyperparameters, free: bool) -> Hyperparameters | None:
-    """Hyperparameters of an exact arm, where errors of the links are of unknown size (`free`); None where they are as small."""
-    if hyper.links < EXACT_LINKS and np.all(hyper.discrepancy < EXACT_LAWS):
+def exact(hyper: Hyperparameters) -> Hyperparameters | None:
+    """Hyperparameters of exact laws, and of links as declared; None where they are so."""
+    if np.all(hyper.links == 1) and np.all(hyper.discrepancy < EXACT_LAWS):
         return None
-    links = min(EXACT_LINKS, hyper.links) if free else hyper.links
-    return replace(hyper, links=links, discrepancy=np.minimum(hyper.discrepancy, EXACT_LAWS))
+    return replace(hyper, links=np.ones_like(hyper.links), discrepancy=np.minimum(hyper.discrepancy, EXACT_LAWS))
 
 
 @dataclass(frozen=True)

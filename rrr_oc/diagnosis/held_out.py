@@ -36,6 +36,9 @@ RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the
 LEAST_RECORDINGS = 3  # for a bootstrap interval
 
 
+Start = tuple[CalibratedModel, np.ndarray]  # where a fit begins: a model, and the errors of its links
+
+
 @dataclass(frozen=True)
 class Check:
     """How well held-out recordings are predicted with the first 0, 1, … of some effects, fitted to the rest.
@@ -69,19 +72,20 @@ def repeated(search: Search, begin: Fitted, stages: Stages) -> list[Fold]:
     missing = [k for k in range(len(held)) if k not in saved]
     stages.progress.count("search without parts", len(saved), len(held), kind="parts")
     levels = search.levels if missing and len(search.path) > 1 else None
-    calls = [(k, search.fitter, begin, () if levels is None else _found(levels, held[k]), held[k]) for k in missing]
+    calls = [(k, search.fitter, begin, None if levels is None else _found(levels, held[k]), held[k]) for k in missing]
     for k, fold in parallel.unordered(_fold, calls) if levels else (_fold(*one) for one in calls):
         saved[k] = stages.keep(names[k], FoldData.of(fold))
         stages.progress.count("search without parts", len(saved), len(held), kind="parts")
     return [saved[k].fold(stages.start) for k in range(len(held))]
 
 
-def _found(levels: Levels, held: Sequence[int]) -> tuple[Term, ...]:
-    """The effects that a search on all but some recordings finds."""
+def _found(levels: Levels, held: Sequence[int]) -> Start:
+    """The structure that a search on all but some recordings finds, at the fit about which it is predicted."""
     rest = tuple(k for k in levels.at(0).blocks if k not in held)
     near, best = levels.best(rest)
     fitted = near.linear.fitted
-    return terms_of(fitted, best.structure, near.linear.fitter.data.labels)[fitted.base :]
+    terms = terms_of(fitted, best.structure, near.linear.fitter.data.labels)
+    return replace(fitted.model, terms=terms), fitted.links
 
 
 def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, Data, Fitted]:
@@ -95,17 +99,14 @@ def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) ->
     return parallel.ordered(function, arguments) if long else [function(*a) for a in arguments]
 
 
-def _fold(number: int, fitter: Fitter, begin: Fitted, extra: tuple[Term, ...], held: Sequence[int]) -> tuple[int, Fold]:
-    """A fold and its number."""
+def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, Fold]:
+    """A fold and its number; `start` is where the fit of what was found begins."""
     train, test, plain = _parts(fitter, begin, held)
-    model = _with_effects(train, plain, extra) if extra else plain.model
+    more = start is not None and len(start[0].terms) > plain.base
+    found = train.fit(*start, plain.posterior) if start is not None and more else plain
     before = nrmse(test, plain.model)
-    return number, Fold(tuple(held), plain.model, model, before, nrmse(test, model) if extra else before)
-
-
-def _with_effects(train: Fitter, plain: Fitted, extra: Sequence[Term]) -> CalibratedModel:
-    """The plain model with some effects, fitted."""
-    return train.fit(replace(plain.model, terms=(*plain.model.terms, *extra)), plain.links, plain.posterior).model
+    after = nrmse(test, found.model) if more else before
+    return number, Fold(tuple(held), plain.model, found.model, found.links, before, after)
 
 
 def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding]) -> list[Fold]:
@@ -123,8 +124,9 @@ def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Findi
     if not kept:
         return replace(fold, model=fold.plain, after=fold.before)
     train, test, plain = _parts(fitter, begin, fold.held)
-    model = _with_effects(train, plain, kept)
-    return replace(fold, model=model, after=nrmse(test, model))
+    start = replace(fold.model, terms=(*fold.model.terms[: plain.base], *kept))
+    found = train.fit(start, fold.links, plain.posterior)
+    return replace(fold, model=found.model, links=found.links, after=nrmse(test, found.model))
 
 
 def checked(near: Neighbours, findings: Sequence[Finding]) -> list[Check]:

@@ -50,6 +50,7 @@ struct Joint
 struct Prior
 {
   In<Vector> mean, precision, proper, links, lower, upper, flat;
+  Index link(Index i) const { return static_cast<Index>(links[i]) - 1; }  // whose error a parameter is; −1 of others
 };
 
 struct Normal
@@ -85,11 +86,12 @@ struct Factor
   double log_det() const { return 2 * (root.matrixLLT().diagonal().array().log().sum() + scale.array().log().sum()); }
 };
 
-Normal normal(const std::vector<Joint> & joints, const double * sigma, const double * discrepancy, double links, const Prior & prior)
+Normal normal(const std::vector<Joint> & joints, const double * sigma, const double * discrepancy, const double * links, const Prior & prior)
 {
   const Index p = prior.mean.size();
   Normal n{Matrix::Zero(p, p), {}, Vector::Zero(p), prior.precision, 0.0};
-  for (Index i = 0; i < p; ++i) if (prior.links[i] != 0) n.precision[i] /= links * links;
+  for (Index i = 0; i < p; ++i)
+    if (const Index link = prior.link(i); link >= 0) n.precision[i] /= links[link] * links[link];
   for (std::size_t j = 0; j < joints.size(); ++j)
   {
     const Joint & one = joints[j];
@@ -164,8 +166,8 @@ struct Sizes
   double *sigma, *discrepancy, *links;
 };
 
-// One step of the hyperparameters towards those of the largest evidence (MacKay's fixed point); the largest change of log σ times rows, or nats
-// per tenth of log size of the links.
+// One step of the hyperparameters towards those of the largest evidence (MacKay's fixed point); the largest change of log σ times rows, infinite
+// where errors of a link change by a tenth.
 double update(const std::vector<Joint> & joints, const Normal & n, const Vector & step, const Sizes & sizes, const Prior & prior, double least)
 {
   const Eigen::MatrixXd inverse = Factor(Eigen::MatrixXd(n.likelihood) + Eigen::MatrixXd(n.precision.asDiagonal())).inverse();
@@ -196,20 +198,18 @@ double update(const std::vector<Joint> & joints, const Normal & n, const Vector 
     sizes.discrepancy[j] = best_size(c.squaredNorm(), used, least);
     change = std::max(change, std::abs(std::log(sizes.sigma[j] / old)) * one.count);
   }
-  double squares = 0.0, known = 0.0;
-  bool any = false;
+  Vector squares = Vector::Zero(joints.size()), known = squares;
   for (Index i = 0; i < step.size(); ++i)
-    if (prior.links[i] != 0)
+    if (const Index link = prior.link(i); link >= 0)
     {
-      any = true;
-      squares += prior.precision[i] * (step[i] - prior.mean[i]) * (step[i] - prior.mean[i]);
-      known += 1 - n.precision[i] * inverse(i, i);
+      squares[link] += prior.precision[i] * (step[i] - prior.mean[i]) * (step[i] - prior.mean[i]);
+      known[link] += 1 - n.precision[i] * inverse(i, i);
     }
-  if (any)
+  for (Index k = 0; k < squares.size(); ++k)
   {
-    const double old = *sizes.links;
-    *sizes.links = best_size(squares, std::max(known, 0.0), least);
-    if (std::abs(std::log(*sizes.links / old)) >= 0.1) change = std::numeric_limits<double>::infinity();
+    const double old = sizes.links[k];
+    sizes.links[k] = std::max(std::sqrt(squares[k] / (std::max(known[k], 0.0) + 1)), 1.0);
+    if (std::abs(std::log(sizes.links[k] / old)) >= 0.1) change = std::numeric_limits<double>::infinity();
   }
   return change;
 }
@@ -221,19 +221,16 @@ double log_evidence(const std::vector<Joint> & joints, const Normal & n, const V
   Eigen::MatrixXd volume = n.likelihood;
   volume.diagonal() += n.precision + prior.flat;
   double log = -0.5 * cost - 0.5 * Factor(volume).log_det();
-  bool any = false;
   for (Index i = 0; i < step.size(); ++i)
-  {
     if (prior.proper[i] != 0) log += 0.5 * std::log(n.precision[i] + prior.flat[i]);
-    any = any || prior.links[i] != 0;
-  }
   for (std::size_t j = 0; j < joints.size(); ++j)
   {
     const double s2 = sizes.discrepancy[j] * sizes.discrepancy[j], share = s2 / (sizes.sigma[j] * sizes.sigma[j]);
     log += joints[j].log_det - joints[j].count * std::log(sizes.sigma[j]) - 0.5 * s2;
     for (Index f = 0; f < joints[j].features; ++f) log -= 0.5 * std::log1p(joints[j].values[f] * share);
+    log -= std::log(sizes.links[j]);  // the chance that errors of a link are x times the declared ones or more is 1 / x
   }
-  return any ? log - 0.5 * *sizes.links * *sizes.links : log;
+  return log;
 }
 
 bool read(PyObject * list, Held & held, std::vector<Joint> & joints)
@@ -275,7 +272,7 @@ PyObject * py_estimate(PyObject *, PyObject * args)
   const auto vector = [&of_prior, p](int k) { return In<Vector>(of_prior[k], p); };
   const Prior prior{vector(0), vector(1), vector(2), vector(3), vector(4), vector(5), vector(6)};
   const Py_ssize_t n = static_cast<Py_ssize_t>(joints.size());
-  double * const size = static_cast<double *>(held.get(sizes, true, 2 * n + 1));
+  double * const size = static_cast<double *>(held.get(sizes, true, 3 * n));
   double * out[4];
   PyObject * const to[4] = {step, matrix, likelihood, right};
   const Py_ssize_t lengths[4] = {p, p * p, p * p, p};
@@ -287,7 +284,7 @@ PyObject * py_estimate(PyObject *, PyObject * args)
   const Sizes at{size, size + n, size + 2 * n};
   for (int k = 0;; ++k)
   {
-    const Normal now = normal(joints, at.sigma, at.discrepancy, *at.links, prior);
+    const Normal now = normal(joints, at.sigma, at.discrepancy, at.links, prior);
     Matrix whole = now.likelihood;
     whole.diagonal() += now.precision;
     const Vector best = within(whole, now.right + now.precision.cwiseProduct(prior.mean), prior);

@@ -34,7 +34,7 @@ class Data:
         prepared: The recordings.
         start: The model that the discrepancy refers to, about calibrated; its terms are the plain ones.
         links: What is not known of the links' inertial parameters.
-        free: Whether these errors are of unknown size, as of a URDF that is not exact; else of size 1.
+        free: Whether these errors may exceed the declared ones, as of a URDF; else they have the prior of links of which nothing is known.
         whole: All recordings, if these are a part of them.
     """
 

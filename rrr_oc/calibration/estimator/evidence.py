@@ -2,7 +2,8 @@
 
 At a model, the residual of joint j is y_j = A_j d + F_j c_j + e_j for a change d of the parameters: F_j c_j is a discrepancy, c_j ~
 N(0, s_j²), and e_j the noise, which the matrix W_j of an autoregressive process makes white, W_j e_j ~ N(0, σ_j²). Priors of d are
-normal. So all integrals are in closed form; the hyperparameters σ_j, s_j and the size of the links' errors maximise the evidence (MacKay 1992).
+normal. So all integrals are in closed form; the hyperparameters σ_j, s_j and by how much errors of each link exceed the declared ones maximise
+the evidence (MacKay 1992).
 """
 
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from rrr_oc.numerics.rank import lengths
 
 ROUNDING = 1e-12  # share of the largest squared length of a combination of features below which one is 0
 ROUNDED = 1e-13  # added to the diagonal of a precision with a diagonal of 1
+LARGEST = 1e100  # [Nm] of a residual, beyond which squares are not computed
 LEAST = 1e-5  # of a size over its unit, against a singular precision
 FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
@@ -36,7 +38,7 @@ class Prior:
     Attributes:
         mean, precision: (p,) each.
         proper: Whose width counts in the evidence; the others are in every model, (p,).
-        links: Which are errors of the links, whose common size is estimated, (p,).
+        links: Number, from 1, of the link of a URDF whose error it is; 0 of others, (p,).
         lower, upper: Bounds of the changes, (p,).
         flat: Precision that only bounds the volume of a parameter and does not draw it, (p,).
     """
@@ -64,18 +66,24 @@ def extended(
     base: Prior, mean: np.ndarray, precision: np.ndarray, flat: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> Prior:
     """A prior with further proper parameters, (m,) each."""
-    one = Prior(mean, precision, np.ones(len(mean), bool), np.zeros(len(mean), bool), lower, upper, flat)
+    one = Prior(mean, precision, np.ones(len(mean), bool), np.zeros(len(mean), int), lower, upper, flat)
     return Prior(*(np.append(getattr(base, f.name), getattr(one, f.name)) for f in fields(base)))
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What is estimated beside the parameters: noise by joint, σ (n,), discrepancy (n,) over the declared one, size of the links' errors."""
+    """What is estimated beside the parameters.
+
+    Attributes:
+        noise, sigma: Of each joint, (n,).
+        discrepancy: Of each joint, over the declared one, (n,).
+        links: Errors of each link over the declared ones, at least 1, (n,).
+    """
 
     noise: tuple[Noise, ...]
     sigma: np.ndarray
     discrepancy: np.ndarray
-    links: float
+    links: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -210,7 +218,7 @@ class Solution:
         right: Weighted residual by parameters at the start, (p,).
         misfit: Weighted square of the residual at the start.
         hyper: Estimated hyperparameters.
-        base: The prior, the links' errors of size 1.
+        base: The prior, the links' errors as large as declared.
     """
 
     log_evidence: float
@@ -267,7 +275,9 @@ class Posterior(Solution):
         return float(self.hyper.sigma[j] / self.hyper.discrepancy[j]) ** 2
 
     def cost(self, residual: np.ndarray) -> float:
-        """Weighted square of another residual (n, M), under this noise."""
+        """Weighted square of another residual (n, M), under this noise; infinite where squares would be."""
+        if not np.max(np.abs(residual), initial=0.0) < LARGEST:
+            return np.inf
         total = 0.0
         for j, one in enumerate(self.joints):
             y = one.white @ residual[j]
@@ -363,9 +373,9 @@ class Gram:
         return cls(x.T @ x, x.T @ y, float(y @ y), one.along(x), one.along(y), live)
 
 
-def at_size(prior: Prior, links: float) -> Prior:
-    """The prior with errors of the links of this size."""
-    return replace(prior, precision=np.where(prior.links, prior.precision / links**2, prior.precision))
+def at_size(prior: Prior, links: np.ndarray) -> Prior:
+    """The prior with errors of the links (n,) times as large as declared."""
+    return replace(prior, precision=prior.precision / np.append(1.0, links)[prior.links] ** 2)
 
 
 def estimated(
@@ -377,7 +387,7 @@ def estimated(
     """
     p, n = len(prior.mean), len(grams)
     arrays = [np.ascontiguousarray(getattr(prior, f.name), float) for f in fields(prior)]
-    size = np.concatenate([hyper.sigma, hyper.discrepancy, [hyper.links]])
+    size = np.concatenate([hyper.sigma, hyper.discrepancy, hyper.links])
     step, matrix, likelihood, right = np.empty(p), np.empty((p, p)), np.empty((p, p)), np.empty(p)
     every = tuple(
         (
@@ -393,7 +403,7 @@ def estimated(
     )
     updates = 0 if fixed else UPDATES
     log, misfit = extension.estimate(p, every, *arrays, size, updates, CONVERGED, LEAST, step, matrix, likelihood, right)
-    found = Hyperparameters(hyper.noise, size[:n], size[n : 2 * n], float(size[-1]))
+    found = Hyperparameters(hyper.noise, size[:n], size[n : 2 * n], size[2 * n :])
     return Solution(log, step, matrix, likelihood, right, misfit, found, prior)
 
 
@@ -434,4 +444,4 @@ def _first(data: Data, residual: np.ndarray) -> Hyperparameters:
     none = Noise((np.zeros(0),), np.ones(1), 1.0)
     count = np.maximum(data.counted.sum(axis=1), 1)
     sigma = np.sqrt(np.sum(residual**2, axis=1) / count)
-    return Hyperparameters((none,) * data.n, np.maximum(sigma, 1e-9), np.ones(data.n), 1.0)
+    return Hyperparameters((none,) * data.n, np.maximum(sigma, 1e-9), np.ones(data.n), np.ones(data.n))

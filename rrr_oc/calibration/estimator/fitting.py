@@ -14,6 +14,7 @@ from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Poster
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
 from rrr_oc.calibration.regression import Rows, rows
 from rrr_oc.effects import Effect
+from rrr_oc.robot.link_errors import OF_URDF
 
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
@@ -208,7 +209,7 @@ class PlainFitter:
             mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
             precision=np.concatenate([self.plain_std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),
-            links=self.data.free & (number >= size) & (number < size + k),
+            links=np.where((number >= size) & (number < size + k), 1 + (number - size) // OF_URDF, 0) * self.data.free,
             lower=np.concatenate([np.minimum(low - values, 0), -free, np.log(WIDTHS[0] / widths)]),
             upper=np.concatenate([np.maximum(high - values, 0), free, np.log(WIDTHS[-1] / widths)]),
             flat=np.concatenate([np.zeros(plain), flat, np.zeros(end - size)]),

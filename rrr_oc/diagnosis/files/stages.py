@@ -142,7 +142,7 @@ class StateData(Struct):
     Attributes:
         model, links: The model, and the errors of its links in standard deviations of their prior.
         score: Logarithm of its posterior probability, up to a constant.
-        noise, sigma, discrepancy, size_of_links: What is estimated beside the parameters, see `evidence.Hyperparameters`.
+        noise, sigma, discrepancy, links_over_declared: What is estimated beside the parameters, see `evidence.Hyperparameters`.
     """
 
     model: ModelData
@@ -151,20 +151,20 @@ class StateData(Struct):
     noise: list[NoiseData]
     sigma: list[float]
     discrepancy: list[float]
-    size_of_links: float
+    links_over_declared: list[float]
 
     @classmethod
     def of(cls, at: State) -> "StateData":
         post, model = at.fitted.posterior, ModelData.of(at.fitted.model)
         noise, hyper = [NoiseData.of(post.data, j, one) for j, one in enumerate(post.joints)], post.hyper
-        measured = hyper.sigma.tolist(), hyper.discrepancy.tolist(), hyper.links
+        measured = hyper.sigma.tolist(), hyper.discrepancy.tolist(), hyper.links.tolist()
         return cls(model, at.fitted.links.tolist(), float(at.score), noise, *measured)
 
     def state(self, fitter: Fitter, start: CalibratedModel) -> State:
         """The structure under the hyperparameters that were estimated."""
         joints = tuple(one.joint(fitter.data, j) for j, one in enumerate(self.noise))
         noise = tuple(one.noise for one in joints)
-        begin = Start(Hyperparameters(noise, np.array(self.sigma), np.array(self.discrepancy), self.size_of_links), joints)
+        begin = Start(Hyperparameters(noise, np.array(self.sigma), np.array(self.discrepancy), np.array(self.links_over_declared)), joints)
         return State(fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True), self.score)
 
 
@@ -215,12 +215,14 @@ class Fold:
     Attributes:
         held: Indices of the held-out recordings (of the blocks of a single recording).
         plain, model: Without and with the effects that a search on the rest finds, fitted to the rest.
+        links: Errors of the links of `model` in standard deviations of their prior, (k,).
         before, after: Their NRMSE on the held-out recordings, each (number held out, n).
     """
 
     held: tuple[int, ...]
     plain: CalibratedModel
     model: CalibratedModel
+    links: np.ndarray
     before: np.ndarray
     after: np.ndarray
 
@@ -236,17 +238,18 @@ class FoldData(Struct):
     held: tuple[int, ...]
     plain: ModelData
     model: ModelData
+    links: list[float]
     before: list[Numbers]
     after: list[Numbers]
 
     @classmethod
     def of(cls, fold: Fold) -> "FoldData":
         models = ModelData.of(fold.plain), ModelData.of(fold.model)
-        return cls(fold.held, *models, fold.before.tolist(), fold.after.tolist())
+        return cls(fold.held, *models, fold.links.tolist(), fold.before.tolist(), fold.after.tolist())
 
     def fold(self, start: CalibratedModel) -> Fold:
         models = self.plain.model(start), self.model.model(start)
-        return Fold(self.held, *models, np.array(self.before, float), np.array(self.after, float))
+        return Fold(self.held, *models, np.array(self.links), np.array(self.before, float), np.array(self.after, float))
 
 
 class FindingData(Struct):

@@ -98,7 +98,7 @@ class Neighbours:
     def added(self, here: Predicted) -> list[Predicted]:
         """With a further effect of the catalogue, the most probable first.
 
-        Candidates are chosen at the present hyperparameters and at those of an exact arm, where discrepancy and links absorb nothing:
+        Candidates are chosen at the present hyperparameters and at those of exact laws and links as declared, which absorb little:
         if errors of the links are larger than declared, in the linear problem about the fit of such an arm, since predictions are far
         from linear in them.
         """
@@ -106,7 +106,7 @@ class Neighbours:
             return []
         own, hyper = here.structure, here.solution.hyper
         every = self._own(own, here) + self._judged(own, self._screen(own, here, None).candidates(), here, None)
-        at, near = exact(hyper, self.linear.fitter.data.free), self.exact() if hyper.links > 1 else None
+        at, near = exact(hyper), self.exact() if np.any(hyper.links > 1) else None
         if at is not None:
             near = self if near is None else replace(near, blocks=self.blocks, more=self.more)
             own = near.adopted(own)

@@ -128,7 +128,7 @@ class Search:
         @cache
         def exact_arm() -> Neighbours | None:
             post = fitted.posterior
-            hyper = exact(post.hyper, self.fitter.data.free)
+            hyper = exact(post.hyper)
             if hyper is None:
                 return None
             return self.neighbours(self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), fixed=True))
