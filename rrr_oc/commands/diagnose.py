@@ -30,7 +30,18 @@ from rrr_oc.errors import noted
 from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
-from rrr_oc.report.diagnosis_words import idle, not_claimed, not_made, on_prior, plain, rows, unexplained, verdict
+from rrr_oc.report.diagnosis_words import (
+    idle,
+    not_claimed,
+    not_made,
+    off_links,
+    on_prior,
+    plain,
+    rows,
+    undecided,
+    unexplained,
+    verdict,
+)
 from rrr_oc.report.pages.diagnosis_claims import small
 from rrr_oc.storage import check_folder, code, hash_of
 from rrr_oc.storage import plain as plain_data
@@ -109,7 +120,8 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         for row in body:
             table.add_row(*row)
         output.show(table)
-    for line in [*on_prior(found), *idle(found), *not_claimed(found), *not_made(found)]:
+    lines = [*undecided(found), *off_links(found), *on_prior(found), *idle(found), *not_claimed(found), *not_made(found)]
+    for line in lines:
         output.show(line)
     errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
     for joint, b in found["bootstrap"].items():

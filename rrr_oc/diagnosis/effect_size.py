@@ -13,11 +13,12 @@ import numpy as np
 from scipy.stats import t as student
 
 from rrr_oc.calibration.estimator.data import EVERY
+from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.samples import STRIDE
 from rrr_oc.diagnosis.findings import Fall, Finding
 from rrr_oc.diagnosis.held_out import acts_on
 from rrr_oc.diagnosis.knobs import MATTERS
-from rrr_oc.diagnosis.structures.linear import Addition, Level, Structure
+from rrr_oc.diagnosis.structures.linear import Addition, Level, Links, Structure
 from rrr_oc.diagnosis.structures.neighbours import Neighbours
 
 BLOCK, LEAST_BLOCKS, LEAST_ROWS = (
@@ -73,26 +74,31 @@ def block_edges(edges: np.ndarray) -> np.ndarray:
 
 def falls(near: Neighbours, effects: Structure) -> list[Fall]:
     """The size of each effect beside the others, where it acts: on the joint where it is surest."""
-    data, level = near.linear.fitter.data, near.level
-    structures = [effects, *(tuple(a for a in effects if a is not b) for b in effects)]
-    residuals = np.empty((len(structures), *near.linear.residual.shape))
-    blocks, hyper = level.whole, near.linear.fitted.posterior.hyper
-    for part in range(PARTS):
-        held = blocks[part::PARTS]
-        if not held:
-            continue
-        rest = replace(near, blocks=tuple(b for b in blocks if b not in held))
-        rows = np.concatenate([np.arange(level.edges[b], level.edges[b + 1]) for b in held])
-        for k, structure in enumerate(structures):
-            residuals[k][:, rows] = near.linear.left(structure, rest.at(structure, hyper, True).solution.step, rows)
-    squares = np.array([(part**2).sum(axis=2) for part in np.split(residuals, level.edges[1:-1], axis=2)])  # (B, S, n)
-    of_block = data.label[level.edges[:-1]]
-    result = []
+    data, hyper = near.linear.fitter.data, near.linear.fitted.posterior.hyper
+    after, of_block, result = squares(near, effects, hyper), data.label[near.level.edges[:-1]], []
     for k, a in enumerate(effects):
+        before = squares(near, (*effects[:k], *effects[k + 1 :]), hyper)
         there = np.isin(np.array(data.labels)[of_block], a.scope or data.labels)
-        one = [fall_of(j, squares[there, 0, j], squares[there, 1 + k, j]) for j in acts_on(a.effect, data.n)]
+        one = [fall_of(j, after[there, j], before[there, j]) for j in acts_on(a.effect, data.n)]
         result.append(max(one, key=lambda f: f.low))
     return result
+
+
+def squares(near: Neighbours, structure: Structure, hyper: Hyperparameters, links: Links = "as fitted") -> np.ndarray:
+    """Squared errors of a structure on blocks that it was not fitted to, (B, n); hyperparameters are given.
+
+    Args:
+        near: With the level's products by block.
+        links: How far they may be off.
+    """
+    level = near.level
+    residual, blocks = np.zeros_like(near.linear.residual), level.whole
+    for part in range(min(PARTS, len(blocks))):
+        held = blocks[part::PARTS]
+        rest = tuple(b for b in blocks if b not in held)
+        rows = np.concatenate([np.arange(level.edges[b], level.edges[b + 1]) for b in held])
+        residual[:, rows] = near.linear.left(structure, near.level.solved(structure, rest, hyper, True, links).step, rows)
+    return np.array([(part**2).sum(axis=1) for part in np.split(residual, level.edges[1:-1], axis=1)])
 
 
 def fall_of(joint: int, after: np.ndarray, before: np.ndarray) -> Fall:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import expit
 from scipy.stats import chi2
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
@@ -17,6 +18,7 @@ from rrr_oc.effects.base import Prior
 
 LESS_PROBABLE = 10.0  # times that an effect may be less probable beforehand before its claim is said to rest on that
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it is shown
+LINK_ERRORS: Key = ("link_errors", ())  # as the links stand among what an effect cannot be told from
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,25 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Undecided:
+    """Effects of which one, or else errors of the links, explains a mismatch; they say different things of the arm.
+
+    Attributes:
+        terms: The effects, the most probable first.
+        probability: That one of all these is there.
+    """
+
+    terms: tuple[Term, ...]
+    probability: float
+
+    @property
+    def contested(self) -> Finding:
+        """The first effect with the others as its rivals."""
+        keys = [(t.effect.name, t.effect.joints) for t in self.terms[1:]]
+        return Finding(self.terms[0], self.probability, self.probability, 0.0, 1.0, (*keys, LINK_ERRORS))
+
+
+@dataclass(frozen=True)
 class Possible:
     """An effect that may be present but is not claimed."""
 
@@ -116,6 +137,23 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     rest = [Possible(f.key, f.term.groups, f.probability) for f in findings if f not in claimed]
     rest += [Possible(key[:2], (), p) for key, p in share.items() if p > 1 - CLAIM and key not in named]
     return sorted(claimed, key=lambda f: -f.worth), sorted(rest, key=lambda p: (-p.probability, p.key))
+
+
+def further(search: Search, fitted: Fitted, first: int) -> list[Finding]:
+    """The effects of a fit from this number on, each as sure as its removal says."""
+    worths = search.worths(State(fitted, 0.0))
+    result = []
+    for i, term in enumerate(fitted.extra):
+        if i >= first and contribution(search.fitter.data, fitted, i) >= NEGLIGIBLE:
+            p = float(expit(worths[i]))
+            result.append(Finding(term, p, p, worths[i], wald(fitted, i), prior=_before(search, term.effect)))
+    return [f for f in result if f.probability >= CLAIM]
+
+
+def moved(findings: Sequence[Finding], at: Fitted, to: Fitted) -> list[Finding]:
+    """Findings of a fit with the terms of another, which has these effects first and in this order."""
+    numbers = {id(t): i for i, t in enumerate(at.extra)}
+    return [replace(f, term=to.extra[numbers[id(f.term)]]) for f in findings]
 
 
 def _before(search: Search, effect: Effect) -> Prior:

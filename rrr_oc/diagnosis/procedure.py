@@ -14,7 +14,9 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
+from rrr_oc.calibration.link_findings import LinkFinding, link_findings
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
+from rrr_oc.diagnosis.classes import separated, with_links
 from rrr_oc.diagnosis.effect_size import sized
 from rrr_oc.diagnosis.files.stages import (
     SHARES,
@@ -25,9 +27,10 @@ from rrr_oc.diagnosis.files.stages import (
     SearchData,
     Stages,
     SuggestionData,
+    UndecidedData,
     numbers,
 )
-from rrr_oc.diagnosis.findings import Finding, Possible, found
+from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, idle, mismatch
@@ -54,6 +57,8 @@ class Diagnosis:
         recordings: The set.
         plain, model: Without and with the effects that are claimed, fitted to all recordings.
         findings: The effects and black-box terms that are claimed, most important first.
+        undecided: Effects that cannot be told from errors of the links.
+        links: Links that are far from the URDF's in `model`.
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         possible: What may be present but is not claimed.
         refuted: What all recordings together make probable, but not most of them, or what raises the error.
@@ -74,6 +79,8 @@ class Diagnosis:
     plain: CalibratedModel
     model: CalibratedModel
     findings: tuple[Finding, ...]
+    undecided: tuple[Undecided, ...]
+    links: tuple[LinkFinding, ...]
     small: tuple[Finding, ...]
     possible: tuple[Possible, ...]
     refuted: tuple[Finding, ...]
@@ -93,11 +100,13 @@ class Diagnosis:
     def verdict(self) -> str:
         """One of "missing_physics", "nothing_missing" and "cannot_tell"."""
         if not self.findings:
+            if self.undecided:
+                return "cannot_tell"
             held = any(abs(mean) > FAR * max(float(self.model.noise[j]), spread) for j, mean, spread in self.idle)
             return "cannot_tell" if held or max(self.above_noise, default=0.0) > FAR else "nothing_missing"
-        undecided = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
+        contested = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
         named = any(not f.term.effect.black_box for f in self.findings)
-        return "cannot_tell" if named and undecided else "missing_physics"
+        return "cannot_tell" if named and contested else "missing_physics"
 
 
 @dataclass(frozen=True)
@@ -161,21 +170,30 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         at = search.run(at.fitted)
         findings, possible = found(search, at)
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
-    near = search.neighbours(at.fitted)
+    complete = search.completed(at)
+    findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
+    near = search.neighbours(complete)
     findings, rest = sized(near, findings)
     worse = [f for f in rest if f.fall and f.fall.high <= 0]
     small = [f for f in rest if f not in worse]
+    findings, undecided = separated(search, complete, findings, small)
     checks = checked(near, [*findings, *small])
     folds = with_claims(fitter, begin, searched, findings)
     kept = tuple(f.term for f in findings)
-    final = at.fitted if kept else begin
-    if kept and kept != at.fitted.extra:  # some are missing, or in another order
-        model = replace(at.fitted.model, terms=(*at.fitted.model.terms[: at.fitted.base], *kept))
-        final = fitter.fit(model, at.fitted.links, at.fitted.posterior)
-    small = with_intervals(at.fitted, small)
+    final = complete if kept else begin
+    if kept and kept != complete.extra:  # some are missing, or in another order
+        model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
+        final = fitter.fit(model, complete.links, complete.posterior)
+    undecided = with_links(undecided, search, final)
+    small = with_intervals(complete, small)
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
     return _assembled(
-        recordings, whole, fitter, (begin, final), (findings, small, possible, [*unstable, *worse]), (way, checks, folds)
+        recordings,
+        whole,
+        fitter,
+        (begin, final),
+        (findings, undecided, small, possible, [*unstable, *worse]),
+        (way, checks, folds),
     )
 
 
@@ -250,7 +268,7 @@ def stable(
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
-    (begin, final), (findings, small, possible, refuted), (way, checks, folds) = fits, told, check
+    (begin, final), (findings, undecided, small, possible, refuted), (way, checks, folds) = fits, told, check
     plain = finished(recordings, whole, described(fitter.closest(begin)), {"way": "inverse dynamics"}, perf_counter())
     model = (
         finished(recordings, whole, described(fitter.closest(final)), {"way": "inverse dynamics"}, perf_counter())
@@ -266,11 +284,14 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
     calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
     shares, failed = Shares.of(checks, [*findings, *small], fitter.data.n), dict[str, str]()
     with noted(failed, "suggested recordings"):
-        suggestions = suggest(recordings, plain, findings, bool(np.any(left > FAR)), fitter.view)
+        contested = [*findings, *(u.contested for u in undecided)]
+        suggestions = suggest(recordings, plain, contested, bool(np.any(left > FAR)), fitter.view)
     return ResultData(
         ModelData.of(plain),
         ModelData.of(model),
         [FindingData.of(f, model.robot) for f in findings],
+        [UndecidedData.of(u, model.robot) for u in undecided],
+        link_findings(final),
         [FindingData.of(f, model.robot) for f in small],
         possible,
         [FindingData.of(f, model.robot) for f in refuted],
@@ -299,6 +320,8 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
         plain,
         model,
         findings,
+        tuple(u.undecided(model.robot) for u in data.undecided),
+        tuple(data.links),
         small,
         tuple(data.possible),
         refuted,

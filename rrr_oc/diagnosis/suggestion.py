@@ -10,7 +10,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared
-from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding
 from rrr_oc.diagnosis.signatures import table, trials
 from rrr_oc.effects import Trial, View
 from rrr_oc.errors import UserError
@@ -70,10 +70,11 @@ def suggest(
     for finding in contested if motions else ():
         own = Trial(finding.term.effect, (finding.term.named,), width=finding.term.width)
         rivals = [[t for t in every if (t.effect.name, t.effect.joints) == rival] for rival in finding.rivals]
-        rivals = [rival for rival in rivals if rival]  # an empirical term is in no catalogue
+        links = LINK_ERRORS in finding.rivals
+        rivals = [rival for rival in rivals if rival] or [[]] * links  # an empirical term is in no catalogue
         if not rivals:
             continue
-        apart = [min(_difference(m, plain, own, rival) for rival in rivals) for m in motions]
+        apart = [min(_difference(m, plain, own, rival, links) for rival in rivals) for m in motions]
         best = int(np.argmax(apart))
         names = (finding.term.effect.name, *dict.fromkeys(name for name, _ in finding.rivals))
         result.append(Suggestion(_why(apart[best]), names, motions[best].recording))
@@ -158,9 +159,9 @@ def _why(apart: float) -> str:
     )
 
 
-def _difference(motion: Prepared, plain: CalibratedModel, own: Trial, rival: Sequence[Trial]) -> float:
-    """χ² of the effect's torque that neither the rival, in any of its shapes, nor the plain parameters explain."""
-    found, signatures = rows([motion], plain), table([motion], plain, [own, *rival])
+def _difference(motion: Prepared, plain: CalibratedModel, own: Trial, rival: Sequence[Trial], links: bool) -> float:
+    """χ² of the effect's torque that neither the rival, in any of its shapes, nor the plain parameters, nor `links` explain."""
+    found, signatures = rows([motion], plain, inertial=links), table([motion], plain, [own, *rival])
     deviation = np.where(np.isfinite(plain.noise), plain.noise, 1.0)
     size = int(signatures.start[-1]) + found.jacobian.shape[2]
     products = np.zeros((size, size))

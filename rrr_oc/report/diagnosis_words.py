@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rrr_oc.diagnosis.findings import LESS_PROBABLE
+from rrr_oc.diagnosis.findings import LESS_PROBABLE, LINK_ERRORS
 from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.words import Number, default_sentence, joint_words, listed, read, rounded, words
@@ -29,6 +29,7 @@ DEGREES = {
     "rad/s": (180 / math.pi, " °/s"),
     "rad/s²": (180 / math.pi, " °/s²"),
 }  # by the file's unit
+OF_LINKS = (("mass", "mass", "kg"), ("centre", "centre of mass at", "m"), ("inertia", "inertia about it", "kg m²"))
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 
@@ -42,7 +43,7 @@ def sentence(found: Mapping[str, Any]) -> str:
         few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
         return "Nothing is missing: the calibrated model explains these recordings to their noise." + few * bool(poor)
     if not (found["effects"] or found["unexplained"]):
-        return _undecided(found)
+        return " ".join(undecided(found)) or _undecided(found)
     lacking, gain = listed(_lacking(found)), _gain_held_out(found)
     if found["verdict"] == "cannot_tell":
         return f"Something is missing, and these recordings do not decide what: {lacking}, or others that do as well.{gain}"
@@ -300,6 +301,39 @@ def not_claimed(found: Mapping[str, Any]) -> list[str]:
             "them it is not found, or it raises the error of what it was not fitted to."
         )
     return result
+
+
+def undecided(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on each class of which these recordings do not tell which member is there."""
+    result = []
+    for one in found.get("undecided", ()):
+        effects = [e for e in one["members"] if e["effect"] != LINK_ERRORS[0]]
+        each = "; or: ".join(plain(e).rstrip(".") for e in effects)
+        result.append(
+            f"These recordings do not tell which of these is so. {each}; or links are far from the robot's description."
+        )
+    return result
+
+
+def off_links(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on each link that is far from the robot's description."""
+    result = []
+    for one in found.get("link_findings", ()):
+        said = [
+            f"a {said} of {_numbers(one[name]['value'])} {unit}, where the robot's description has {_numbers(one[name]['urdf'])} {unit}"
+            for name, said, unit in OF_LINKS
+            if one.get(name)
+        ]
+        most = max(one[name]["sigmas"] for name, *_ in OF_LINKS if one.get(name))
+        result.append(
+            f"Link {one['link']} fits with {listed(said)}: {most:.0f} times the error that such a description usually has. Either that is "
+            "so, or it takes up what the model lacks."
+        )
+    return result
+
+
+def _numbers(value: float | Sequence[float]) -> str:
+    return rounded(value) if isinstance(value, float | int) else f"({', '.join(map(rounded, value))})"
 
 
 def idle(found: Mapping[str, Any]) -> list[str]:

@@ -33,7 +33,7 @@ class Problem:
         self.prior = normal(rng.standard_normal(parameters), rng.uniform(0.5, 2.0, parameters))
         noises = (exact_noise(), Noise((np.zeros(0),), np.ones(1), 1.0))
         self.joints = tuple(Joint.of(self.data, j, noise) for j, noise in enumerate(noises))
-        self.hyper = Hyperparameters(noises, np.array([0.4, 0.9]), np.array([0.7, 1.6]), 1.3)
+        self.hyper = Hyperparameters(noises, np.array([0.4, 0.9]), np.array([0.7, 1.6]), np.array([1.3, 2.5]))
 
     def solved(self, prior: Prior, columns: np.ndarray, hyper: Hyperparameters | None = None):
         start = SimpleNamespace(hyper=hyper or self.hyper, joints=self.joints)
@@ -47,7 +47,7 @@ class Problem:
             f = self.features[j][counted]
             parts.append(self.hyper.sigma[j] ** 2 * shape + self.hyper.discrepancy[j] ** 2 * f @ f.T)
         a = columns[:, counted].reshape(-1, columns.shape[2])
-        precision = np.where(prior.links, prior.precision / self.hyper.links**2, prior.precision)
+        precision = prior.precision / np.append(1.0, self.hyper.links)[prior.links] ** 2
         return block_diag(*parts) + a @ np.diag(1 / precision) @ a.T
 
     def log_density(self, prior: Prior, columns: np.ndarray) -> float:
@@ -66,22 +66,21 @@ def with_rest_at(problem: Problem, j: int) -> Problem:
 
 
 def normal(mean: np.ndarray, std: np.ndarray, links: tuple[int, ...] = ()) -> Prior:
-    """Proper normal priors."""
-    p = len(mean)
-    which, inf = np.isin(np.arange(p), links), np.full(p, np.inf)
+    """Proper normal priors; of `links`, the first half are errors of one link, the others of another."""
+    p, half = len(mean), len(links) // 2
+    which, inf = np.isin(np.arange(p), links[:half]) + 2 * np.isin(np.arange(p), links[half:]), np.full(p, np.inf)
     return Prior(np.asarray(mean), std**-2.0, np.ones(p, bool), which, -inf, inf, np.zeros(p))
 
 
 @pytest.mark.parametrize("links", [(), (1, 2)])
 def test_evidence_is_the_density_of_the_marginal_normal_distribution(links):
-    """But for 2 π and the priors of the hyperparameters, normal of scale 1 up to constants."""
+    """But for 2 π and the priors of the hyperparameters: of a discrepancy normal of scale 1, of links' sizes x above 1 the chance 1 / x."""
     problem = Problem(1)
-    prior = replace(problem.prior, links=np.isin(np.arange(4), links))
+    prior = replace(problem.prior, links=normal(np.zeros(4), np.ones(4), links).links)
     found = problem.solved(prior, problem.columns)
     count = 2 * np.count_nonzero(PLACE >= 0)
     expected = problem.log_density(prior, problem.columns) + 0.5 * count * np.log(2 * np.pi)
-    hyper = [*problem.hyper.discrepancy, *([problem.hyper.links] if links else [])]
-    expected -= 0.5 * np.sum(np.square(hyper))
+    expected -= 0.5 * np.sum(np.square(problem.hyper.discrepancy)) + np.sum(np.log(problem.hyper.links))
     assert found.log_evidence == pytest.approx(expected, abs=1e-7)
 
 
@@ -166,18 +165,17 @@ def test_the_sizes_that_are_found_maximise_the_evidence(seed, like):
 
     def loss(change: np.ndarray) -> float:
         factors, hyper = np.exp(change), found.hyper
-        hyper = Hyperparameters(
-            hyper.noise, hyper.sigma * factors[:2], hyper.discrepancy * factors[2:4], float(hyper.links * factors[4])
-        )
+        links = np.maximum(hyper.links * factors[4:], 1.0)
+        hyper = Hyperparameters(hyper.noise, hyper.sigma * factors[:2], hyper.discrepancy * factors[2:4], links)
         start = replace(found, hyper=hyper)
         return (
             found.log_evidence - solve(problem.data, problem.residual, problem.columns, prior, start, fixed=True).log_evidence
         )
 
-    assert loss(np.zeros(5)) == pytest.approx(0.0, abs=1e-9)
-    best = minimize(loss, np.zeros(5), method="Nelder-Mead", options={"maxiter": 1500, "fatol": 1e-6, "xatol": 1e-4})
+    assert loss(np.zeros(6)) == pytest.approx(0.0, abs=1e-9)
+    best = minimize(loss, np.zeros(6), method="Nelder-Mead", options={"maxiter": 1500, "fatol": 1e-6, "xatol": 1e-4})
     assert best.fun > -0.01  # updates end where the hyperparameters hardly change
-    assert all(loss(0.3 * step) > 0.01 for step in np.concatenate([np.eye(5)[:4], -np.eye(5)[:4]]))
+    assert all(loss(0.3 * step) > 0.01 for step in np.concatenate([np.eye(6)[:4], -np.eye(6)[:4]]))
     assert np.all(np.abs(found.hyper.sigma - 0.5) < 0.06)
 
 

@@ -56,7 +56,23 @@ def diagnosis() -> Diagnosis:
     folds = tuple(fold(k, (plain, model), (before[k : k + 1], after[k : k + 1])) for k in range(3))
     none = np.zeros(3)
     return Diagnosis(
-        recordings, plain, model, (), (), (), (), Shares(), (none, none), (none, none), "recordings", (), (), folds, (0.0,) * 3
+        recordings,
+        plain,
+        model,
+        (),
+        (),
+        (),
+        (),
+        (),
+        (),
+        Shares(),
+        (none, none),
+        (none, none),
+        "recordings",
+        (),
+        (),
+        folds,
+        (0.0,) * 3,
     )
 
 

@@ -27,7 +27,7 @@ TOOL = (0.3, 0.0, 0.0)  # of the last link [m]
 def test_a_tilt_is_found_where_one_of_its_angles_does_nothing(planar):
     """Arms that move in a plane hardly feel a tilt about an axis in it; what is fitted to it is beyond all bounds."""
     plant, rng = planar(2), np.random.default_rng(3)
-    plant.model.gravity.linear = 9.81 * np.array([np.sin(0.03), 0.0, -np.cos(0.03)])
+    plant.model.gravity.linear = 9.81 * np.array([np.sin(0.15), 0.0, -np.cos(0.15)])
     found = diagnose(as_set(plant, [record(plant, f"{i}.csv", rng, 6.0) for i in range(4)]))
     (finding,) = found.findings
     equal = {"gravity_tilt", "encoder_offset", "backlash"}  # all turn the first link

@@ -52,9 +52,12 @@ def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
     plain = replace(start, terms=terms, noise=np.ones(3))
     spring = Term(ParallelSpring((1,)), (Estimate(15.0), Estimate(1.5)), 0.003)
     model, errors = replace(plain, terms=(*plain.terms, spring)), (np.array([[0.1, 0.4, 0.1]]), np.array([[0.1, 0.1, 0.1]]))
-    folds, none = tuple(Fold((k,), plain, model, np.zeros(0), *((1 + k) * e for e in errors)) for k in range(2)), np.full(3, 0.1)
+    folds, none = (
+        tuple(Fold((k,), plain, model, np.zeros(0), *((1 + k) * e for e in errors)) for k in range(2)),
+        np.full(3, 0.1),
+    )
     held = (none, none), (none, none)
-    return Diagnosis(recordings, plain, model, (), (), (), (), Shares(), *held, "recordings", (), (), folds, (0.0,) * 3)
+    return Diagnosis(recordings, plain, model, (), (), (), (), (), (), Shares(), *held, "recordings", (), (), folds, (0.0,) * 3)
 
 
 @pytest.fixture(scope="module")

@@ -133,7 +133,7 @@ class Joint(Spectrum):
         )
 
     @classmethod
-    def estimated(cls, data: Data, j: int, left: np.ndarray, taken: np.ndarray) -> tuple["Joint", float]:
+    def estimated(cls, data: Data, j: int, left: np.ndarray, taken: np.ndarray | None = None) -> tuple["Joint", float]:
         """The noise of a residual (M,), without features yet, and its σ; `taken` (M, r) is as in `Noise.of`."""
         place, turning = data.place[j], data.turning[j]
         noise = Noise.of(left, place, turning, taken)

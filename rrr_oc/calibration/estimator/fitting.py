@@ -19,6 +19,7 @@ from rrr_oc.robot.link_errors import OF_URDF
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
+PATIENCE = 3  # steps without more evidence after which hyperparameters stay as they are
 NONLINEAR = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
 DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
@@ -83,9 +84,15 @@ class PlainFitter:
         found = data.rows(model)
         columns, residual = self.columns(model, links, found), found.residual
         best, highest, last, fall, idle, exact, first = None, -np.inf, np.inf, np.inf, 0, True, 0
+        stalled, nearest = 0, np.full(data.n, np.inf)
         for _ in range(STEPS):
             post = solve(data, residual, columns, self.prior(model, links), start, fixed)
-            start = post
+            start, stalled = post, 0 if post.log_evidence > highest + IDLE else stalled + 1
+            nearest = np.minimum(nearest, post.hyper.links) if stalled else post.hyper.links
+            if (
+                stalled == PATIENCE and not fixed
+            ):  # links' errors that grow and shrink in turn stay as near to the declared ones as they came
+                start, fixed = replace(post, hyper=replace(post.hyper, links=nearest)), True
             before = post.misfit + post.prior_cost(0 * post.step)
             expected = before - post.predicted(post.step)
             best = Fitted(model, links, post, residual, len(data.start.terms))

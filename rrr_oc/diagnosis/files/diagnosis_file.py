@@ -7,7 +7,8 @@ import numpy as np
 from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.diagnosis.findings import Finding, named
+from rrr_oc.calibration.link_findings import LinkFinding
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects import BlackBox, OfEach
@@ -155,6 +156,62 @@ class Claim(Named):
     indistinguishable_from: tuple[str, ...]
     rivals: tuple[Named, ...]
     follows: Literal["load", "motor"] | None = None
+
+
+class Member(Named):
+    """An effect of a class that the recordings do not decide in.
+
+    Attributes:
+        recordings: Recordings that have it.
+        parameters: Estimates by parameter.
+    """
+
+    recordings: Files
+    parameters: dict[str, Estimate]
+
+
+class Class(Struct, forbid_unknown_fields=True):
+    """Effects and errors of the links, of which one explains a mismatch, and which say different things of the arm.
+
+    Attributes:
+        members: The effects, the most probable first, then `link_errors`.
+        probability: That one of them is there.
+        decided_by: The suggested recording that would decide, as `suggested_recordings[0]`; null where none would.
+    """
+
+    members: tuple[Member, ...]
+    probability: float
+    decided_by: str | None
+
+
+class Off(Struct, forbid_unknown_fields=True):
+    """A mass, centre or moments of inertia about it that differ from the URDF's.
+
+    Attributes:
+        value: As found; the three components of a vector [kg, m, kg m²].
+        urdf: The same in the URDF [kg, m, kg m²].
+        sigmas: By how many declared standard deviations they differ; the largest of the components.
+    """
+
+    value: float | tuple[float, ...]
+    urdf: float | tuple[float, ...]
+    sigmas: float
+
+
+class OffLink(Struct, forbid_unknown_fields=True, omit_defaults=True):
+    """A link that differs from the URDF by more than three declared standard deviations, in what is given.
+
+    Attributes:
+        link: The link's name in the robot's description.
+        mass: Its mass.
+        centre: Its centre of mass, in its joint's frame.
+        inertia: Its moments of inertia about the centre.
+    """
+
+    link: str
+    mass: Off | None = None
+    centre: Off | None = None
+    inertia: Off | None = None
 
 
 class Possible(Named):
@@ -345,7 +402,9 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         mismatch: Where the plain model fails, a joint each.
         left_over: Joints whose error exceeds the noise with all effects, by how many times [1].
         effects: What the tool adds to the model, most important first.
+        undecided: Effects that these recordings do not tell from errors of the links; the model does not have them.
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
+        link_findings: Links that are far from the URDF's in the model.
         possible: What is less probable than a claim needs.
         not_confirmed: What most searches without a part of the recordings do not find, or what raises the error.
         unexplained: Torques that no effect of the catalogue explains.
@@ -367,11 +426,13 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     mismatch: tuple[Mismatch, ...]
     left_over: dict[str, float]
     effects: tuple[Claim, ...]
+    undecided: tuple[Class, ...]
     small: tuple[Claim, ...]
     possible: tuple[Possible, ...]
     not_confirmed: tuple[Refuted, ...]
     unexplained: tuple[Unexplained, ...]
     idle: tuple[Idle, ...]
+    link_findings: tuple[OffLink, ...]
     priors_file: str | None
     priors: tuple[Believed, ...]
     suggested_recordings: tuple[Suggested, ...]
@@ -399,6 +460,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
         "effects": [_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.findings) if not f.term.effect.black_box],
+        "undecided": [_class(diagnosis, u) for u in diagnosis.undecided],
         "small": [_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.small, len(effects))],
         "possible": [
             {**named(p.key, joints), "recordings": _files(diagnosis.recordings, p.groups), "probability": p.probability}
@@ -407,6 +469,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
         "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
         "idle": [{"joint": joints[j], "torque": mean, "std": std} for j, mean, std in diagnosis.idle],
+        "link_findings": off_links(diagnosis.links, model.robot.links),
         "priors_file": diagnosis.priors,
         "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [
@@ -459,6 +522,40 @@ def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
         "rivals": [{"effect": name, "joint": _names(j, joints)} for name, j in finding.rivals],
     }
+
+
+def _class(diagnosis: Diagnosis, u: Undecided) -> dict[str, Any]:
+    """An undecided class, with the links last."""
+    joints, names = diagnosis.model.joints, {LINK_ERRORS[0], *(t.effect.name for t in u.terms)}
+    deciding = [k for k, s in enumerate(diagnosis.suggestions) if set(s.separates) == names]
+    members = [
+        {
+            "effect": t.effect.name,
+            "joint": _names(t.effect.joints, joints),
+            "recordings": files_of(t, diagnosis.recordings),
+            "parameters": _parameters(t, diagnosis.recordings),
+        }
+        for t in u.terms
+    ]
+    links = {"effect": LINK_ERRORS[0], "joint": None, "recordings": "all", "parameters": {}}
+    return {
+        "members": [*members, links],
+        "probability": u.probability,
+        "decided_by": f"suggested_recordings[{deciding[0]}]" if deciding else None,
+    }
+
+
+def off_links(found: Sequence[LinkFinding], links: Sequence[str]) -> list[dict[str, Any]]:
+    """Links that are far from the URDF's, as in files."""
+    return [
+        {"link": links[f.link]}
+        | {name: {"value": _plain(q.value), "urdf": _plain(q.urdf), "sigmas": q.sigmas} for name, q in f.quantities.items()}
+        for f in found
+    ]
+
+
+def _plain(values: tuple[float, ...]) -> float | list[float]:
+    return values[0] if len(values) == 1 else list(values)
 
 
 def _unexplained(diagnosis: Diagnosis, i: int, effect: BlackBox) -> dict[str, Any]:

@@ -15,8 +15,9 @@ from msgspec import Struct
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, Start
+from rrr_oc.calibration.link_findings import LinkFinding
 from rrr_oc.calibration.model_file import TermEntry, effect_of, options_of, term_entry, term_of, terms_of
-from rrr_oc.diagnosis.findings import Fall, Finding, Possible
+from rrr_oc.diagnosis.findings import Fall, Finding, Possible, Undecided
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion
@@ -164,7 +165,9 @@ class StateData(Struct):
         """The structure under the hyperparameters that were estimated."""
         joints = tuple(one.joint(fitter.data, j) for j, one in enumerate(self.noise))
         noise = tuple(one.noise for one in joints)
-        begin = Start(Hyperparameters(noise, np.array(self.sigma), np.array(self.discrepancy), np.array(self.links_over_declared)), joints)
+        begin = Start(
+            Hyperparameters(noise, np.array(self.sigma), np.array(self.discrepancy), np.array(self.links_over_declared)), joints
+        )
         return State(fitter.fit(self.model.model(start), np.array(self.links), begin, fixed=True), self.score)
 
 
@@ -273,6 +276,20 @@ class FindingData(Struct):
         return Finding(term_of(self.term, robot), *numbers, self.rivals, self.prior, self.fall)
 
 
+class UndecidedData(Struct):
+    """See `findings.Undecided`."""
+
+    terms: list[TermEntry]
+    probability: float
+
+    @classmethod
+    def of(cls, u: Undecided, robot: Robot) -> "UndecidedData":
+        return cls([term_entry(t, robot) for t in u.terms], u.probability)
+
+    def undecided(self, robot: Robot) -> Undecided:
+        return Undecided(tuple(term_of(t, robot) for t in self.terms), self.probability)
+
+
 class SuggestionData(Struct):
     """See `suggestion.Suggestion`; motions of (n, K)."""
 
@@ -298,6 +315,8 @@ class ResultData(Struct):
     plain: ModelData
     model: ModelData
     findings: list[FindingData]
+    undecided: list[UndecidedData]
+    links: list[LinkFinding]
     small: list[FindingData]
     possible: list[Possible]
     refuted: list[FindingData]

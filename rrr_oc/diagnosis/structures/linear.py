@@ -9,7 +9,7 @@ any hyperparameters, is a sum of such products.
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from rrr_oc.calibration.estimator.evidence import (
     orthogonal,
 )
 from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.signatures import Table
@@ -106,6 +107,7 @@ class Addition:
 
 
 Structure = tuple[Addition, ...]
+Links = Literal["free", "as fitted", "declared"]  # how far links may be off
 Key = frozenset[tuple[Any, ...]]
 
 
@@ -165,9 +167,15 @@ class Linear:
         base = joined(whole.some(inside), np.ones(signs.shape[2]))
         return cls(fitter, fitted, np.concatenate([columns[:, :, inside], signs], axis=2), base, residual, tuple(own))
 
-    def prior_with(self, structure: Structure) -> Prior:
-        """The prior of all coefficients."""
+    def prior_with(self, structure: Structure, links: Links = "free") -> Prior:
+        """The prior of all coefficients; links are free, no further off than in the fit or than is worth telling, or never so far."""
         prior = self.prior
+        if links != "free" and np.any(prior.links):
+            own, here = np.flatnonzero(prior.links), self.fitted.links
+            most = np.maximum(np.abs(here), FAR) if links == "as fitted" else np.full(len(here), FAR)
+            lower, upper = prior.lower.copy(), prior.upper.copy()
+            lower[own], upper[own] = -most - here, most - here
+            prior = replace(prior, lower=lower, upper=upper)
         for a in structure:
             prior = extended(prior, a.mean, a.precision, a.flat, a.lower, a.upper)
         return prior
@@ -336,10 +344,16 @@ class Level:
             )
         return grams
 
-    def solved(self, structure: Structure, blocks: Blocks, hyper: Hyperparameters, fixed: bool = False) -> Solution:
-        """The posterior of a structure from some blocks; its hyperparameters are estimated, from `hyper` on, or these are `fixed`."""
+    def solved(
+        self, structure: Structure, blocks: Blocks, hyper: Hyperparameters, fixed: bool = False, links: Links = "free"
+    ) -> Solution:
+        """The posterior of a structure from some blocks; its hyperparameters are estimated, from `hyper` on, or these are `fixed`.
+
+        Args:
+            links: How far they may be off, see `Linear.prior_with`.
+        """
         spectra = [one.spectrum for one in self.sums(blocks)]
-        return estimated(self.grams(structure, blocks), spectra, hyper, self.linear.prior_with(structure), fixed)
+        return estimated(self.grams(structure, blocks), spectra, hyper, self.linear.prior_with(structure, links), fixed)
 
     def table(self, table: Table) -> list[TableProducts]:
         """The products of a table, by joint; those of the first tables are kept, and of the newest."""

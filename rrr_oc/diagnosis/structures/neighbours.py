@@ -8,12 +8,31 @@ import numpy as np
 
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Solution
 from rrr_oc.diagnosis.fitting import exact
+from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
 from rrr_oc.diagnosis.signatures import Table
 from rrr_oc.diagnosis.structures.candidates import Screen
-from rrr_oc.diagnosis.structures.linear import Addition, Blocks, Candidate, Key, Level, Linear, Structure, key_of, numbered
+from rrr_oc.diagnosis.structures.linear import (
+    Addition,
+    Blocks,
+    Candidate,
+    Key,
+    Level,
+    Linear,
+    Links,
+    Structure,
+    key_of,
+    numbered,
+)
 from rrr_oc.effects import Effect, Trial
 
+SOUGHT = (
+    0.25  # of the share that matters, by which an effect must lower a joint's error on the data it is fitted to, to be sought
+)
+RETOLD = 2  # neighbours by one kind of move that are predicted again with signatures of their own, where nothing is fitted
 TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew
+SURE = float(np.log(CLAIM / (1 - CLAIM)))  # nats by which an effect raises the posterior that is as probable as a claim
+LEAST_GAIN = SURE - float(np.log(TRIED))  # nats that an addition must gain: with less it is no claim, nor with that many rivals
+FAR = 5.0  # nats by which an effect must be better in another shape than where it was fitted, to be fitted anew from there
 MOST = 14  # effects at which a search ends
 HOPELESS = 10.0  # nats below which an exchange that is predicted at the present hyperparameters is not looked at closer
 
@@ -73,6 +92,7 @@ class Neighbours:
         exact: The neighbours about the fit of an exact arm; None where it has no other.
         most: Kinds of effects that are sought, and how many of each; all if None.
         more: Additions that are offered beside the tables: effects at their best shapes.
+        least: Share by which an addition must lower the error of a joint.
     """
 
     linear: Linear
@@ -82,6 +102,7 @@ class Neighbours:
     exact: Callable[[], "Neighbours | None"]
     most: Mapping[Kind, int] | None = None
     more: Structure = ()
+    least: float = SOUGHT * MATTERS
 
     def at(self, structure: Structure, hyper: Hyperparameters, fixed: bool = False) -> Predicted:
         """A structure."""
@@ -137,13 +158,22 @@ class Neighbours:
             without = self.at(less, here.solution.hyper, True)
             ends = self.level.p + np.cumsum([0, *(a.size for a in own)])
             numbers = [k for i in out for k in range(ends[i], ends[i + 1])]
-            candidates = [c for c in screen.candidates(numbers, near) if not any(_is(c, a) for a in gone)]
+            every_candidate = screen.candidates(numbers, near)
+            if len(gone) == 1 and not gone[0].effect.linear:
+                every += self._reshaped(less, [c for c in every_candidate if _is(c, gone[0])], here)
+            candidates = [c for c in every_candidate if not any(_is(c, a) for a in gone)]
             hopeful = [c for c in candidates if without.score + c.gain > here.score - HOPELESS]
             judged = self._judged(less, hopeful, without, None) + [p for p in self._own(less, without) if p.key != here.key]
             best = max([*(p.score for p in judged), *(without.score + c.gain for c in candidates[:1])], default=-np.inf)
             waiting[key] = score + here.score - best
             every += judged
         return _distinct(every)
+
+    def _reshaped(self, less: Structure, every: Sequence[Candidate], here: Predicted) -> list[Predicted]:
+        """With an effect in another of its shapes, which is far better than where its fit has ended."""
+        table = self.tables(None)
+        found = [self.at((*less, self.linear.candidate(table, c)), here.solution.hyper) for c in every]
+        return [p for p in found if p.key == here.key and p.score > here.score + FAR]
 
     def unexplained(self, here: Predicted) -> list[Predicted]:
         """With a black-box term, the most probable first."""
@@ -153,6 +183,27 @@ class Neighbours:
         for j in range(self.level.n) if self.most is None else [joints[0] for name, joints in self.most if not name]:
             every += self._judged(own, self._screen(own, here, j).candidates(), here, j)
         return _distinct(every)
+
+    def completed(self, here: Predicted) -> Predicted:
+        """The structure with all further effects of the catalogue that are sure, however small, one after the other."""
+        near = replace(self, least=0.0, most=None)
+        while True:
+            best = next(iter(near.added(here)), here)
+            if best.score < here.score + SURE:
+                return here
+            here = best
+
+    def errors(self, structure: Structure, hyper: Hyperparameters) -> np.ndarray:
+        """Root of the squared errors of a structure with links that are free, and as declared, (2, n)."""
+        rows = np.concatenate([np.arange(*self.level.edges[b : b + 2]) for b in self.blocks])
+        ways: tuple[Links, ...] = ("free", "declared")
+        steps = [self.level.solved(structure, self.blocks, hyper, True, links).step for links in ways]
+        return np.array([np.linalg.norm(self.linear.left(structure, step, rows), axis=1) for step in steps])
+
+    def candidates(self, here: Predicted) -> list[Addition]:
+        """The additions of the catalogue that gain most beside a structure, at its hyperparameters."""
+        table, every = self.tables(None), self._screen(here.structure, here, None).candidates()
+        return [self.linear.candidate(table, c) for c in every if self._open(c, here.structure)][:TRIED]
 
     def promising(self, structure: Structure, joint: int | None) -> set[Hashable]:
         """What of a table raises the probability beside a structure, as `sought_as` names it."""
@@ -178,6 +229,7 @@ class Neighbours:
     def _judged(self, structure: Structure, every: Sequence[Candidate], base: Predicted, joint: int | None) -> list[Predicted]:
         """The best candidates beside a structure, each with hyperparameters of its own."""
         own, table, result = {a.name for a in self._offered}, self.tables(joint), []
+        before = self.errors(structure, base.solution.hyper) if self.least and every else np.zeros(0)
         for c in every:
             if len(result) == TRIED:
                 break
@@ -185,7 +237,9 @@ class Neighbours:
             if single and (c.trial.effect.without_range(), c.scope or ()) in own:
                 continue  # it is offered at its best shape
             if self._open(c, structure):
-                result.append(self.at((*structure, self.linear.candidate(table, c)), base.solution.hyper))
+                p = self.at((*structure, self.linear.candidate(table, c)), base.solution.hyper)
+                if not self.least or np.any(self.errors(p.structure, base.solution.hyper) < (1 - self.least) * before):
+                    result.append(p)
         return result
 
     def _screen(self, structure: Structure, base: Predicted, joint: int | None) -> Screen:
@@ -247,6 +301,27 @@ class Levels:
             self._tables[number, joint] = self.table(number, self.promising(joint))
         return self._tables[number, joint]
 
+    def completed(self, here: Predicted) -> Predicted:
+        """The structure with all further effects of the catalogue that are sure, however small, one after the other."""
+        near = replace(self, least=0.0, most=None)
+        while True:
+            best = next(iter(near.added(here)), here)
+            if best.score < here.score + SURE:
+                return here
+            here = best
+
+    def errors(self, structure: Structure, hyper: Hyperparameters) -> np.ndarray:
+        """Root of the squared errors of a structure with links that are free, and as declared, (2, n)."""
+        rows = np.concatenate([np.arange(*self.level.edges[b : b + 2]) for b in self.blocks])
+        ways: tuple[Links, ...] = ("free", "declared")
+        steps = [self.level.solved(structure, self.blocks, hyper, True, links).step for links in ways]
+        return np.array([np.linalg.norm(self.linear.left(structure, step, rows), axis=1) for step in steps])
+
+    def candidates(self, here: Predicted) -> list[Addition]:
+        """The additions of the catalogue that gain most beside a structure, at its hyperparameters."""
+        table, every = self.tables(None), self._screen(here.structure, here, None).candidates()
+        return [self.linear.candidate(table, c) for c in every if self._open(c, here.structure)][:TRIED]
+
     def promising(self, joint: int | None) -> list[Trial]:
         """What raises the probability of the last fit with or without its effects, and of the first, if it is of the catalogue."""
         if joint not in self._promising:
@@ -273,9 +348,29 @@ class Levels:
                 if other.level is not near.level:
                     here = other.at(other.adopted(here.structure), other.level.posterior.hyper)
                 near = other
-                moves = (near.removed, near.added, near.exchanged, near.unexplained)
-                here = next((p for move in moves for p in move(here)[:1] if p.score > here.score), here)
+                here = self._better(near, here, blocks, last) or here
         return near, here
+
+    def _better(self, near: Neighbours, here: Predicted, blocks: Blocks, last: bool) -> Predicted | None:
+        """The best neighbour by the first kind of move that has a better one."""
+        for move in (near.removed, near.added, near.exchanged, near.unexplained):
+            for p in move(here)[:RETOLD]:
+                if p.score > here.score and (again := self._again(p, blocks, last)).score > here.score:
+                    return again
+        return None
+
+    def _again(self, p: Predicted, blocks: Blocks, last: bool) -> Predicted:
+        """A structure with signatures at a fit that has no effects but its own.
+
+        At one with an effect that is exchanged, what is linear in the load or in the torque would stand for that effect.
+        """
+        near, structure = self.about(p.key, blocks, last), []
+        for a in p.structure:
+            if isinstance(a.source, Candidate):
+                table = near.tables(a.effect.joints[0] if a.effect.black_box else None)
+                a = near.linear.candidate(table, a.source)
+            structure.append(a)
+        return near.at(near.adopted(tuple(structure)), p.solution.hyper)
 
 
 def overlapping(effect: Effect, scope: Sequence[str] | None, structure: Structure) -> list[Addition]:

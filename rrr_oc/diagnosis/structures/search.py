@@ -12,14 +12,15 @@ from itertools import pairwise
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.calibration.estimator.evidence import Start
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
 from rrr_oc.diagnosis.structures.linear import Candidate, Key, Level, Linear, Structure, key_of, numbered
-from rrr_oc.diagnosis.structures.neighbours import Kind, Levels, Neighbours, Predicted, kind, overlapping
+from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Kind, Levels, Neighbours, Predicted, kind, overlapping
 from rrr_oc.effects import MovesLink, Trial
 
-FITTED = 3  # neighbours of a structure by one kind of move that are fitted exactly
+FITTED = 2  # neighbours of a structure by one kind of move that are fitted exactly
 LEVELS = 4  # fits about which structures are predicted on parts of the recordings
 CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted
 
@@ -86,7 +87,7 @@ class Search:
         self._missed.clear()
         self._waiting.clear()
         self.path[:] = [self.scored(start)]
-        while (better := self._better(self.path[-1])) is not None:
+        while (better := self._better(self.path[-1]) or self._reformed(self.path[-1])) is not None:
             self.path.append(better)
         return self.path[-1]
 
@@ -108,6 +109,13 @@ class Search:
         terms = tuple(t for t in at.fitted.model.terms if not any(t is o for o in out))
         less = self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior)
         return self.scored(self.fitter.with_signs(less))
+
+    def completed(self, at: State) -> Fitted:
+        """The fit of a structure with all further effects that are sure, however small."""
+        near = self.neighbours(at.fitted)
+        here = near.at(near.linear.own, at.fitted.posterior.hyper)
+        best = near.completed(here)
+        return at.fitted if best is here else self.fit(at.fitted, best)
 
     def worths(self, at: State) -> list[float]:
         """By how much the log posterior falls without each effect; as fitted where that is known, else as predicted."""
@@ -176,16 +184,19 @@ class Search:
         A shape may be better than it is predicted on the grid of its trials. By as much as a change of a structure missed its
         prediction when it was fitted last, it is expected to miss it again.
         """
-        best, chosen = None, None
+        best, chosen, more = None, None, 0.0
         hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_nonlinear]
         for p in hopeful[:FITTED]:
-            most = at.score + (1 + SLACK) * (p.score - here.score) + CLOSE
+            most = at.score + (1 + SLACK) * (p.score - here.score) + CLOSE + more
             several = len({a.name for a in p.structure}) < len(p.structure)  # then the key does not say of which shape
-            if (p.key in self.visited and not several) or (best is not None and most < best.score):
+            if (p.key in self.visited and not several and p.key != here.key) or (best is not None and most < best.score):
                 continue
             found = self._fitted(at, p)
-            self._missed[here.key ^ p.key] = max(at.score + p.score - here.score - found.score, 0.0)
-            if found.score > (at if best is None else best).score:
+            beyond = found.score - at.score - (p.score - here.score)
+            self._missed[here.key ^ p.key] = max(-beyond, 0.0)
+            more = max(more, beyond)  # by as much as one exceeds its prediction, another may
+            gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
+            if found.score > (gained if best is None else best.score):
                 best, chosen = found, p
         if best is not None and chosen is not None:
             best = self._restarted(best, chosen)
@@ -193,7 +204,11 @@ class Search:
         return best
 
     def _fitted(self, at: State, p: Predicted) -> State:
-        """A predicted structure, fitted from where it is predicted on."""
+        """A predicted structure, fitted from where it is predicted on, with its score."""
+        return self.scored(self.fit(at.fitted, p))
+
+    def fit(self, at: Fitted, p: Predicted) -> Fitted:
+        """A predicted structure, fitted from where it is predicted on, with hyperparameters that begin with those of a fit."""
         about = p.linear.fitted
         model = replace(about.model, terms=terms_of(about, p.structure, self.fitter.data.labels))
         step = np.zeros(len(self.fitter.prior(model, about.links).mean))
@@ -201,15 +216,24 @@ class Search:
         rest = len(about.links) + len(self.fitter.widths(model))
         step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
         model, links = self.fitter.moved(model, about.links, step)
-        return self.scored(self.fitter.with_signs(self.fitter.fit(model, links, at.fitted.posterior)))
+        start = Start(p.solution.hyper, p.linear.fitted.posterior.joints)
+        return self.fitter.with_signs(self.fitter.fit(model, links, start))
 
     def _restarted(self, found: State, p: Predicted) -> State:
-        """The most probable of a fit and of those from other starts of its effects, of gears only where they are new."""
-        fitted = found.fitted
-        for i, a in enumerate(p.structure):
-            if isinstance(a.source, Candidate) or not isinstance(a.effect, MovesLink):  # fits of which take long
-                fitted = self.fitter.restarted(fitted, i)
-        return found if fitted is found.fitted else self.scored(fitted)
+        """The most probable of a fit and of those from other starts of its new effects."""
+        return self._from_other_starts(found, [i for i, a in enumerate(p.structure) if isinstance(a.source, Candidate)])
+
+    def _reformed(self, at: State) -> State | None:
+        """A better fit of the last structure from other starts of its effects, but for gears, fits of which take long."""
+        some = [i for i, t in enumerate(at.fitted.extra) if not isinstance(t.effect, MovesLink)]
+        better = self._from_other_starts(at, some)
+        return better if better.score > at.score + LEAST_GAIN else None
+
+    def _from_other_starts(self, at: State, some: Sequence[int]) -> State:
+        fitted = at.fitted
+        for i in some:
+            fitted = self.fitter.restarted(fitted, i)
+        return at if fitted is at.fitted else self.scored(fitted)
 
 
 def terms_of(fitted: Fitted, structure: Structure, labels: Sequence[str]) -> tuple[Term, ...]:

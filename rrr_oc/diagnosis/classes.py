@@ -1,0 +1,115 @@
+"""What recordings cannot separate: effects, others in their place, and links that are not the URDF's.
+
+Odds between such models rest on priors, and on errors of all laws that are smaller than what matters. So what counts is how well data are
+predicted: one model is as good as another if it raises no joint's error by `MATTERS`. Candidates are compared on blocks that they were
+not fitted to, in the linear problem of a fit; those that are as good there are fitted exactly.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.calibration.estimator.evidence import Hyperparameters
+from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.intervals import described
+from rrr_oc.calibration.link_findings import link_findings
+from rrr_oc.diagnosis.effect_size import block_edges, in_shape, squares
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided
+from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
+from rrr_oc.diagnosis.structures.linear import Level
+from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
+from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.effects import Effect
+
+NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
+FAR_OFF = max(EXCESS)  # times their declared errors, by which links may be off to stand for an effect
+
+
+def separated(
+    search: Search, fitted: Fitted, findings: Sequence[Finding], small: Sequence[Finding]
+) -> tuple[list[Finding], list[Undecided]]:
+    """Findings with all that cannot be told from them, and what cannot be told from errors of the links.
+
+    Args:
+        fitted: A fit with all these effects.
+    """
+    near = search.neighbours(fitted)
+    own, blocks, hyper = {id(a.source): a for a in near.linear.own}, in_blocks(near), fitted.posterior.hyper
+    effects = tuple(in_shape(own[id(f.term)]) for f in [*findings, *small])
+    with_all = squares(blocks, effects, hyper).sum(axis=0)
+    shown = {id(t): with_interval for t, with_interval in zip(fitted.model.terms, described(fitted).terms, strict=True)}
+    told, undecided = [], []
+    for i, f in enumerate(findings):
+        less = (*effects[:i], *effects[i + 1 :])
+        others = [a for a in near.candidates(near.at(less, hyper, True)) if kind(a.effect) != kind(f.term.effect)]
+        found = []
+        for a in others:
+            if as_good(squares(blocks, (*less, a), hyper).sum(axis=0), with_all, NEAR * MATTERS):
+                exact = search.fit(fitted, near.at((*(b for b in near.linear.own if b.source is not f.term), a), hyper))
+                found += described(exact).terms[-1:] if as_good(squared(exact), squared(fitted)) else ()
+        rivals = tuple(dict.fromkeys([*f.rivals, *((t.effect.name, t.effect.joints) for t in found)]))
+        by_links = near.linear.fitter.data.free and as_good(squares(blocks, less, far_off(hyper), "free").sum(axis=0), with_all)
+        if not by_links:
+            told.append(replace(f, rivals=rivals))
+        elif all(t.effect.side == "body" for t in (f.term, *found)):  # all of which say the same to who reads it
+            told.append(replace(f, rivals=(*rivals, LINK_ERRORS)))
+        else:
+            others = tuple(t for t in found if not is_link_error(t.effect))
+            undecided.append(Undecided((shown[id(f.term)], *others), f.probability))
+    return told, undecided
+
+
+def with_links(undecided: Sequence[Undecided], search: Search, fitted: Fitted) -> list[Undecided]:
+    """What is undecided, with the effects that explain as well what links explain that are far off in a fit."""
+    found = link_findings(fitted)
+    terms = instead_of_links(search, fitted) if found else ()
+    same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
+    if not terms:
+        return list(undecided)
+    known = {kind(t.effect) for u in same for t in u.terms}
+    every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
+    probability = max([*(u.probability for u in same), *(link.probability for link in found)])
+    return [*(u for u in undecided if u not in same), Undecided(every, probability)]
+
+
+def instead_of_links(search: Search, fitted: Fitted) -> tuple[Term, ...]:
+    """Effects beside which no link is far off, and which explain as much as the links of a fit do."""
+    data, hyper = search.fitter.data, fitted.posterior.hyper
+    start = replace(fitted.posterior, hyper=replace(hyper, links=np.ones_like(hyper.links)))
+    nominal = replace(fitted.model, robot=replace(fitted.model.robot, inertial=data.links.at(data.links.none)[0]))
+    none = search.fitter.fit(nominal, data.links.none, start, fixed=True)
+    near, result = search.neighbours(none), []
+    for a in near.candidates(near.at(near.linear.own, start.hyper, True)):
+        if is_link_error(a.effect):
+            continue
+        exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
+        if as_good(squared(exact), squared(fitted)) and not link_findings(exact):
+            result.append(described(exact).terms[-1])
+    return tuple(result)
+
+
+def is_link_error(effect: Effect) -> bool:
+    """Whether an effect says of one link that it differs, which is an error of that link by another name."""
+    return effect.side == "body" and bool(effect.joints)
+
+
+def far_off(hyper: Hyperparameters) -> Hyperparameters:
+    """Hyperparameters with links that may be far off."""
+    return replace(hyper, links=np.maximum(hyper.links, FAR_OFF))
+
+
+def squared(fitted: Fitted) -> np.ndarray:
+    """Squared errors of a fit on its data, (n,)."""
+    return np.sum(fitted.residual**2, axis=1)
+
+
+def as_good(one: np.ndarray, other: np.ndarray, share: float = MATTERS) -> bool:
+    """Whether squared errors (n,) are no larger than others, but for a share of their root, of what does not matter by default."""
+    return bool(np.all(np.sqrt(one) * (1 - share) <= np.sqrt(other)))
+
+
+def in_blocks(near: Neighbours) -> Neighbours:
+    """The neighbours with products by block of some seconds."""
+    return replace(near, level=Level(near.linear, block_edges(near.level.edges)))
