@@ -17,6 +17,7 @@ from rrr_oc.calibration.estimator.fitting import PlainFitter
 from rrr_oc.calibration.estimator.intervals import described, fit_report
 from rrr_oc.calibration.estimator.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
+from rrr_oc.calibration.link_findings import entries, link_findings
 from rrr_oc.calibration.samples import Prepared, pieces_of, prepare, thinned, without_spikes
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
@@ -42,7 +43,8 @@ def fit(recordings: RecordingSet, nominal: CalibratedModel) -> CalibratedModel:
     clean = without_spikes(whole, model)
     fitter = PlainFitter.of(data_of(recordings, clean, nominal, model))
     found = fitter.closest(fitter.begin(nominal))
-    report = {"way": "inverse dynamics"} | fit_report(found, clean)
+    far_off = {"link_findings": entries(link_findings(found), recordings.robot.links)}
+    report = {"way": "inverse dynamics"} | fit_report(found, clean) | far_off
     return finished(recordings, whole, described(found), report, began)
 
 

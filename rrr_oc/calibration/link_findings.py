@@ -1,6 +1,8 @@
 """Links whose mass, centre or inertia recordings show to be far from the URDF's."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -65,6 +67,23 @@ def link_findings(fitted: Fitted) -> list[LinkFinding]:
             beyond = norm.cdf((np.abs(fitted.links[own]) - FAR) / std[own])
             result.append(LinkFinding(i, off, float(beyond.max())))
     return result
+
+
+def entries(found: Sequence[LinkFinding], links: Sequence[str]) -> list[dict[str, Any]]:
+    """Findings as in files.
+
+    Args:
+        links: Names of the links.
+    """
+
+    def plain(values: tuple[float, ...]) -> float | list[float]:
+        return values[0] if len(values) == 1 else list(values)
+
+    return [
+        {"link": links[f.link]}
+        | {name: {"value": plain(q.value), "urdf": plain(q.urdf), "sigmas": q.sigmas} for name, q in f.quantities.items()}
+        for f in found
+    ]
 
 
 def _described(inertial: np.ndarray) -> dict[str, tuple[float, ...]]:

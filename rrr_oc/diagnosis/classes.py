@@ -16,8 +16,9 @@ from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.link_findings import link_findings
 from rrr_oc.diagnosis.effect_size import block_edges, in_shape, squares
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided
-from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, wald
+from rrr_oc.diagnosis.fitting import EXACT
+from rrr_oc.diagnosis.knobs import CLAIM, EXCESS, MATTERS
 from rrr_oc.diagnosis.structures.linear import Level
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
@@ -77,7 +78,7 @@ def with_links(undecided: Sequence[Undecided], search: Search, fitted: Fitted) -
 def instead_of_links(search: Search, fitted: Fitted) -> tuple[Term, ...]:
     """Effects beside which no link is far off, and which explain as much as the links of a fit do."""
     data, hyper = search.fitter.data, fitted.posterior.hyper
-    start = replace(fitted.posterior, hyper=replace(hyper, links=np.ones_like(hyper.links)))
+    start = replace(fitted.posterior, hyper=replace(hyper, links=np.full_like(hyper.links, EXACT)))
     nominal = replace(fitted.model, robot=replace(fitted.model.robot, inertial=data.links.at(data.links.none)[0]))
     none = search.fitter.fit(nominal, data.links.none, start, fixed=True)
     near, result = search.neighbours(none), []
@@ -85,7 +86,8 @@ def instead_of_links(search: Search, fitted: Fitted) -> tuple[Term, ...]:
         if is_link_error(a.effect):
             continue
         exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
-        if as_good(squared(exact), squared(fitted)) and not link_findings(exact):
+        there = wald(exact, len(exact.extra) - 1) < 1 - CLAIM
+        if there and as_good(squared(exact), squared(fitted)) and not link_findings(exact):
             result.append(described(exact).terms[-1])
     return tuple(result)
 

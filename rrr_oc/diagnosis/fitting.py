@@ -16,7 +16,7 @@ from rrr_oc.effects.priors import Priors
 
 BEYOND = 0.15  # share of the range of a shape's trials by which a fit may leave it
 MIXTURES = 2  # directions in which ways of changing sign are mixed
-EXACT_LAWS = 0.01  # size of a discrepancy that exact laws have
+EXACT = 0.01  # size of a discrepancy that exact laws have, and of errors of links that are as described
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,10 @@ def spans(family: Sequence[Trial], effect: Effect, view: View, priors: Priors) -
 
 
 def exact(hyper: Hyperparameters) -> Hyperparameters | None:
-    """Hyperparameters of exact laws, and of links as declared; None where they are so."""
-    if np.all(hyper.links == 1) and np.all(hyper.discrepancy < EXACT_LAWS):
+    """Hyperparameters of exact laws, and of links as described; None where laws are exact and no link is far off."""
+    if np.all(hyper.links == 1) and np.all(hyper.discrepancy < EXACT):
         return None
-    return replace(hyper, links=np.ones_like(hyper.links), discrepancy=np.minimum(hyper.discrepancy, EXACT_LAWS))
+    return replace(hyper, links=np.full_like(hyper.links, EXACT), discrepancy=np.minimum(hyper.discrepancy, EXACT))
 
 
 @dataclass(frozen=True)

@@ -184,14 +184,15 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     if kept and kept != complete.extra:  # some are missing, or in another order
         model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
         final = fitter.fit(model, complete.links, complete.posterior)
-    undecided = with_links(undecided, search, final)
+    closest = fitter.closest(final)
+    undecided = with_links(undecided, search, closest)
     small = with_intervals(complete, small)
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
     return _assembled(
         recordings,
         whole,
         fitter,
-        (begin, final),
+        (begin, final, closest),
         (findings, undecided, small, possible, [*unstable, *worse]),
         (way, checks, folds),
     )
@@ -268,12 +269,11 @@ def stable(
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
-    (begin, final), (findings, undecided, small, possible, refuted), (way, checks, folds) = fits, told, check
-    plain = finished(recordings, whole, described(fitter.closest(begin)), {"way": "inverse dynamics"}, perf_counter())
-    model = (
-        finished(recordings, whole, described(fitter.closest(final)), {"way": "inverse dynamics"}, perf_counter())
-        if findings
-        else plain
+    (begin, final, closest), (findings, undecided, small, possible, refuted), (way, checks, folds) = fits, told, check
+    near_begin = fitter.closest(begin) if findings else closest
+    plain, model = (
+        finished(recordings, whole, described(one), {"way": "inverse dynamics"}, perf_counter())
+        for one in (near_begin, closest)
     )
     findings = [replace(f, term=t) for f, t in zip(findings, model.terms[final.base :], strict=True)]
     before = mean_nrmse(np.concatenate([f.before for f in folds]))
@@ -291,7 +291,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         ModelData.of(model),
         [FindingData.of(f, model.robot) for f in findings],
         [UndecidedData.of(u, model.robot) for u in undecided],
-        link_findings(final),
+        link_findings(closest),
         [FindingData.of(f, model.robot) for f in small],
         possible,
         [FindingData.of(f, model.robot) for f in refuted],

@@ -128,7 +128,7 @@ def test_a_zero_that_is_another_in_every_recording(planar, what, tmp_path):
     scale = 1.0 if what == "encoder_offset" else 10.0
     off = np.array([each[r.file]["value"] for r in made]) - scale * zeros
     assert np.abs(off - off.mean()).max() < 0.005 * scale  # of a common zero links and gravity may take a part
-    assert np.abs(off.mean()) < 0.02 * scale
+    assert np.abs(off.mean()) < (0.05 if what == "encoder_offset" else 0.2)  # an error of a link's centre turns gravity alike
     save_model(found.model, tmp_path / "model.json")
     model = load_model(tmp_path / "model.json")
     assert model.terms == found.model.terms

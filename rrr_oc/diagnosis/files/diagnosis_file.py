@@ -7,7 +7,7 @@ import numpy as np
 from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.calibration.link_findings import LinkFinding
+from rrr_oc.calibration.link_findings import entries
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
@@ -469,7 +469,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
         "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
         "idle": [{"joint": joints[j], "torque": mean, "std": std} for j, mean, std in diagnosis.idle],
-        "link_findings": off_links(diagnosis.links, model.robot.links),
+        "link_findings": entries(diagnosis.links, model.robot.links),
         "priors_file": diagnosis.priors,
         "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [
@@ -543,19 +543,6 @@ def _class(diagnosis: Diagnosis, u: Undecided) -> dict[str, Any]:
         "probability": u.probability,
         "decided_by": f"suggested_recordings[{deciding[0]}]" if deciding else None,
     }
-
-
-def off_links(found: Sequence[LinkFinding], links: Sequence[str]) -> list[dict[str, Any]]:
-    """Links that are far from the URDF's, as in files."""
-    return [
-        {"link": links[f.link]}
-        | {name: {"value": _plain(q.value), "urdf": _plain(q.urdf), "sigmas": q.sigmas} for name, q in f.quantities.items()}
-        for f in found
-    ]
-
-
-def _plain(values: tuple[float, ...]) -> float | list[float]:
-    return values[0] if len(values) == 1 else list(values)
 
 
 def _unexplained(diagnosis: Diagnosis, i: int, effect: BlackBox) -> dict[str, Any]:

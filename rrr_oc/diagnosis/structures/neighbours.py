@@ -119,7 +119,7 @@ class Neighbours:
     def added(self, here: Predicted) -> list[Predicted]:
         """With a further effect of the catalogue, the most probable first.
 
-        Candidates are chosen at the present hyperparameters and at those of exact laws and links as declared, which absorb little:
+        Candidates are chosen at the present hyperparameters and at those of exact laws and links as described, which absorb nothing:
         if errors of the links are larger than declared, in the linear problem about the fit of such an arm, since predictions are far
         from linear in them.
         """
@@ -290,10 +290,12 @@ class Levels:
         """
         numbers = range(len(self.keys))
         alike = max(numbers, key=lambda k: (len(self.keys[k] & key) - len(self.keys[k] - key), k))
-        inside = max((k for k in numbers if self.keys[k] <= key), key=lambda k: (len(self.keys[k]), k))
-        end = self.at(len(self.keys) - 1)
-        tables = partial(self._table, inside)
+        end, tables = self.at(len(self.keys) - 1), partial(self._table, self._inside(key))
         return replace(end if last else self.at(alike), blocks=blocks, tables=tables, more=end.linear.own)
+
+    def _inside(self, key: Key) -> int:
+        """The number of the fit with most of these effects and no others."""
+        return max((k for k, own in enumerate(self.keys) if own <= key), key=lambda k: (len(self.keys[k]), k))
 
     def _table(self, number: int, joint: int | None) -> Table:
         """Signatures at a fit of what is promising of the catalogue, or of a joint's black-box terms."""
@@ -348,29 +350,28 @@ class Levels:
                 if other.level is not near.level:
                     here = other.at(other.adopted(here.structure), other.level.posterior.hyper)
                 near = other
-                here = self._better(near, here, blocks, last) or here
+                here = self._better(near, here) or here
         return near, here
 
-    def _better(self, near: Neighbours, here: Predicted, blocks: Blocks, last: bool) -> Predicted | None:
+    def _better(self, near: Neighbours, here: Predicted) -> Predicted | None:
         """The best neighbour by the first kind of move that has a better one."""
         for move in (near.removed, near.added, near.exchanged, near.unexplained):
             for p in move(here)[:RETOLD]:
-                if p.score > here.score and (again := self._again(p, blocks, last)).score > here.score:
+                if p.score > here.score and (again := self._again(near, p)).score > here.score:
                     return again
         return None
 
-    def _again(self, p: Predicted, blocks: Blocks, last: bool) -> Predicted:
+    def _again(self, near: Neighbours, p: Predicted) -> Predicted:
         """A structure with signatures at a fit that has no effects but its own.
 
         At one with an effect that is exchanged, what is linear in the load or in the torque would stand for that effect.
         """
-        near, structure = self.about(p.key, blocks, last), []
+        inside, structure = self._inside(p.key), []
         for a in p.structure:
             if isinstance(a.source, Candidate):
-                table = near.tables(a.effect.joints[0] if a.effect.black_box else None)
-                a = near.linear.candidate(table, a.source)
+                a = near.linear.candidate(self.table(inside, [a.source.trial]), a.source)
             structure.append(a)
-        return near.at(near.adopted(tuple(structure)), p.solution.hyper)
+        return near.at(tuple(structure), p.solution.hyper)
 
 
 def overlapping(effect: Effect, scope: Sequence[str] | None, structure: Structure) -> list[Addition]:
