@@ -7,8 +7,8 @@ The diagnosis of a case is given its `data` folder alone and is written to `out/
 that was interrupted goes on where it was; results of other recordings or other code are made anew. `unseen`, recordings of other
 motions, serve to compare predictions afterwards. The truth is opened when no diagnosis is left to do, or with --score-only.
 
-An effect counts as named where name and joint are right of what the diagnosis lists, claimed or small (of a single effect: lists
-first), or of what it says cannot be told from that, or where what it lists is, by the plant's own Jacobian, equal to the truth on these data.
+An effect counts as named where name and joint are right of what the diagnosis lists, claimed, undecided or small (of a single effect:
+lists first), or of what it says cannot be told from that, or where what it lists is, by the plant's own Jacobian, equal to the truth on these data.
 
 An imperfect arm has small faults everywhere, and perhaps strong effects. Strong ones are to be named, first. A further claim is true
 where the arm has that fault; it is wrong where neither that nor a strong effect is there, or where it is only the equal of one that
@@ -319,7 +319,8 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
     """What became of one case; `oracle` as `oracle_case` wrote it. Effects of the catalogue that no data show do not count."""
     diagnosis = result.get("diagnosis") or {"verdict": FAILED, "effects": [], "unexplained": []}
     effects, unexplained, few = diagnosis["effects"], diagnosis["unexplained"], truth["kind"] in FEW
-    told = [*effects, *diagnosis.get("small", [])]  # what is sure but small is told too
+    classes = [{**u["members"][0], "rivals": u["members"][1:]} for u in diagnosis.get("undecided", [])]
+    told = [*effects, *classes, *diagnosis.get("small", [])]  # what is sure but small is told too
     inside = [e for e in truth["effects"] if e["in_catalogue"] and e.get("ratio", {}).get("reached", 1.0) > ABSENT]
     found = matched(inside, told[:1] if few else told)
     seen = [r["file"] for r in truth["recordings"] if not r["unseen"]]
@@ -330,8 +331,14 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
             "effect": e["effect"],
             "ratio": e.get("ratio", {}).get("requested"),
             "named": match is not None,
-            "how": match[1] if match is not None else "contained" if contained(e, told) and not few else None,
-            "small": match is not None and match[0] >= len(effects),
+            "how": "undecided"
+            if hit in classes
+            else match[1]
+            if match is not None
+            else "contained"
+            if contained(e, told) and not few
+            else None,
+            "small": match is not None and match[0] >= len(effects) + len(classes),
             "recordings": hit is not None and files(hit["recordings"], seen) == files(e["recordings"], seen),
             "covered": covered(e, hit) if hit is not None and match is not None and match[1] == "itself" else [],
         }
@@ -358,7 +365,9 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
         "strong_first": all(match is not None for match in strong_first) if inside else None,
         "claims": claims(truth, diagnosis),
         "covered_small": [c for e in small(truth) for f in effects if key(f) == key(e) for c in covered(e, f)],
-        "extra": len(effects) + len(unexplained) - sum(e["named"] and not e.get("small") for e in entries),
+        "extra": len(effects)
+        + len(unexplained)
+        - sum(e["named"] and not e.get("small") and e["how"] != "undecided" for e in entries),
         "alarm": diagnosis["verdict"] != "nothing_missing",
         "unseen": mean_over_joints(
             result.get("unseen") and result["unseen"] | ({"oracle": oracle["unseen"]} if oracle else {})

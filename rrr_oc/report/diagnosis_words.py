@@ -308,10 +308,8 @@ def undecided(found: Mapping[str, Any]) -> list[str]:
     result = []
     for one in found.get("undecided", ()):
         effects = [e for e in one["members"] if e["effect"] != LINK_ERRORS[0]]
-        each = "; or: ".join(plain(e).rstrip(".") for e in effects)
-        result.append(
-            f"These recordings do not tell which of these is so. {each}; or links are far from the robot's description."
-        )
+        each = "; or: ".join(said[:1].lower() + said[1:].rstrip(".") for said in map(plain, effects))
+        result.append(f"These recordings do not tell which is so: {each}; or: links are far from the robot's description.")
     return result
 
 

@@ -37,8 +37,8 @@ def test_torques_in_a_wrong_unit_are_not_told_from_heavier_links(recordings, tmp
     content = json.loads((tmp_path / "diagnosis.json").read_text())
     (entry,) = content["undecided"]
     assert {m["effect"] for m in entry["members"]} >= {"torque_gain", "link_errors"}
-    assert "do not tell which" in sentence(content)
-    assert "do not tell which" in (tmp_path / "report.html").read_text()
+    assert "do not tell which is so" in sentence(content)
+    assert "do not tell which is so" in (tmp_path / "report.html").read_text()
 
 
 def test_a_description_that_leaves_out_two_thirds_of_a_link_is_told(recordings):
