@@ -8,7 +8,8 @@ that was interrupted goes on where it was; results of other recordings or other 
 motions, serve to compare predictions afterwards. The truth is opened when no diagnosis is left to do, or with --score-only.
 
 An effect counts as named where name and joint are right of what the diagnosis lists, claimed, undecided or small (of a single effect:
-lists first), or of what it says cannot be told from that, or where what it lists is, by the plant's own Jacobian, equal to the truth on these data.
+lists first), or of what it says cannot be told from that, or where what it lists is, by the plant's own Jacobian, equal to the truth on
+these data.
 
 An imperfect arm has small faults everywhere, and perhaps strong effects. Strong ones are to be named, first. A further claim is true
 where the arm has that fault; it is wrong where neither that nor a strong effect is there, or where it is only the equal of one that
