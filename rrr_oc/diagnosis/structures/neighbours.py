@@ -303,27 +303,6 @@ class Levels:
             self._tables[number, joint] = self.table(number, self.promising(joint))
         return self._tables[number, joint]
 
-    def completed(self, here: Predicted) -> Predicted:
-        """The structure with all further effects of the catalogue that are sure, however small, one after the other."""
-        near = replace(self, least=0.0, most=None)
-        while True:
-            best = next(iter(near.added(here)), here)
-            if best.score < here.score + SURE:
-                return here
-            here = best
-
-    def errors(self, structure: Structure, hyper: Hyperparameters) -> np.ndarray:
-        """Root of the squared errors of a structure with links that are free, and as declared, (2, n)."""
-        rows = np.concatenate([np.arange(*self.level.edges[b : b + 2]) for b in self.blocks])
-        ways: tuple[Links, ...] = ("free", "declared")
-        steps = [self.level.solved(structure, self.blocks, hyper, True, links).step for links in ways]
-        return np.array([np.linalg.norm(self.linear.left(structure, step, rows), axis=1) for step in steps])
-
-    def candidates(self, here: Predicted) -> list[Addition]:
-        """The additions of the catalogue that gain most beside a structure, at its hyperparameters."""
-        table, every = self.tables(None), self._screen(here.structure, here, None).candidates()
-        return [self.linear.candidate(table, c) for c in every if self._open(c, here.structure)][:TRIED]
-
     def promising(self, joint: int | None) -> list[Trial]:
         """What raises the probability of the last fit with or without its effects, and of the first, if it is of the catalogue."""
         if joint not in self._promising:
