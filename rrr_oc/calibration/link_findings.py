@@ -12,9 +12,8 @@ from rrr_oc.calibration.estimator.intervals import covariance
 from rrr_oc.robot.link_errors import OF_URDF
 
 FAR = 3.0  # declared standard deviations that an error of a link exceeds, by its 95 % interval, to be found
-QUANTILE = 1.96
+QUANTILE = 1.96  # of the normal distribution, of a 95 % interval
 PARTS = {"mass": slice(0, 1), "centre": slice(1, 4), "inertia": slice(4, 7)}  # of a link's errors
-UNITS = {"mass": "kg", "centre": "m", "inertia": "kg m²"}
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class LinkFinding:
 
     Attributes:
         link: Its number.
-        quantities: What differs, by name, see `UNITS`.
+        quantities: What differs, by name: "mass" [kg], "centre" [m], "inertia" [kg m²].
         probability: That one of them differs by more than `FAR` declared standard deviations.
     """
 

@@ -77,7 +77,7 @@ class Hyperparameters:
     Attributes:
         noise, sigma: Of each joint, (n,).
         discrepancy: Of each joint, over the declared one, (n,).
-        links: Errors of each link over the declared ones, at least 1, (n,).
+        links: Errors of each link over the declared ones, (n,); at least 1 where they are estimated.
     """
 
     noise: tuple[Noise, ...]

@@ -89,9 +89,8 @@ class PlainFitter:
             post = solve(data, residual, columns, self.prior(model, links), start, fixed)
             start, stalled = post, 0 if post.log_evidence > highest + IDLE else stalled + 1
             nearest = np.minimum(nearest, post.hyper.links) if stalled else post.hyper.links
-            if (
-                stalled == PATIENCE and not fixed
-            ):  # links' errors that grow and shrink in turn stay as near to the declared ones as they came
+            # errors of links that grow and shrink in turn stay as near to the declared ones as they came
+            if stalled == PATIENCE and not fixed:
                 start, fixed = replace(post, hyper=replace(post.hyper, links=nearest)), True
             before = post.misfit + post.prior_cost(0 * post.step)
             expected = before - post.predicted(post.step)

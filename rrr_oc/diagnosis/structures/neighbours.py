@@ -25,14 +25,13 @@ from rrr_oc.diagnosis.structures.linear import (
 )
 from rrr_oc.effects import Effect, Trial
 
-SOUGHT = (
-    0.25  # of the share that matters, by which an effect must lower a joint's error on the data it is fitted to, to be sought
-)
+# Of the share that matters, by how much an effect must lower a joint's error on the data it is fitted to, to be sought
+SOUGHT = 0.25
 RETOLD = 2  # neighbours by one kind of move that are predicted again with signatures of their own, where nothing is fitted
 TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew
 SURE = float(np.log(CLAIM / (1 - CLAIM)))  # nats by which an effect raises the posterior that is as probable as a claim
 LEAST_GAIN = SURE - float(np.log(TRIED))  # nats that an addition must gain: with less it is no claim, nor with that many rivals
-FAR = 5.0  # nats by which an effect must be better in another shape than where it was fitted, to be fitted anew from there
+RESHAPED = 5.0  # nats by which an effect must be better in another shape than where it was fitted, to be fitted anew from there
 MOST = 14  # effects at which a search ends
 HOPELESS = 10.0  # nats below which an exchange that is predicted at the present hyperparameters is not looked at closer
 
@@ -173,7 +172,7 @@ class Neighbours:
         """With an effect in another of its shapes, which is far better than where its fit has ended."""
         table = self.tables(None)
         found = [self.at((*less, self.linear.candidate(table, c)), here.solution.hyper) for c in every]
-        return [p for p in found if p.key == here.key and p.score > here.score + FAR]
+        return [p for p in found if p.key == here.key and p.score > here.score + RESHAPED]
 
     def unexplained(self, here: Predicted) -> list[Predicted]:
         """With a black-box term, the most probable first."""
