@@ -38,13 +38,16 @@ class Rows:
     moving: np.ndarray
 
 
-def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False) -> Rows:
+def rows(
+    prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = False, widths: Sequence[tuple[int, ...]] = ()
+) -> Rows:
     """The rows of a model: derivatives by the parameters of its terms in their order.
 
     Args:
         inertial: Whether derivatives by the inertial parameters (10, n) follow, link by link in the order of `Robot.inertial`.
+        widths: Joints of whose friction those by the logarithm of the width over which it changes sign follow.
     """
-    parts = [_rows(p, model, inertial) for p in prepared]
+    parts = [_rows(p, model, inertial, widths) for p in prepared]
     jacobian = np.concatenate([p.jacobian for p in parts], axis=1)
     values = model.values
     sizes = np.maximum(np.abs(np.append(values, np.zeros(jacobian.shape[2] - len(values)))), 1.0)
@@ -57,18 +60,9 @@ def rows(prepared: Sequence[Prepared], model: CalibratedModel, inertial: bool = 
     )
 
 
-def width_columns(prepared: Sequence[Prepared], model: CalibratedModel, joints: Sequence[tuple[int, ...]]) -> np.ndarray:
-    """Derivatives by the logarithm of the width over which friction on these joints changes sign, (n, M, number of them)."""
-    parts = []
-    for p in prepared:
-        at = Prediction(model, p.recording)
-        parts.append(_cleared(_filtered(p, at.by_widths(joints)), _starts(p, model, at.physics)))
-    return np.concatenate(parts, axis=1)
-
-
-def with_residuals(found: Rows, prepared: Sequence[Prepared], model: CalibratedModel) -> Rows:
-    """The rows with the residuals of another model or of cleaned torques; the derivatives stay as they are."""
-    return replace(found, residual=np.concatenate([_filtered_residuals(p, model) for p in prepared], axis=1))
+def filtered_residuals(prepared: Sequence[Prepared], model: CalibratedModel) -> np.ndarray:
+    """The residuals of `rows` alone, (n, M)."""
+    return np.concatenate([_filtered_residuals(p, model) for p in prepared], axis=1)
 
 
 def filtered(prepared: Sequence[Prepared], law: Callable[[Recording], np.ndarray], joints: Sequence[int]) -> np.ndarray:
@@ -104,10 +98,12 @@ def _filtered_residuals(prepared: Prepared, model: CalibratedModel) -> np.ndarra
     return _cleared(prepared.passed(residual, range(len(residual))), _starts(prepared, model, physics))
 
 
-def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool) -> Rows:
+def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, widths: Sequence[tuple[int, ...]]) -> Rows:
     at = Prediction(model, prepared.recording)
     residual = residuals(prepared, model, at.physics)
     jacobian = _derivatives(prepared, at, inertial)
+    if widths:
+        jacobian = np.concatenate([jacobian, _filtered(prepared, at.by_widths(widths))], axis=2)
     starts = _starts(prepared, model, at.physics)
     cleared = _cleared(prepared.passed(residual, range(len(residual))), starts)
     jacobian = _cleared(jacobian, starts)

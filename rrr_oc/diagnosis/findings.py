@@ -187,7 +187,7 @@ def contribution(data: Data, fitted: Fitted, i: int) -> float:
     """
     term = fitted.extra[i]
     less = replace(fitted.model, terms=tuple(t for t in fitted.model.terms if t is not term))
-    change = data.rows(less).residual - fitted.residual
+    change = data.residual(less) - fitted.residual
     rows = data.counted & np.isin(np.array(data.labels)[data.label], term.groups or data.labels)
     rms = np.sqrt(np.sum((change * rows) ** 2, axis=1) / np.maximum(rows.sum(axis=1), 1))
     return float(np.max(rms / data.torque))
@@ -200,7 +200,7 @@ def equal(data: Data, fitted: Fitted, i: int) -> list[Key]:
         estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
         other = replace(term, effect=effect, estimates=estimates, width=nominal_term(effect).width)
         model = replace(fitted.model, terms=tuple(other if t is term else t for t in fitted.model.terms))
-        change = (data.rows(model).residual - fitted.residual) * data.counted
+        change = (data.residual(model) - fitted.residual) * data.counted
         if np.all(np.sqrt(np.mean(change**2, axis=1)) < NEGLIGIBLE * data.torque):
             result.append((effect.name, effect.joints))
     return result

@@ -28,6 +28,8 @@ Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray
 
 # By motion: load torques, and reactions of joints, of the last links that were asked for, and what they depend on
 _OF_LINKS: WeakKeyDictionary[Motion, dict[Hashable, tuple[Hashable, Any]]] = WeakKeyDictionary()
+# By motion: the last delay, and the samples between which each signal was so long ago, with the share of the later one
+_LATE: WeakKeyDictionary[Motion, tuple[float, np.ndarray, np.ndarray, np.ndarray]] = WeakKeyDictionary()
 
 
 def _kept(find: Callable[..., Result]) -> Callable[..., Result]:
@@ -374,14 +376,16 @@ def moved(
 
 def later(motion: Motion, x: np.ndarray, delay: float) -> np.ndarray:
     """Signals (m, K) delayed by `delay` [s], within each segment."""
-    result = np.array(x)
-    for s in motion.segments:
-        t = motion.t[s]
-        if len(t) > 1:
-            before = np.clip(np.searchsorted(t, t - delay, "right") - 1, 0, len(t) - 2)
-            share = np.clip((t - delay - t[before]) / (t[before + 1] - t[before]), 0.0, 1.0)
-            result[:, s] = x[:, s][:, before] * (1 - share) + x[:, s][:, before + 1] * share
-    return result
+    if motion not in _LATE or _LATE[motion][0] != delay:
+        before, share = np.arange(x.shape[1]), np.zeros(x.shape[1])
+        for s in motion.segments:
+            t = motion.t[s]
+            if len(t) > 1:
+                at = np.clip(np.searchsorted(t, t - delay, "right") - 1, 0, len(t) - 2)
+                before[s], share[s] = s.start + at, np.clip((t - delay - t[at]) / (t[at + 1] - t[at]), 0.0, 1.0)
+        _LATE[motion] = delay, before, np.minimum(before + 1, x.shape[1] - 1), share
+    _, before, after, share = _LATE[motion]
+    return np.take(x, before, axis=1) * (1 - share) + np.take(x, after, axis=1) * share
 
 
 def states_along(

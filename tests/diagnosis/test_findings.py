@@ -142,7 +142,7 @@ def test_a_contribution_is_what_the_effect_changes_where_it_holds():
         labels=("a", "b"),
         label=labels,
         torque=np.array([10.0, 1.0]),
-        rows=lambda model: SimpleNamespace(residual=residual + change * (not model.terms)),
+        residual=lambda model: residual + change * (not model.terms),
     )
     fitted = SimpleNamespace(extra=(term,), model=Model((term,)), residual=residual)
     assert contribution(data, fitted, 0) == pytest.approx(0.05)

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR, DISCREPANCY, FRICTION_DISCREPANCY, MEMORY
-from rrr_oc.calibration.regression import Rows, filtered, rows, width_columns, with_residuals
+from rrr_oc.calibration.regression import Rows, filtered, filtered_residuals, rows
 from rrr_oc.calibration.samples import STRIDE, Prepared, _turning, kept_rows
 from rrr_oc.effects import Effect, Signals
 from rrr_oc.numerics.smooth import sign
@@ -88,20 +88,14 @@ class Data:
         first = np.cumsum([0, *(p.counted.shape[1] for p in self.prepared)])
         return np.concatenate([a + k for a, k in zip(first, self.kept, strict=False)])
 
-    def rows(self, model: CalibratedModel) -> Rows:
-        """Residuals and derivatives of a model at the rows that are used."""
-        found = rows(self.prepared, model, inertial=True)
+    def rows(self, model: CalibratedModel, widths: Sequence[tuple[int, ...]] = ()) -> Rows:
+        """Residuals and derivatives of a model at the rows that are used, those by widths as of `regression.rows` last."""
+        found = rows(self.prepared, model, True, widths)
         return replace(found, residual=found.residual[:, self.at], jacobian=found.jacobian[:, self.at], moving=self.counted)
 
-    def residual(self, found: Rows, model: CalibratedModel) -> np.ndarray:
-        """The residual of another model, (n, M)."""
-        return with_residuals(found, self.prepared, model).residual[:, self.at]
-
-    def by_widths(self, model: CalibratedModel, joints: list[tuple[int, ...]]) -> np.ndarray:
-        """Derivatives by the logarithm of the width over which friction on these joints changes sign, (n, M, number of them)."""
-        if not joints:
-            return np.zeros((self.n, len(self.label), 0))
-        return width_columns(self.prepared, model, joints)[:, self.at]
+    def residual(self, model: CalibratedModel) -> np.ndarray:
+        """The residual of a model at the rows that are used, (n, M)."""
+        return filtered_residuals(self.prepared, model)[:, self.at]
 
     @property
     def groups(self) -> tuple[str, ...]:

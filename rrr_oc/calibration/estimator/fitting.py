@@ -3,7 +3,7 @@
 The one estimator: of a calibration, whose model has plain terms alone, and of a diagnosis, whose models have effects beyond these.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
 from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Posterior, Prior, Start, root_of_covariance, solve
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
-from rrr_oc.calibration.regression import Rows, rows
+from rrr_oc.calibration.regression import rows
 from rrr_oc.effects import Effect
 from rrr_oc.robot.link_errors import OF_URDF
 
@@ -77,15 +77,23 @@ class PlainFitter:
         return self.with_signs(self.fit(replace(self.data.start, robot=nominal.robot), self.data.links.none))
 
     def fit(
-        self, model: CalibratedModel, links: np.ndarray, start: Posterior | Start | None = None, fixed: bool = False
+        self,
+        model: CalibratedModel,
+        links: np.ndarray,
+        start: Posterior | Start | None = None,
+        fixed: bool = False,
+        steps: int = STEPS,
     ) -> Fitted:
-        """All parameters of a model fitted, with hyperparameters that begin with those of `start`, or stay `fixed` there."""
+        """All parameters of a model fitted, with hyperparameters that begin with those of `start`, or stay `fixed` there.
+
+        At most so many steps of Gauss–Newton are made.
+        """
         data = self.data
-        found = data.rows(model)
-        columns, residual = self.columns(model, links, found), found.residual
+        residual, columns = self.linearised(model, links)
+        about = residual
         best, highest, last, fall, idle, exact, first = None, -np.inf, np.inf, np.inf, 0, True, 0
         stalled, nearest = 0, np.full(data.n, np.inf)
-        for _ in range(STEPS):
+        for _ in range(steps):
             post = solve(data, residual, columns, self.prior(model, links), start, fixed)
             start, stalled = post, 0 if post.log_evidence > highest + IDLE else stalled + 1
             nearest = np.minimum(nearest, post.hyper.links) if stalled else post.hyper.links
@@ -102,15 +110,14 @@ class PlainFitter:
             for rung in range(first, len(DAMPINGS)):
                 step = post.damped(DAMPINGS[rung])
                 there, errors = self.moved(model, links, step)
-                after = data.residual(found, there)
+                after = data.residual(there)
                 cost = post.cost(after) + post.prior_cost(step)
                 if cost < before:
                     break
             else:
                 if exact:
                     break
-                found, exact, fall = data.rows(model), True, 0.0
-                columns = self.columns(model, links, found)
+                (about, columns), exact, fall = self.linearised(model, links), True, 0.0
                 continue
             first = max(rung - 1, 0)
             missed = np.sum((after - (residual - columns @ step)) ** 2)
@@ -121,10 +128,9 @@ class PlainFitter:
             if linear and rung == 0 and not without:
                 best = Fitted(model, links, post, residual, len(data.start.terms))
                 break
-            exact = without or bool(missed > NONLINEAR * np.sum((found.residual - after) ** 2))
+            exact = without or bool(missed > NONLINEAR * np.sum((about - after) ** 2))
             if exact:
-                found = data.rows(model)
-                columns = self.columns(model, links, found)
+                about, columns = self.linearised(model, links)
         assert best is not None
         return best
 
@@ -132,36 +138,53 @@ class PlainFitter:
         """The fit whose dry friction changes sign in the most probable of its ways, one of `Effect.sign_forms` at each joint."""
         tried: set[tuple[int, Effect]] = set()
         while True:
-            found = [(i, form, width) for i, gain, form, width in self._other_signs(fitted) if gain > OTHER_SIGN]
-            better = {i: (form, width) for i, form, width in found if (i, form) not in tried}
+            terms, better = fitted.model.terms, False
+            for i, gain, form, width in self._other_signs(fitted):
+                if gain <= OTHER_SIGN or (i, form) in tried:
+                    continue
+                tried.add((i, form))
+
+                def with_form(terms: Sequence[Term], i=i, form=form, width=width) -> tuple[Term, ...]:
+                    return tuple(
+                        widened(replace(t, effect=form) if k == i else t, {form.joints: width}) for k, t in enumerate(terms)
+                    )
+
+                # as the model has it: behind a gear or a delay, friction does not change sign where the recorded speed does
+                change = fitted.residual - self.data.residual(replace(fitted.model, terms=with_form(fitted.model.terms)))
+                if self._gains(fitted, dict(enumerate(change[:, :, None])))[0] > OTHER_SIGN:
+                    terms, better = with_form(terms), True
             if not better:
                 return fitted
-            tried |= {(i, form) for i, (form, _) in better.items()}
-            terms = list(fitted.model.terms)
-            for i, (form, width) in better.items():
-                at = {form.joints: width}
-                terms = [widened(replace(t, effect=form) if k == i else t, at) for k, t in enumerate(terms)]
-            new = self.fit(replace(fitted.model, terms=tuple(terms)), fitted.links, fitted.posterior)
+            new = self.fit(replace(fitted.model, terms=terms), fitted.links, fitted.posterior)
             if new.log_evidence > fitted.log_evidence:
                 fitted = new
 
     def _other_signs(self, fitted: Fitted) -> Iterator[tuple[int, float, Effect, float]]:
         """For each term of dry friction its number, the largest gain of a form and width, all else linear, and these two."""
-        post, data = fitted.posterior, self.data
-        inverse = np.linalg.pinv(post.matrix, hermitian=True)
+        data = self.data
         for i, term in enumerate(fitted.model.terms[: fitted.base]):
             others = [(f, w) for f in term.effect.sign_forms for w in WIDTHS]
-            if not others or not term.width:
-                continue
-            (j,), own = term.effect.joints, data.friction(term.effect, term.width)
-            changes = term.values[0] * np.array([data.friction(*other) - own for other in others]).T
+            if others and term.width:
+                (j,), own = term.effect.joints, data.friction(term.effect, term.width)
+                changes = term.values[0] * np.array([data.friction(*other) - own for other in others]).T
+                gains = self._gains(fitted, {j: changes})
+                best = int(np.argmax(gains))
+                yield i, float(gains[best]), *others[best]
+
+    def _gains(self, fitted: Fitted, changes: Mapping[int, np.ndarray]) -> np.ndarray:
+        """By how much changes of the prediction raise the log likelihood, all else linear, (c,).
+
+        Args:
+            changes: Of joints that change, (M, c) each [Nm].
+        """
+        post, gains, slope = fitted.posterior, 0.0, 0.0
+        for j, change in changes.items():
             one, sigma = post.joints[j], post.hyper.sigma[j]
-            d, y, x = one.white @ changes, one.white @ fitted.residual[j], one.white @ post.columns[j]
+            d, y, x = one.white @ change, one.white @ fitted.residual[j], one.white @ post.columns[j]
             left = one.beyond_discrepancy(d, (sigma / post.hyper.discrepancy[j]) ** 2) / sigma**2
-            slope = x.T @ left
-            gains = y @ left - 0.5 * np.sum(d * left, axis=0) + 0.5 * np.sum(slope * (inverse @ slope), axis=0)
-            best = int(np.argmax(gains))
-            yield i, float(gains[best]), *others[best]
+            slope = slope + x.T @ left
+            gains = gains + y @ left - 0.5 * np.sum(d * left, axis=0)
+        return np.asarray(gains + 0.5 * np.sum(slope * (np.linalg.pinv(post.matrix, hermitian=True) @ slope), axis=0))
 
     def closest(self, fitted: Fitted) -> Fitted:
         """The model that predicts the recordings best, in least squares about a fit, with the posterior that goes with it.
@@ -176,13 +199,15 @@ class PlainFitter:
             fitted = self.fit(fitted.model, fitted.links, start, fixed=True)
         return fitted
 
-    def columns(self, model: CalibratedModel, links: np.ndarray, found: Rows) -> np.ndarray:
-        """Derivatives by the terms' parameters, the links' errors and the logarithms of the widths of dry friction, (n, M, p)."""
-        size = len(model.values)
-        by_links = found.jacobian[:, :, size:] @ self.data.links.at(links)[1]
-        return np.concatenate(
-            [found.jacobian[:, :, :size], by_links, self.data.by_widths(model, list(self.widths(model)))], axis=2
-        )
+    def linearised(self, model: CalibratedModel, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The residual (n, M) of a model, and derivatives of its prediction (n, M, p).
+
+        These are by the terms' parameters, the links' errors and the logarithms of the widths of dry friction.
+        """
+        found, size = self.data.rows(model, list(self.widths(model))), len(model.values)
+        last = size + 10 * self.data.n
+        by_links = found.jacobian[:, :, size:last] @ self.data.links.at(links)[1]
+        return found.residual, np.concatenate([found.jacobian[:, :, :size], by_links, found.jacobian[:, :, last:]], axis=2)
 
     def widths(self, model: CalibratedModel) -> dict[tuple[int, ...], float]:
         """Width of the sign of each joint's dry friction [rad/s]."""

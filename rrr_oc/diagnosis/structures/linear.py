@@ -150,16 +150,15 @@ class Linear:
     def of(cls, fitter: Fitter, fitted: Fitted) -> "Linear":
         """The linear problem about a fit."""
         data, model, links = fitter.data, fitted.model, fitted.links
-        rows = data.rows(model)
-        columns, whole = fitter.columns(model, links, rows), fitter.prior(model, links)
+        (whole_residual, columns), whole = fitter.linearised(model, links), fitter.prior(model, links)
         first = sum(len(t.estimates) for t in model.terms[: fitted.base])
         last = first + sum(len(t.estimates) for t in fitted.extra)
         inside = np.r_[np.arange(first), np.arange(last, len(whole.mean))]
-        residual, own, at = rows.residual.copy(), [], first
+        residual, own, at = whole_residual.copy(), [], first
         for i, term in enumerate(fitted.extra):
             at, mine = at + len(term.estimates), slice(at, at + len(term.estimates))
             less = replace(model, terms=tuple(t for t in model.terms if t is not term))
-            change = data.residual(rows, less) - rows.residual  # all that the effect explains
+            change = data.residual(less) - whole_residual  # all that the effect explains
             residual += change
             bounds = whole.lower[mine], whole.upper[mine]
             own.append(_of_term(fitter, fitted, i, np.concatenate([change[:, :, None], columns[:, :, mine]], axis=2), bounds))

@@ -32,7 +32,8 @@ TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew
 SURE = float(np.log(CLAIM / (1 - CLAIM)))  # nats by which an effect raises the posterior that is as probable as a claim
 LEAST_GAIN = SURE - float(np.log(TRIED))  # nats that an addition must gain: with less it is no claim, nor with that many rivals
 RESHAPED = 5.0  # nats by which an effect must be better in another shape than where it was fitted, to be fitted anew from there
-MOST = 14  # effects at which a search ends
+MOST = 8  # effects with which nothing is added; what still raises the probability is less sure than a noise model can be
+ALIKE = 0.3  # share of the largest gain from which additions on different joints are made at once
 HOPELESS = 10.0  # nats below which an exchange that is predicted at the present hyperparameters is not looked at closer
 
 Identity = tuple[str, tuple[int, ...], Effect | None]  # name and joints of an effect, and which, of black-box terms
@@ -74,9 +75,14 @@ class Predicted:
         return key_of(a.name for a in self.structure)
 
     @property
+    def new(self) -> list[Addition]:
+        """Effects that the fit does not have at the shape at which they are predicted."""
+        return [a for a in self.structure if isinstance(a.source, Candidate)]
+
+    @property
     def is_nonlinear(self) -> bool:
         """Whether a shape of an effect may still be far from its best."""
-        return any(isinstance(a.source, Candidate) and not a.effect.linear for a in self.structure)
+        return any(not a.effect.linear for a in self.new)
 
 
 @dataclass
@@ -133,6 +139,18 @@ class Neighbours:
             base = near.at(own, at, True)
             every += near._judged(own, near._screen(own, base, None).candidates(), here, None)
         return _distinct(every)
+
+    def several_added(self, here: Predicted) -> list[Predicted]:
+        """As `added`; before these with the best effects of all joints at once, each of which gains about as much as the best."""
+        every = self.added(here)
+        own = [p for p in every if p.linear is self.linear and p.score > here.score + LEAST_GAIN]
+        some: Structure = ()
+        for p in own:
+            new = p.structure[-1]
+            if p.score - here.score > ALIKE * (own[0].score - here.score) and not any(beside(new.effect, a.effect) for a in some):
+                some = (*some, new)
+        some = some[: MOST - len(here.structure)]
+        return [self.at((*here.structure, *some), here.solution.hyper), *every] if len(some) > 1 else every
 
     def exchanged(self, here: Predicted, score: float = 0.0, waiting: dict[Key, float] | None = None) -> list[Predicted]:
         """With one effect in the place of one or two others, the most probable first.

@@ -16,13 +16,14 @@ from rrr_oc.calibration.estimator.evidence import Start
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
-from rrr_oc.diagnosis.structures.linear import Candidate, Key, Level, Linear, Structure, key_of, numbered
-from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Kind, Levels, Neighbours, Predicted, kind, overlapping
+from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
+from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Kind, Levels, Neighbours, Predicted, beside, kind, overlapping
 from rrr_oc.effects import MovesLink, Trial
 
 FITTED = 2  # neighbours of a structure by one kind of move that are fitted exactly
+NEAR_ENOUGH = 4  # steps of a fit that is only a place to linearise at
 LEVELS = 4  # fits about which structures are predicted on parts of the recordings
-CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted
+CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted, or worse
 
 
 @dataclass
@@ -139,7 +140,7 @@ class Search:
             hyper = exact(post.hyper)
             if hyper is None:
                 return None
-            return self.neighbours(self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), fixed=True))
+            return self.neighbours(self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), True, NEAR_ENOUGH))
 
         return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm, self.most)
 
@@ -170,7 +171,7 @@ class Search:
         here = near.at(near.linear.own, at.fitted.posterior.hyper)
         self.predicted.clear()
         exchanged = partial(near.exchanged, score=at.score, waiting=self._waiting)
-        for move in (near.removed, near.added, exchanged, near.unexplained):
+        for move in (near.removed, near.several_added, exchanged, near.unexplained):
             every = move(here)
             self.predicted |= {p.key: at.score + p.score - here.score for p in every}
             better = self._best(at, here, every)
@@ -187,19 +188,22 @@ class Search:
         best, chosen, more = None, None, 0.0
         hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_nonlinear]
         for p in hopeful[:FITTED]:
-            most = at.score + (1 + SLACK) * (p.score - here.score) + CLOSE + more
+            gain = p.score - here.score
+            rival = chosen is None or any(beside(a.effect, b.effect) for a in p.new for b in chosen.new)
+            most = at.score + ((1 + SLACK) * gain + CLOSE + more if rival else gain)  # what is no rival remains to be added
             several = len({a.name for a in p.structure}) < len(p.structure)  # then the key does not say of which shape
             if (p.key in self.visited and not several and p.key != here.key) or (best is not None and most < best.score):
                 continue
             found = self._fitted(at, p)
-            beyond = found.score - at.score - (p.score - here.score)
+            beyond = found.score - at.score - gain
             self._missed[here.key ^ p.key] = max(-beyond, 0.0)
             more = max(more, beyond)  # by as much as one exceeds its prediction, another may
             gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
             if found.score > (gained if best is None else best.score):
                 best, chosen = found, p
         if best is not None and chosen is not None:
-            best = self._restarted(best, chosen)
+            if best.score < at.score + (1 - SLACK) * (chosen.score - here.score):
+                best = self._restarted(best, chosen)
             self.report(_said(at.fitted, best.fitted), len(self.visited))
         return best
 
@@ -221,7 +225,7 @@ class Search:
 
     def _restarted(self, found: State, p: Predicted) -> State:
         """The most probable of a fit and of those from other starts of its new effects."""
-        return self._from_other_starts(found, [i for i, a in enumerate(p.structure) if isinstance(a.source, Candidate)])
+        return self._from_other_starts(found, [i for i, a in enumerate(p.structure) if a in p.new])
 
     def _reformed(self, at: State) -> State | None:
         """A better fit of the last structure from other starts of its effects, but for gears, fits of which take long."""
