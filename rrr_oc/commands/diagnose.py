@@ -31,6 +31,7 @@ from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
 from rrr_oc.report.diagnosis_words import (
+    extrapolated,
     idle,
     not_claimed,
     not_made,
@@ -129,3 +130,5 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
         errors.add_row(joint_words(joint), shown(b["before"]["value"]), shown(b["after"]["value"]), ratio)
     output.show(errors)
+    for line in extrapolated(found):
+        output.show(line)

@@ -15,6 +15,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, summary
+from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitter
@@ -34,6 +35,7 @@ FOLDS_OF_MANY, MANY_JOINTS = 2, 5  # folds of arms with so many joints or more
 LEVEL = 0.95  # confidence level of the intervals
 RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the ends of an interval by about 1 %
 LEAST_RECORDINGS = 3  # for a bootstrap interval
+BEYOND = 0.05  # share of samples, and of a range, from which a motion leaves that range
 
 
 Start = tuple[CalibratedModel, np.ndarray]  # where a fit begins: a model, and the errors of its links
@@ -214,6 +216,27 @@ def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
     seed, options = np.random.default_rng(0), {"paired": True, "method": "percentile"}
     found = bootstrap(data, statistic, confidence_level=LEVEL, n_resamples=RESAMPLES, rng=seed, **options).confidence_interval
     return {"value": value, "interval": [number(found.low), number(found.high)]}
+
+
+def covered(diagnosis: "Diagnosis") -> dict[str, str]:
+    """Whether what was held out moved where the fit had seen the joint move, by joint: "inside" or "outside".
+
+    Outside is a joint if more than `BEYOND` of the samples of a recording are at angles or speeds that the others do not reach. There a
+    law has to predict what it was never fitted to, and an error tells less of it.
+    """
+    every = diagnosis.recordings.recordings
+    parts = [np.concatenate([r.q, np.abs(r.dq)]) for r in every]  # (2 n, K) each
+    if diagnosis.way == "blocks":
+        parts = [parts[0][:, block] for block in blocks_of(every[0])]
+    outside = np.zeros(len(parts[0]), bool)
+    for fold in diagnosis.folds:
+        rest = np.concatenate([x for k, x in enumerate(parts) if k not in fold.held], axis=1)
+        low, high = rest.min(axis=1, keepdims=True), rest.max(axis=1, keepdims=True)
+        margin = BEYOND * (high - low)
+        for k in fold.held:
+            outside |= np.mean((parts[k] < low - margin) | (parts[k] > high + margin), axis=1) > BEYOND
+    joints = diagnosis.model.joints
+    return {joint: "outside" if np.any(outside[j :: len(joints)]) else "inside" for j, joint in enumerate(joints)}
 
 
 def in_closed_loop(diagnosis: "Diagnosis") -> dict[str, Any]:

@@ -343,6 +343,18 @@ def idle(found: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def extrapolated(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on the joints whose held-out errors are of motions that the fit had not seen."""
+    ranges = found["nrmse"]["held_out"].get("range", {})
+    names = [joint_words(joint) for joint, place in ranges.items() if place == "outside"]
+    what = "recordings" if found["held_out"] == "recordings" else "blocks"
+    sentence = (
+        f"Some {what} move {listed(names)} at angles or speeds that the others do not reach. Predicted without these, a law has to hold "
+        "where it was never fitted, and an error tells less against it."
+    )
+    return [sentence] * bool(names)
+
+
 def not_made(found: Mapping[str, Any]) -> list[str]:
     """A sentence on each optional step that failed."""
     return [f"Not made: {step}, since it failed ({why}); all else stands." for step, why in found.get("failed", {}).items()]

@@ -13,7 +13,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Finding
-from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals
+from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, covered, in_closed_loop, intervals
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares, stable
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
@@ -22,7 +22,7 @@ from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.report.diagnosis_report import write_diagnosis
-from rrr_oc.report.diagnosis_words import sentence
+from rrr_oc.report.diagnosis_words import extrapolated, sentence
 
 STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 
@@ -245,3 +245,18 @@ def test_the_error_of_an_effect_is_that_of_all_joints_whose_torque_it_changes(ef
     found = Shares.of([one], [finding(effect)], 3)
     assert (found.before[0], found.after[0]) == pytest.approx(mean)
     assert found.share == pytest.approx((0.75,))
+
+
+@pytest.mark.parametrize(("reach", "said"), [(1.0, "inside"), (2.0, "outside")])
+def test_an_error_says_whether_the_motion_was_covered(reach, said):
+    """The last of three recordings goes as far as the others, or twice as far, on the first of two joints."""
+    t, joints = np.arange(0, 10, 0.02), ("a", "b")
+    motions = [np.array([np.sin(t) * (reach if k == 2 else 1.0), np.sin(t)]) for k in range(3)]
+    made = [SimpleNamespace(q=q, dq=np.gradient(q, t, axis=1)) for q in motions]
+    folds = [SimpleNamespace(held=(k,)) for k in range(3)]
+    model, recordings = SimpleNamespace(joints=joints), SimpleNamespace(recordings=made)
+    found = covered(SimpleNamespace(recordings=recordings, way="recordings", folds=folds, model=model))  # pyright: ignore[reportArgumentType]
+    assert found == {"a": said, "b": "inside"}
+    (line, *rest) = extrapolated({"nrmse": {"held_out": {"range": found}}, "held_out": "recordings"}) or [""]
+    assert ("move a at" in line) == (said == "outside")
+    assert not rest

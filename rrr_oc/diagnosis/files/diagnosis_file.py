@@ -9,6 +9,7 @@ from msgspec import Struct
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.link_findings import entries
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named
+from rrr_oc.diagnosis.held_out import covered
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects import BlackBox, OfEach
@@ -340,6 +341,18 @@ class BeforeAfter(Struct, forbid_unknown_fields=True):
     after: dict[str, float | None]
 
 
+class HeldOut(BeforeAfter, forbid_unknown_fields=True):
+    """Errors of each joint's torque on what took part in no fit, and whether that is a matter of interpolation.
+
+    Attributes:
+        before: Of the plain model [1].
+        after: With what was found [1].
+        range: Whether what was held out moved where the fit had seen the joint move, by joint. If not, an error tells less of a law.
+    """
+
+    range: dict[str, Literal["inside", "outside"]]
+
+
 class Nrmse(Struct, forbid_unknown_fields=True):
     """Errors of the predicted torque over the recorded one's standard deviation.
 
@@ -349,7 +362,7 @@ class Nrmse(Struct, forbid_unknown_fields=True):
     """
 
     calibration: BeforeAfter
-    held_out: BeforeAfter
+    held_out: HeldOut
 
 
 class Mean(Struct, forbid_unknown_fields=True):
@@ -476,7 +489,10 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             {"why": s.why, "separates": list(s.separates), "trajectory": f"suggested_{k}.csv"}
             for k, s in enumerate(diagnosis.suggestions, 1)
         ],
-        "nrmse": {"calibration": by_joint(diagnosis.calibration), "held_out": by_joint(diagnosis.held_out)},
+        "nrmse": {
+            "calibration": by_joint(diagnosis.calibration),
+            "held_out": {**by_joint(diagnosis.held_out), "range": covered(diagnosis)},
+        },
         "versions": dict(model.versions),
         "failed": dict(diagnosis.failed),
     }

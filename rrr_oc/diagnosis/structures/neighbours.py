@@ -147,7 +147,9 @@ class Neighbours:
         some: Structure = ()
         for p in own:
             new = p.structure[-1]
-            if p.score - here.score > ALIKE * (own[0].score - here.score) and not any(beside(new.effect, a.effect) for a in some):
+            if p.score - here.score > ALIKE * (own[0].score - here.score) and not any(
+                beside(new.effect, a.effect) for a in some
+            ):
                 some = (*some, new)
         some = some[: MOST - len(here.structure)]
         return [self.at((*here.structure, *some), here.solution.hyper), *every] if len(some) > 1 else every

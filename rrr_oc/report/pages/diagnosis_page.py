@@ -63,6 +63,7 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
         first=(str(curves["worst"]), str(worst)),
         everything=ALL,
         errors=[[joint_words(joint), *(_with_interval(b[k]) for k in ("before", "after", "ratio"))] for joint, b in errors],
+        extrapolated=say.extrapolated(found),
         signals=list(SIGNAL_NAMES.values()),
         simulated=_simulated_rows(found.get("simulated")),
         claims=claims(found, curves["files"].tolist()),
