@@ -181,8 +181,12 @@ class Linear:
 
     def left(self, structure: Structure, step: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """The residual (n, rows) of a structure with these coefficients (p,), the discrepancy included."""
-        columns = np.concatenate([self.columns[:, rows], *(a.columns[:, rows] for a in structure)], axis=2)
-        return self.residual[:, rows] - np.einsum("jkp,p->jk", columns, step, optimize=True)
+        some = slice(None) if len(rows) == self.residual.shape[1] else rows  # a slice copies nothing
+        result, at = self.residual[:, some].copy(), 0
+        for columns in (self.columns, *(a.columns for a in structure)):
+            result -= columns[:, some] @ step[at : at + columns.shape[2]]
+            at += columns.shape[2]
+        return result
 
     def candidate(self, table: Table, c: Candidate) -> Addition:
         """A candidate as an addition."""
@@ -275,6 +279,7 @@ class Level:
         self._pairs: dict[tuple[Addition, Addition, int], np.ndarray] = {}
         self._tables: dict[Table, list[TableProducts]] = {}
         self._sums: dict[Blocks, list[Sums]] = {}
+        self._last: tuple[tuple[Structure, Blocks], list[Gram]] | None = None
 
     def columns(self, j: int) -> np.ndarray:
         """[columns, features, residual] of a joint, (M, L)."""
@@ -328,13 +333,21 @@ class Level:
         return self._sums[blocks]
 
     def grams(self, structure: Structure, blocks: Blocks) -> list[Gram]:
-        """The products of a structure's columns over some blocks, by joint."""
+        """The products of a structure's columns over some blocks, by joint; those of the last structure are kept."""
+        if self._last is None or self._last[0] != (structure, blocks):
+            self._last = (structure, blocks), self._grams(structure, blocks)
+        return self._last[1]
+
+    def _grams(self, structure: Structure, blocks: Blocks) -> list[Gram]:
         p, some, grams = self.p, list(blocks), []
         for j, one in enumerate(self.sums(blocks)):
             xx, xy, tx = one.products[:p, :p], one.products[:p, -1], one.turned[:, :p]
             if structure:
                 left = np.hstack([self.part(a).left[j][some].sum(axis=0) for a in structure])  # (L, m)
-                pairs = np.block([[self.pair(a, b, j)[some].sum(axis=0) for b in structure] for a in structure])
+                every = [[self.pair(a, b, j)[some].sum(axis=0) for b in structure[: i + 1]] for i, a in enumerate(structure)]
+                pairs = np.block(
+                    [[every[i][k] if k <= i else every[k][i].T for k in range(len(every))] for i in range(len(every))]
+                )
                 xx = np.block([[xx, left[:p]], [left[:p].T, pairs]])
                 xy, tx = np.append(xy, left[-1]), np.hstack([tx, one.turn.T @ left[p:-1]])
             live = np.flatnonzero(np.diag(xx) > 0)
