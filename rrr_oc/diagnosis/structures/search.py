@@ -14,6 +14,7 @@ import numpy as np
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.estimator.evidence import Start
 from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
 from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
@@ -219,6 +220,9 @@ class Search:
         plain = sum(len(t.estimates) for t in about.model.terms[: about.base])
         rest = len(about.links) + len(self.fitter.widths(model))
         step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
+        # errors of links far beyond those of a fit are no prediction: bodies are exponential in them
+        own, most = slice(len(step) - rest, len(step) - rest + len(about.links)), np.maximum(np.abs(about.links), FAR)
+        step[own] = np.clip(about.links + step[own], -most, most) - about.links
         model, links = self.fitter.moved(model, about.links, step)
         start = Start(p.solution.hyper, p.linear.fitted.posterior.joints)
         return self.fitter.with_signs(self.fitter.fit(model, links, start))
