@@ -8,8 +8,10 @@ import pytest
 from recorded import Plant, as_set, real, record
 
 from rrr_oc.calibration.estimator.evidence import at_size, solve
+from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.knobs import EXCESS
 from rrr_oc.diagnosis.procedure import ready
+from rrr_oc.diagnosis.structures import neighbours
 from rrr_oc.diagnosis.structures.candidates import Screen
 from rrr_oc.diagnosis.structures.linear import Level
 from rrr_oc.diagnosis.structures.search import Search
@@ -148,6 +150,32 @@ def test_a_harness_that_is_an_offset_is_none(fitted):
         assert fitter.believed(trial, {"stiffness": 1.0, "rest": rest}) is believed
     for c in screened(fitter, at, [trial])[2].candidates():
         assert fitter.believed(c.trial, c.trial.effect.combined(c.trial.points, c.coefficients))
+
+
+@pytest.mark.parametrize(("alike", "names"), [(0.01, {"torque_offset", "quadratic_drag"}), (0.99, {"torque_offset"})])
+def test_effects_of_different_joints_are_added_at_once(fitted, monkeypatch, alike, names):
+    """An offset on the first joint, and drag on the second that gains less: at once, if that counts as alike."""
+    fitter, at, every = fitted
+    monkeypatch.setattr(neighbours, "ALIKE", alike)
+    search = Search.of(fitter, laws(every, QuadraticDrag, TorqueOffset))
+    first = search._better(search.scored(at))
+    assert first is not None
+    assert {t.effect.name for t in first.fitted.extra} == names
+
+
+def test_a_fit_begins_with_links_that_can_be(fitted, monkeypatch):
+    """Bodies are exponential in errors of the links: a prediction may move these so far that no number holds the result."""
+    fitter, at, every = fitted
+    search = Search.of(fitter, laws(every, QuadraticDrag))
+    _, here, _ = screened(fitter, at, laws(every, QuadraticDrag))
+    plain, far = sum(len(t.estimates) for t in at.model.terms), here.solution.step.copy()
+    far[plain : plain + len(at.links)] = 1e4
+    begun = []
+    monkeypatch.setattr(type(fitter), "fit", lambda self, model, links, *_, **__: begun.append((model, links)) or at)
+    search.fit(at, replace(here, solution=replace(here.solution, step=far)))
+    ((model, links),) = begun
+    assert np.all(np.abs(links) <= np.maximum(np.abs(at.links), FAR))
+    assert np.all(np.isfinite(model.robot.inertial))
 
 
 def test_a_gas_spring_is_found_where_errors_of_the_links_explain_much_of_it():

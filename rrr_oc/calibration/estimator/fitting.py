@@ -22,6 +22,7 @@ IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, 
 PATIENCE = 3  # steps without more evidence after which hyperparameters stay as they are
 NONLINEAR = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
 DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
+LINK_STEP = 30.0  # standard deviations by which one step may change an error of a link; bodies are exponential in them
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 CLOSER = 2  # fits of least squares, whose weights depend on what the one before leaves
 OTHER_SIGN = 3.0  # nats from which another way in which friction changes sign is fitted
@@ -110,6 +111,8 @@ class PlainFitter:
             for rung in range(first, len(DAMPINGS)):
                 step = post.damped(DAMPINGS[rung])
                 there, errors = self.moved(model, links, step)
+                if np.any(np.abs(errors - links) > LINK_STEP):
+                    continue
                 after = data.residual(there)
                 cost = post.cost(after) + post.prior_cost(step)
                 if cost < before:
