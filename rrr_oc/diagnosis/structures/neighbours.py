@@ -1,6 +1,6 @@
 """The neighbours of a structure, with an effect more, fewer or another, and their posterior probabilities as linearity predicts them."""
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -203,11 +203,15 @@ class Neighbours:
             every += self._judged(own, self._screen(own, here, j).candidates(), here, j)
         return _distinct(every)
 
-    def completed(self, here: Predicted) -> Predicted:
-        """The structure with all further effects of the catalogue that are sure, however small, one after the other."""
-        near = replace(self, least=0.0, most=None)
+    def completed(self, here: Predicted, refused: Container[Key] = ()) -> Predicted:
+        """The structure with all further effects of the catalogue that are sure, however small, one after the other.
+
+        Args:
+            refused: Effects with which fits were worse than predicted.
+        """
+        near, start = replace(self, least=0.0, most=None), here.key
         while True:
-            best = next(iter(near.added(here)), here)
+            best = next((p for p in near.added(here) if not any(frozenset({name}) in refused for name in p.key - start)), here)
             if best.score < here.score + SURE:
                 return here
             here = best

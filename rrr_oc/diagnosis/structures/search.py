@@ -24,7 +24,7 @@ from rrr_oc.effects import MovesLink, Trial
 FITTED = 2  # neighbours of a structure by one kind of move that are fitted exactly
 NEAR_ENOUGH = 4  # steps of a fit that is only a place to linearise at
 LEVELS = 4  # fits about which structures are predicted on parts of the recordings
-CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted, or worse
+CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted
 
 
 @dataclass
@@ -116,8 +116,12 @@ class Search:
         """The fit of a structure with all further effects that are sure, however small."""
         near = self.neighbours(at.fitted)
         here = near.at(near.linear.own, at.fitted.posterior.hyper)
-        best = near.completed(here)
-        return at.fitted if best is here else self.fit(at.fitted, best)
+        refused = {key - here.key for key, score in self.visited.items() if key > here.key and score < at.score}
+        best = near.completed(here, refused)
+        if best is here:
+            return at.fitted
+        found = self._fitted(at, best)
+        return found.fitted if found.score > at.score else at.fitted
 
     def worths(self, at: State) -> list[float]:
         """By how much the log posterior falls without each effect; as fitted where that is known, else as predicted."""
@@ -203,7 +207,8 @@ class Search:
             if found.score > (gained if best is None else best.score):
                 best, chosen = found, p
         if best is not None and chosen is not None:
-            if best.score < at.score + (1 - SLACK) * (chosen.score - here.score):
+            gain = chosen.score - here.score
+            if abs(best.score - at.score - gain) > SLACK * gain:  # far from linear, so that there may be other optima
                 best = self._restarted(best, chosen)
             self.report(_said(at.fitted, best.fitted), len(self.visited))
         return best
