@@ -261,7 +261,7 @@ class Neighbours:
                 continue  # it is offered at its best shape
             if self._open(c, structure):
                 p = self.at((*structure, self.linear.candidate(table, c)), base.solution.hyper)
-                if not self.least or np.any(self.errors(p.structure, base.solution.hyper) < (1 - self.least) * before):
+                if not self.least or np.any(self.errors(p.structure, p.solution.hyper) < (1 - self.least) * before):
                     result.append(p)
         return result
 

@@ -190,7 +190,7 @@ class Search:
         A shape may be better than it is predicted on the grid of its trials. By as much as a change of a structure missed its
         prediction when it was fitted last, it is expected to miss it again.
         """
-        best, chosen, more = None, None, 0.0
+        best, chosen, more, tried = None, None, 0.0, list[tuple[State, Predicted]]()
         hopeful = [p for p in every if p.score - self._missed.get(here.key ^ p.key, 0.0) > here.score - CLOSE * p.is_nonlinear]
         for p in hopeful[:FITTED]:
             gain = p.score - here.score
@@ -200,17 +200,21 @@ class Search:
             if (p.key in self.visited and not several and p.key != here.key) or (best is not None and most < best.score):
                 continue
             found = self._fitted(at, p)
+            tried.append((found, p))
             beyond = found.score - at.score - gain
             self._missed[here.key ^ p.key] = max(-beyond, 0.0)
             more = max(more, beyond)  # by as much as one exceeds its prediction, another may
             gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
             if found.score > (gained if best is None else best.score):
                 best, chosen = found, p
-        if best is not None and chosen is not None:
-            gain = chosen.score - here.score
-            if abs(best.score - at.score - gain) > SLACK * gain:  # far from linear, so that there may be other optima
-                best = self._restarted(best, chosen)
-            self.report(_said(at.fitted, best.fitted), len(self.visited))
+        if best is None:
+            return None
+        for found, p in tried:
+            gain = p.score - here.score
+            # far from linear there may be other optima, of the best and of what comes close to it
+            if found.score > best.score - CLOSE and abs(found.score - at.score - gain) > SLACK * gain:
+                best = max(best, self._restarted(found, p), key=lambda state: state.score)
+        self.report(_said(at.fitted, best.fitted), len(self.visited))
         return best
 
     def _fitted(self, at: State, p: Predicted) -> State:
