@@ -341,7 +341,7 @@ class BeforeAfter(Struct, forbid_unknown_fields=True):
     after: dict[str, float | None]
 
 
-class HeldOut(BeforeAfter, forbid_unknown_fields=True):
+class HeldOutErrors(BeforeAfter, forbid_unknown_fields=True):
     """Errors of each joint's torque on what took part in no fit, and whether that is a matter of interpolation.
 
     Attributes:
@@ -362,7 +362,7 @@ class Nrmse(Struct, forbid_unknown_fields=True):
     """
 
     calibration: BeforeAfter
-    held_out: HeldOut
+    held_out: HeldOutErrors
 
 
 class Mean(Struct, forbid_unknown_fields=True):
