@@ -35,7 +35,7 @@ FOLDS_OF_MANY, MANY_JOINTS = 2, 5  # folds of arms with so many joints or more
 LEVEL = 0.95  # confidence level of the intervals
 RESAMPLES = 4000  # of the bootstrap; twice as many double its time and move the ends of an interval by about 1 %
 LEAST_RECORDINGS = 3  # for a bootstrap interval
-BEYOND = 0.05  # share of samples, and of a range, from which a motion leaves that range
+OUTSIDE = 0.05  # share of samples, and of a range, from which a motion leaves that range
 
 
 Start = tuple[CalibratedModel, np.ndarray]  # where a fit begins: a model, and the errors of its links
@@ -218,10 +218,10 @@ def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
     return {"value": value, "interval": [number(found.low), number(found.high)]}
 
 
-def covered(diagnosis: "Diagnosis") -> dict[str, str]:
+def ranges(diagnosis: "Diagnosis") -> dict[str, str]:
     """Whether what was held out moved where the fit had seen the joint move, by joint: "inside" or "outside".
 
-    Outside is a joint if more than `BEYOND` of the samples of a recording are at angles or speeds that the others do not reach. There a
+    Outside is a joint if more than `OUTSIDE` of the samples of a recording are at angles or speeds that the others do not reach. There a
     law has to predict what it was never fitted to, and an error tells less of it.
     """
     every = diagnosis.recordings.recordings
@@ -232,9 +232,9 @@ def covered(diagnosis: "Diagnosis") -> dict[str, str]:
     for fold in diagnosis.folds:
         rest = np.concatenate([x for k, x in enumerate(parts) if k not in fold.held], axis=1)
         low, high = rest.min(axis=1, keepdims=True), rest.max(axis=1, keepdims=True)
-        margin = BEYOND * (high - low)
+        margin = OUTSIDE * (high - low)
         for k in fold.held:
-            outside |= np.mean((parts[k] < low - margin) | (parts[k] > high + margin), axis=1) > BEYOND
+            outside |= np.mean((parts[k] < low - margin) | (parts[k] > high + margin), axis=1) > OUTSIDE
     joints = diagnosis.model.joints
     return {joint: "outside" if np.any(outside[j :: len(joints)]) else "inside" for j, joint in enumerate(joints)}
 

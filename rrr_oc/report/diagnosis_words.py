@@ -345,7 +345,7 @@ def idle(found: Mapping[str, Any]) -> list[str]:
 
 def extrapolated(found: Mapping[str, Any]) -> list[str]:
     """A sentence on the joints whose held-out errors are of motions that the fit had not seen."""
-    ranges = found.get("nrmse", {}).get("held_out", {}).get("range", {})
+    ranges = found["nrmse"]["held_out"].get("range", {})
     names = [joint_words(joint) for joint, place in ranges.items() if place == "outside"]
     what = "recordings" if found["held_out"] == "recordings" else "blocks"
     sentence = (

@@ -13,7 +13,7 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Finding
-from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, covered, in_closed_loop, intervals
+from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals, ranges
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares, stable
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
@@ -255,7 +255,7 @@ def test_an_error_says_whether_the_motion_was_covered(reach, said):
     made = [SimpleNamespace(q=q, dq=np.gradient(q, t, axis=1)) for q in motions]
     folds = [SimpleNamespace(held=(k,)) for k in range(3)]
     model, recordings = SimpleNamespace(joints=joints), SimpleNamespace(recordings=made)
-    found = covered(SimpleNamespace(recordings=recordings, way="recordings", folds=folds, model=model))  # pyright: ignore[reportArgumentType]
+    found = ranges(SimpleNamespace(recordings=recordings, way="recordings", folds=folds, model=model))  # pyright: ignore[reportArgumentType]
     assert found == {"a": said, "b": "inside"}
     (line, *rest) = extrapolated({"nrmse": {"held_out": {"range": found}}, "held_out": "recordings"}) or [""]
     assert ("move a at" in line) == (said == "outside")

@@ -146,16 +146,11 @@ class PlainFitter:
                 if gain <= OTHER_SIGN or (i, form) in tried:
                     continue
                 tried.add((i, form))
-
-                def with_form(terms: Sequence[Term], i=i, form=form, width=width) -> tuple[Term, ...]:
-                    return tuple(
-                        widened(replace(t, effect=form) if k == i else t, {form.joints: width}) for k, t in enumerate(terms)
-                    )
-
                 # as the model has it: behind a gear or a delay, friction does not change sign where the recorded speed does
-                change = fitted.residual - self.data.residual(replace(fitted.model, terms=with_form(fitted.model.terms)))
+                alone = with_form(fitted.model.terms, i, form, width)
+                change = fitted.residual - self.data.residual(replace(fitted.model, terms=alone))
                 if self._gains(fitted, dict(enumerate(change[:, :, None])))[0] > OTHER_SIGN:
-                    terms, better = with_form(terms), True
+                    terms, better = with_form(terms, i, form, width), True
             if not better:
                 return fitted
             new = self.fit(replace(fitted.model, terms=terms), fitted.links, fitted.posterior)
@@ -254,6 +249,12 @@ class PlainFitter:
         if terms:
             raise ValueError(f"no prior of {', '.join(t.effect.name for t in terms)}; a model of plain terms is required")
         return np.zeros((5, 0))
+
+
+def with_form(terms: Sequence[Term], i: int, form: Effect, width: float) -> tuple[Term, ...]:
+    """Terms of which one has another effect, and all friction on its joint another width of the sign."""
+    changed = [replace(t, effect=form) if k == i else t for k, t in enumerate(terms)]
+    return tuple(widened(t, {form.joints: width}) for t in changed)
 
 
 def at_low_frequency(data: Data, fitted: Fitted) -> Hyperparameters:

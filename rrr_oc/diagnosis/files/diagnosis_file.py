@@ -9,7 +9,7 @@ from msgspec import Struct
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.link_findings import entries
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named
-from rrr_oc.diagnosis.held_out import covered
+from rrr_oc.diagnosis.held_out import ranges
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects import BlackBox, OfEach
@@ -491,7 +491,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "nrmse": {
             "calibration": by_joint(diagnosis.calibration),
-            "held_out": {**by_joint(diagnosis.held_out), "range": covered(diagnosis)},
+            "held_out": {**by_joint(diagnosis.held_out), "range": ranges(diagnosis)},
         },
         "versions": dict(model.versions),
         "failed": dict(diagnosis.failed),

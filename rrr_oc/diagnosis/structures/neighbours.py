@@ -32,7 +32,7 @@ TRIED = 8  # candidates of a screen whose hyperparameters are estimated anew
 SURE = float(np.log(CLAIM / (1 - CLAIM)))  # nats by which an effect raises the posterior that is as probable as a claim
 LEAST_GAIN = SURE - float(np.log(TRIED))  # nats that an addition must gain: with less it is no claim, nor with that many rivals
 RESHAPED = 5.0  # nats by which an effect must be better in another shape than where it was fitted, to be fitted anew from there
-MOST = 8  # effects with which nothing is added; what still raises the probability is less sure than a noise model can be
+MOST = 8  # effects with which nothing is added: further gains are as small as the errors of a noise model
 ALIKE = 0.3  # share of the largest gain from which additions on different joints are made at once
 HOPELESS = 10.0  # nats below which an exchange that is predicted at the present hyperparameters is not looked at closer
 

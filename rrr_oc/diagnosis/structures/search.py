@@ -145,7 +145,9 @@ class Search:
             hyper = exact(post.hyper)
             if hyper is None:
                 return None
-            return self.neighbours(self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), True, NEAR_ENOUGH))
+            return self.neighbours(
+                self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), fixed=True, steps=NEAR_ENOUGH)
+            )
 
         return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm, self.most)
 
