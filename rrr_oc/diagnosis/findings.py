@@ -15,6 +15,7 @@ from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.effects import Effect
 from rrr_oc.effects.base import Prior
+from rrr_oc.numerics.rank import pseudo_inverse
 
 LESS_PROBABLE = 10.0  # times that an effect may be less probable beforehand before its claim is said to rest on that
 Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it is shown
@@ -213,8 +214,8 @@ def wald(fitted: Fitted, i: int) -> float:
     effect = fitted.extra[i].effect
     own = [start + k for k, p in enumerate(effect.parameters) if p.name in effect.amplitudes]
     off = post.prior.mean[own] - post.step[own]
-    block = np.linalg.pinv(post.matrix, hermitian=True)[np.ix_(own, own)]
-    return float(chi2.sf(off @ np.linalg.pinv(block, hermitian=True) @ off, len(own)))
+    block = pseudo_inverse(post.matrix)[np.ix_(own, own)]
+    return float(chi2.sf(off @ pseudo_inverse(block) @ off, len(own)))
 
 
 def named(key: Key, joints: Sequence[str]) -> Mapping[str, object]:

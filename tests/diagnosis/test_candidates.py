@@ -84,8 +84,9 @@ def test_gains_are_differences_of_evidence(fitted, exact):
         assert c.log_prior == pytest.approx(fitter.log_prior(c.trial.effect, c.scope))
 
 
-def test_gains_in_the_place_of_others_are_differences_of_evidence(fitted):
-    """The screen beside two effects says what trials gain without one or both of them."""
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_gains_in_the_place_of_others_are_differences_of_evidence(fitted, unit):
+    """The screen beside two effects says what trials gain without one or both of them, in whatever units these are."""
     fitter, at, every = fitted
     offsets, drags = laws(every, TorqueOffset), laws(every, QuadraticDrag)
     near, _, screen = screened(fitter, at, [*offsets, *drags])
@@ -93,6 +94,7 @@ def test_gains_in_the_place_of_others_are_differences_of_evidence(fitted):
     two = tuple(
         near.linear.candidate(near.tables(None), best[key]) for key in (("quadratic_drag", (1,)), ("torque_offset", (0,)))
     )
+    two = (replace(two[0], columns=unit * two[0].columns, precision=unit**2 * two[0].precision), two[1])
     near, _, screen = screened(fitter, at, [*offsets, *drags], structure=two)
     hyper = at.posterior.hyper
     for out in ((0,), (1,), (0, 1)):

@@ -182,7 +182,7 @@ class PlainFitter:
             left = one.beyond_discrepancy(d, (sigma / post.hyper.discrepancy[j]) ** 2) / sigma**2
             slope = slope + x.T @ left
             gains = gains + y @ left - 0.5 * np.sum(d * left, axis=0)
-        return np.asarray(gains + 0.5 * np.sum(slope * (np.linalg.pinv(post.matrix, hermitian=True) @ slope), axis=0))
+        return np.asarray(gains + 0.5 * np.sum((root_of_covariance(post.matrix).T @ slope) ** 2, axis=0))
 
     def closest(self, fitted: Fitted) -> Fitted:
         """The model that predicts the recordings best, in least squares about a fit, with the posterior that goes with it.

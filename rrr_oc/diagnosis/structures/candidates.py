@@ -18,7 +18,7 @@ SHARES = (1.0, 0.85, 0.7, 0.5)  # of the best coefficients, tried until they are
 LEAST_SOME = 8.0  # nats that all groups by themselves must gain together for an effect of some groups to be sought
 LEAST_APART = 4.0  # nats: with less, an effect of some groups only is not sought
 FAINT = 8.0  # nats below the best shape of an effect within which another counts
-REGULAR = (1e-12, 1e-10, 1e-8, 1e-6)  # of the mean of a diagonal, against a matrix that is singular but for rounding
+REGULAR = (1e-12, 1e-10, 1e-8, 1e-6)  # of its diagonal, against a matrix that is singular but for rounding
 HELD = 1e9  # times its own precision, by which a coefficient stays at its bound; ten times less or more, no change
 UNIQUE = 1e-7  # share of a signature that the model's parameters do not reproduce, below which it says nothing
 
@@ -61,10 +61,15 @@ class Gains:
 
 
 def root_of(matrix: np.ndarray) -> np.ndarray:
-    """Cholesky factor of a matrix that is positive definite but for rounding; raises `LinAlgError` for another."""
+    """Cholesky factor of a matrix that is positive definite but for rounding; raises `LinAlgError` for another.
+
+    Units do not matter: each row and column counts as a share of its diagonal.
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
+    alike = matrix / np.outer(scale, scale)
     for more in REGULAR:
         try:
-            return cholesky(matrix + more * np.mean(np.diag(matrix)) * np.eye(len(matrix)), lower=True, check_finite=False)
+            return scale[:, None] * cholesky(alike + more * np.eye(len(matrix)), lower=True, check_finite=False)
         except LinAlgError:
             pass
     raise LinAlgError("not positive definite")
@@ -128,13 +133,11 @@ class Screen:
             right[:, products.used] += (summed[0][:, -1] - np.einsum("f,fgt->gt", d * gram.ty, features)) / sigma2
             through.append(features * np.sqrt(d / sigma2)[:, None, None])
         matrix = post.matrix + np.diag(HELD * np.diag(post.matrix) * at_bounds(post))
-        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
-        factor = root_of(matrix / np.outer(scale, scale))
-        flat = np.moveaxis(cross, 0, 1).reshape(count, -1) / scale[:, None]
-        half = solve_triangular(factor, flat, lower=True, check_finite=False)
-        share = solve_triangular(factor, half, lower=True, trans=1, check_finite=False) / scale[:, None]
+        factor = root_of(matrix)
+        half = solve_triangular(factor, np.moveaxis(cross, 0, 1).reshape(count, -1), lower=True, check_finite=False)
+        share = solve_triangular(factor, half, lower=True, trans=1, check_finite=False)
         shape = count, len(groups), total
-        covariance = cho_solve((factor, True), np.eye(count)) / np.outer(scale, scale)
+        covariance = cho_solve((factor, True), np.eye(count))
         ahead = covariance @ slope
         right -= np.einsum("p,pgd->gd", ahead, np.moveaxis(cross, 0, 1))
         of_structure = covariance, ahead, share.reshape(shape), half.reshape(shape)
