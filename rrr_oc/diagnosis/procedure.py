@@ -233,7 +233,7 @@ def ready(
     model = stages.once("plain model", ModelData, first).model(nominal)
     data = data_of(recordings, without_spikes(whole, model), nominal, model, exact)
     seen = view(data.prepared, model)
-    every = tuple(trials(seen, model.torque))
+    every = tuple(t for t in trials(seen, model.torque) if t.effect.name not in priors.excluded)
     families: dict[tuple, list[Trial]] = {}
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 from msgspec import field as key
 
-from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects import CATALOGUE, BlackBox
 from rrr_oc.effects.base import SOUGHT, Effect, Prior, Trial, View
 from rrr_oc.schema import Schema, check_names, read_toml, validated
 
@@ -24,10 +24,12 @@ class Context(Schema, frozen=True):
     Attributes:
         springs: Whether the arm carries springs; by default it does where a recording lists one.
         inertias: Whether the links' inertial parameters are known exactly.
+        excluded: Effects that the arm cannot have, as `backlash` of direct drives; they are not sought.
     """
 
     springs: bool | None = None
     inertias: Literal["exact", "nominal"] = "nominal"
+    excluded: tuple[str, ...] = ()
 
 
 class Given(Schema, frozen=True):
@@ -50,12 +52,14 @@ class Priors:
         given: Priors by effect's name that replace those declared.
         springs: Whether the arm carries springs; None where nobody said so.
         exact_inertias: Whether the links' inertial parameters are known exactly.
+        excluded: Names of effects that are not sought.
         file: Where they were read from; None for what the effects declare.
     """
 
     given: Mapping[str, Prior] = field(default_factory=dict)
     springs: bool | None = None
     exact_inertias: bool = False
+    excluded: tuple[str, ...] = ()
     file: str | None = None
 
     def of(self, kind: type[Effect]) -> Prior:
@@ -89,10 +93,12 @@ def load_priors(path: str | Path) -> Priors:
     """
     tables = read_toml(path)
     context = validated(path, tables.pop("context", {}), Context, "context")
-    check_names(tables, (name for name, kind in CATALOGUE.items() if kind.role in SOUGHT), path, "effect")
+    sought = [name for name, kind in CATALOGUE.items() if kind.role in SOUGHT]
+    check_names(tables, sought, path, "effect")
+    check_names(context.excluded, [n for n in sought if not issubclass(CATALOGUE[n], BlackBox)], f"{path}: context.excluded", "effect")
     found = validated(path, tables, dict[str, Given])
     given = {name: _changed(path, CATALOGUE[name], one) for name, one in found.items()}
-    return Priors(given, context.springs, context.inertias == "exact", str(path))
+    return Priors(given, context.springs, context.inertias == "exact", context.excluded, str(path))
 
 
 def _changed(path: str | Path, kind: type[Effect], given: Given) -> Prior:

@@ -185,11 +185,12 @@ def test_a_file_overrides_what_it_names(tmp_path, seen):
     path = tmp_path / "priors.toml"
     path.write_text(
         "[stribeck]\nprobability = 0.2\ntypical.excess = 0.1\n[friction_change.typical]\ndry = 0.7\n"
-        '[joint_elasticity]\ntypical.twist = 0.02\n[context]\nsprings = true\ninertias = "exact"\n'
+        '[joint_elasticity]\ntypical.twist = 0.02\n[context]\nsprings = true\ninertias = "exact"\nexcluded = ["backlash"]\n'
     )
     priors = load_priors(path)
     assert priors.springs is True
     assert priors.exact_inertias
+    assert priors.excluded == ("backlash",)
     assert priors.of(Stribeck) == Prior(0.2, {"excess": (0.1, "dry")}, f"given in {path}")
     assert priors.chance(Stribeck((1,)), seen) == pytest.approx(0.2)
     np.testing.assert_allclose(priors.scales(seen, Stribeck((1,)).trial(seen, velocity=0.1)), [0.1 * 2.0])
@@ -204,7 +205,7 @@ def test_a_file_overrides_what_it_names(tmp_path, seen):
 def test_without_a_file_priors_are_those_declared(tmp_path):
     (tmp_path / "empty.toml").write_text("")
     for priors in (Priors(), load_priors(tmp_path / "empty.toml")):
-        assert (priors.springs, priors.exact_inertias) == (None, False)
+        assert (priors.springs, priors.exact_inertias, priors.excluded) == (None, False, ())
         assert all(priors.of(kind) == kind.prior for kind in CATALOGUE.values())
 
 
@@ -223,7 +224,9 @@ def test_without_a_file_priors_are_those_declared(tmp_path):
         ("stribeck = 1", "stribeck: found 1; an object with probability, typical is required"),
         ("[context]\nsprings = 1", "context.springs: found 1; true or false is required"),
         ("[context]\ninertias = 'x'", "context.inertias: found 'x'; allowed are 'exact', 'nominal'"),
-        ("[context]\nspring = true", "context: unknown key 'spring'; allowed are springs, inertias"),
+        ("[context]\nspring = true", "context: unknown key 'spring'; allowed are springs, inertias, excluded"),
+        ("[context]\nexcluded = ['play']", "context.excluded: unknown effect 'play'; allowed are backlash, biarticular_spring, "),
+        ("[context]\nexcluded = ['empirical']", "context.excluded: unknown effect 'empirical'; allowed are backlash, "),
         ("[stribeck", "not valid TOML: "),
     ],
 )

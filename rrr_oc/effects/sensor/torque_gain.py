@@ -10,7 +10,7 @@ class TorqueGain(Effect):
     name = "torque_gain"
     equation = "recorded torque = (1 + gain) true"
     plain = "The recorded torque of {joints} is {gain:abs %} too {gain:large|small}."
-    parameters = (Parameter("gain", "1", 0.0, lower=-0.6, upper=1.5),)  # beyond, all that the joint has scales with it
+    parameters = (Parameter("gain", "1", 0.0, lower=-0.9, upper=9.0),)  # a tenth to ten times; beyond, all of the joint scales
     amplitudes = ("gain",)
     side = "sensor"
     scope = "set_up"
