@@ -128,11 +128,18 @@ def report(results: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> tu
         rows.append([f"`{law}`", str(sum(counts.values())), *(str(counts[what] or "") for what in SAID)])
     total = sum(every.values())
     rows.append(["all", str(total), *(str(every[what]) for what in SAID)])
-    lines = ["# Hidden laws", "", f"{total} sealed cases, each diagnosed without the law that it has; {len(crashed)} crashed.", ""]
+    lines = [
+        "# Hidden laws",
+        "",
+        f"{total} sealed cases, each diagnosed without the law that it has; {len(crashed)} crashed.",
+        "",
+    ]
     lines += markdown(["hidden law", "cases", *SAID.values()], rows).splitlines()
     lines += ["", f"Cases with a false claim: {share(every['false'], total)}."]
     lines.append(f"Claims that are false: {share(false, claims)}.")
-    lines += ["", "What was claimed falsely: " + ", ".join(f"{n} `{name}`" for name, n in instead.most_common()) + "."] * bool(instead)
+    lines += ["", "What was claimed falsely: " + ", ".join(f"{n} `{name}`" for name, n in instead.most_common()) + "."] * bool(
+        instead
+    )
     seconds = sorted(r["seconds"] for _, r in results)
     lines += ["", f"Processor time of a case: {seconds[len(seconds) // 2]:.0f} s (median), {seconds[-1]:.0f} s (most)."]
     summary = {

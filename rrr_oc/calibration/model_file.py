@@ -1,7 +1,7 @@
 """`model.json`: a calibrated model written and read."""
 
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_type_hints
@@ -210,12 +210,17 @@ def load_model(path: str | Path) -> CalibratedModel:
         raise UserError(f"{path}: {error}") from None
 
 
-def _model(data: ModelFile) -> CalibratedModel:
-    described, joints = data.robot, tuple(data.joints)
+def robot_of(urdf: str, joints: Sequence[str], gravity: Sequence[float]) -> Robot:
+    """The robot of a model, with the inertial parameters of its URDF (text)."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "model.urdf"
-        file.write_text(described.urdf, encoding="utf-8")
-        robot = replace(load_robot(file, joints, inertial=False, gravity=data.gravity), name=described.name)
+        file.write_text(urdf, encoding="utf-8")
+        return load_robot(file, joints, inertial=False, gravity=gravity)
+
+
+def _model(data: ModelFile) -> CalibratedModel:
+    described, joints = data.robot, tuple(data.joints)
+    robot = replace(robot_of(described.urdf, joints, data.gravity), name=described.name)
     inertial = np.array(_by_name("robot.inertial", described.inertial, robot.links), float).T
     for link, parameters in zip(robot.links, inertial.T, strict=True):
         if not is_possible(parameters):

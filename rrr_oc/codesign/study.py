@@ -39,7 +39,7 @@ from rrr_oc.codesign.search.multistart import SHARES, SearchResult, best_arrange
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import allowed_configurations, arrangements, holding, offered
 from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
-from rrr_oc.codesign.transfer import check_transfer, describe_transfer, repaired
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, repaired
 from rrr_oc.errors import UserError
 from rrr_oc.kept import Listener, kept_motion, once, save
 from rrr_oc.optimal_control.problem import Guess
@@ -95,10 +95,35 @@ class Request:
 
 @dataclass(frozen=True)
 class Twin:
-    """A calibrated model in which optima are tracked, and the arm's drives where they are known."""
+    """A calibrated model in which optima are tracked, and the arm's drives where they are known.
+
+    Attributes:
+        model: Of all joints of the tasks' robot.
+        drives: Of the moving joints.
+        unknown: Joints of which no recording says anything: their links are as in the task, without friction.
+    """
 
     model: CalibratedModel
     drives: Actuators | None
+    unknown: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, path: str | Path, task: Task, drives: Actuators | None, listener: Listener) -> "Twin":
+        """The model of a file on a task's robot; raises `UserError` where it is of another."""
+        model = load_model(path)
+        unknown = tuple(joint for joint in task.robot.joints if joint not in model.joints)
+        try:
+            whole = of_all_joints(task, model)
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from None
+        if unknown:
+            listener.show(uncalibrated(unknown))
+        return cls(whole, drives, unknown)
+
+
+def uncalibrated(joints: Sequence[str]) -> str:
+    """A sentence on joints that a calibrated model says nothing of."""
+    return f"the model says nothing of {', '.join(joints)}: links as the task has them, without friction and rotor inertia"
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +168,7 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
     task = load_task(request.task)
     check_folder(request.out)
     drives = None if request.actuators is None else load_actuators(task.joints, request.actuators)
-    twin = None if request.model is None else Twin(load_model(request.model), drives)
+    twin = None if request.model is None else Twin.of(request.model, task, drives, listener)
     needed = None if request.cost == "load" else drives
     designs = {}
     for name in holding(task, request.configurations, offered(task), listener):
@@ -334,7 +359,7 @@ def _transferred(study: Study, name: str, design: CoDesign, twin: Twin) -> dict[
         SampledMotion(**dict[str, Any]({key: saved[key] for key in SAVED})),
         restored(design, study.options, saved).parameters,
     )
-    return plain(describe_transfer(design, motion, values, twin.model, twin.drives))
+    return plain(describe_transfer(design, motion, values, twin.model, twin.drives) | {"uncalibrated": twin.unknown})
 
 
 def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str, float]) -> dict[str, float | None]:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.calibrated_model import KINEMATICS, CalibratedModel
+from rrr_oc.calibration.model_file import robot_of
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion, describe, start_of
 from rrr_oc.codesign.task import PHASES, Task
@@ -16,6 +17,7 @@ from rrr_oc.model.metrics import Metrics, measure
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.drives import Actuators
+from rrr_oc.robot.inertial_parameters import is_possible
 from rrr_oc.simulation.engine_model import Settings, twin
 from rrr_oc.simulation.tracking import Reference, Tracked, check_gears, track
 
@@ -37,12 +39,66 @@ def check_transfer(design: CoDesign, calibrated: CalibratedModel) -> None:
 
 def check_joints(task: Task, calibrated: CalibratedModel) -> None:
     """Raise `UserError` unless a model has the joints of a task's robot."""
-    own = task.robot.joints
-    if calibrated.joints != own:
+    if calibrated.joints != task.robot.joints:
+        raise _other_joints(task, calibrated)
+
+
+def _other_joints(task: Task, calibrated: CalibratedModel) -> UserError:
+    own = ", ".join(task.robot.joints)
+    return UserError(
+        f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {own}; the model's must be among these, in "
+        'their order: "joints" of the task says which are the arm\'s'
+    )
+
+
+def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
+    """A model of some joints of a task's robot as one of all of them: the others have no friction, and links as the task has them.
+
+    What a calibration changed of a link, with all that was held still on it, is added to that link.
+
+    Raises:
+        UserError: The model has a joint that the task's robot lacks, or one that sits or turns otherwise there; a link would be no
+            possible body; an effect moves a payload that another joint carries.
+    """
+    robot, own = task.robot, calibrated.robot
+    if own.joints == robot.joints:
+        return calibrated
+    at = [robot.joints.index(joint) for joint in own.joints if joint in robot.joints]
+    if len(at) < own.n or at != sorted(at):
+        raise _other_joints(task, calibrated)
+    for i, j in enumerate(at):
+        follows = j == 0 if i == 0 else at[i - 1] == j - 1  # nothing turns between it and the one before
+        apart = [np.abs(own.axes[i] - robot.axes[j]).max()] + [np.abs(own.placements[i] - robot.placements[j]).max()] * follows
+        if max(apart) > KINEMATICS:
+            raise UserError(
+                f"joint {own.joints[i]} of the model sits or turns otherwise in the task's robot; the same robot is required"
+            )
+    inertial = robot.inertial.copy()
+    inertial[:, at] += own.inertial - robot_of(calibrated.urdf, own.joints, own.gravity.tolist()).inertial
+    for j in at:
+        if not is_possible(inertial[:, j]):
+            raise UserError(
+                f"link {robot.links[j]!r} would be no possible body: the model has changed it with all that was held still on it by more "
+                "than it weighs alone; a model of all joints is needed"
+            )
+    moved = [t.effect.name for t in calibrated.terms if t.effect.alters == "position"]
+    if moved and at[calibrated.tool.joint] != task.tool.joint:
         raise UserError(
-            f"the model has the joints {', '.join(calibrated.joints)}, but the task's robot {', '.join(own)}; they must be the same: "
-            '"joints" of the task says which are the arm\'s'
+            f"the model's {moved[0]} is of a payload on {own.joints[-1]}; the task's is carried by {robot.joints[-1]}"
         )
+    terms = tuple(replace(t, effect=t.effect.renumbered(at)) for t in calibrated.terms)
+    noise, nrmse = np.full((2, robot.n), np.nan)
+    noise[at], nrmse[at] = calibrated.noise, calibrated.nrmse
+    constants = dict(zip(at, calibrated.torque_constant, strict=True))
+    return replace(
+        calibrated,
+        robot=replace(robot, inertial=inertial, gravity=own.gravity),
+        tool=task.tool,
+        torque_constant=tuple(constants.get(j) for j in range(robot.n)),
+        terms=terms,
+        noise=noise,
+        nrmse=nrmse,
+    )
 
 
 def repaired(design: CoDesign, calibrated: CalibratedModel, groups: Sequence[str]) -> CoDesign:

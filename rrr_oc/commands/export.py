@@ -9,9 +9,10 @@ import typer
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.springs import SavedSprings, saved_springs
+from rrr_oc.codesign.study import uncalibrated
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.codesign.trajectory import FORMATS, sampled, saved_motion
-from rrr_oc.codesign.transfer import check_joints
+from rrr_oc.codesign.transfer import of_all_joints
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.effects import OfEach
@@ -157,6 +158,8 @@ def _recorded(
 
 def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings) -> tuple[Model, np.ndarray, list[str]]:
     """The calibrated arm, or the task's, with springs; its parameters, and what is not in it, one sentence each."""
+    unknown = () if task is None or found is None else tuple(j for j in task.robot.joints if j not in found.joints)
+    found = found if task is None or found is None else of_all_joints(task, found)
     terms = () if found is None else found.terms
     left_out = [f"{t.effect.name}: only some recordings have it" for t in terms if t.recordings != "all"]
     each = [t for t in terms if isinstance(t.effect, OfEach) and t.effect.each]
@@ -172,8 +175,7 @@ def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings
         robot, tool = task.robot, task.tool
     else:
         robot, tool = found.robot, found.tool
-        if task is not None:
-            check_joints(task, found)
+        left_out += [uncalibrated(unknown)] * bool(unknown)
     effects = (*(effect for effect, _ in springs.mounted), *(t.effect for t in terms))
     values = [*(list(theta.values()) for _, theta in springs.mounted), *(t.values for t in terms)]
     return Model(robot, tool, effects), np.concatenate([np.zeros(0), *values]), left_out

@@ -254,6 +254,10 @@ class Effect:
         """The joints of `torque`, of n: its own, or all where it is of all joints alike."""
         return tuple(range(n)) if self.placement == "joint or arm" and not self.joints else self.joints
 
+    def renumbered(self, numbers: Sequence[int]) -> "Effect":
+        """The same effect on a robot where joint j has the number `numbers[j]`."""
+        return replace(self, joints=tuple(numbers[j] for j in self.joints))
+
     def energy(self, signals: Signals, theta: Mapping[str, Any], width: Any) -> Any:
         """Energy stored [J], with torque = −d energy / d q; 0 where nothing is stored."""
         return 0.0

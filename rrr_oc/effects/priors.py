@@ -95,7 +95,9 @@ def load_priors(path: str | Path) -> Priors:
     context = validated(path, tables.pop("context", {}), Context, "context")
     sought = [name for name, kind in CATALOGUE.items() if kind.role in SOUGHT]
     check_names(tables, sought, path, "effect")
-    check_names(context.excluded, [n for n in sought if not issubclass(CATALOGUE[n], BlackBox)], f"{path}: context.excluded", "effect")
+    check_names(
+        context.excluded, [n for n in sought if not issubclass(CATALOGUE[n], BlackBox)], f"{path}: context.excluded", "effect"
+    )
     found = validated(path, tables, dict[str, Given])
     given = {name: _changed(path, CATALOGUE[name], one) for name, one in found.items()}
     return Priors(given, context.springs, context.inertias == "exact", context.excluded, str(path))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from rrr_oc.codesign.study import does_nothing
+from rrr_oc.codesign.study import does_nothing, uncalibrated
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.effects.words import joint_words
 from rrr_oc.model.metrics import decrease
@@ -64,7 +64,7 @@ def report(summary: dict[str, Any]) -> str:
     parts += [markdown(*hardware_table(found, beside, summary["joints"]))]
     parts += ["## Certificates\n", *[_certificate(name, c, quantity, summary["joints"]) for name, c in found.items()]]
     if (transferred := transfer_table(found)) is not None:
-        parts += ["\n## In the twin calibrated on recordings\n", f"{TRANSFERRED}\n", markdown(*transferred)]
+        parts += ["\n## In the twin calibrated on recordings\n", f"{transferred_in_words(found)}\n", markdown(*transferred)]
     return "\n".join(parts)
 
 
@@ -186,6 +186,12 @@ def transfer_table(found: dict) -> Table | None:
         rows.append([*cells, "yes" if c["saturated"] else "no"])
     heads = ["engine", "decrease", "from the motor torque", "decrease"][: 2 * len(routes)]
     return ["", *heads, "RMS motor torque [Nm]", "tracking [rad]", "at its limit"], rows
+
+
+def transferred_in_words(found: Mapping[str, Any]) -> str:
+    """How optima were tracked in the calibrated twin, and which joints no recording says anything of."""
+    unknown = next((c["calibrated"]["uncalibrated"] for c in found.values() if c.get("calibrated")), [])
+    return TRANSFERRED + (f" Beware: {uncalibrated(unknown)}." if unknown else "")
 
 
 def _certificate(name: str, c: dict, quantity: Quantity, joints: Sequence[str]) -> str:

@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 from recorded import Plant, as_set, record
 
-from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term, nominal_term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.driven import DrivenArm, Followed, follow
 from rrr_oc.codesign.optimum import SAVED, SampledMotion
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
-from rrr_oc.codesign.transfer import check_transfer, describe_transfer, reference_phases, repaired
+from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, reference_phases, repaired
 from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects.black_box.empirical import Empirical
 from rrr_oc.errors import UserError
 from rrr_oc.report.design_report import transfer_table
 from rrr_oc.robot.drives import load_actuators
+from rrr_oc.robot.robot import load_robot, urdf_text
 from rrr_oc.simulation.engine_model import K_P
 
 
@@ -150,6 +152,68 @@ def test_gravity_that_is_only_missing_in_the_records_is_carried(moved):
     for one, other in zip(*(reference_phases(design, motion, theta, m) for m in (start, silent)), strict=True):
         np.testing.assert_array_equal(one.feed_forward, other.feed_forward)
     assert repaired(design, silent, ("a", "b")).model.effects == repaired(design, start, ("a", "b")).model.effects
+
+
+# a model of some of the joints
+
+
+def of_some(task, names, terms=(), heavier=0.0):
+    """A model of the paper's arm with only these joints, whose first link is heavier than the URDF's."""
+    robot = load_robot("rrr", names)
+    plain = tuple(
+        nominal_term(kind((j,))).with_values(np.array([value]))
+        for kind, value in ((CATALOGUE["dry_friction"], 2.0), (CATALOGUE["armature"], 0.1))
+        for j in range(len(names))
+    )
+    inertial = robot.inertial.copy()
+    inertial[0, 0] += heavier
+    return CalibratedModel(
+        replace(robot, inertial=inertial), "rrr", urdf_text("rrr"), robot.tool, "motor", (None,) * len(names), "nominal",
+        (*plain, *terms), np.ones(len(names)), np.ones(len(names)),
+    )  # fmt: skip
+
+
+def test_a_model_of_some_joints_is_one_of_all_of_the_tasks(moved):
+    design, motion, theta = moved
+    task = design.task
+    drift = nominal_term(Empirical((1,), (("q", 0),), (-1.0,), (1.0,), (1,)))
+    whole = of_all_joints(task, of_some(task, ("joint2", "joint3"), (drift,), heavier=0.5))
+    assert whole.joints == task.robot.joints
+    np.testing.assert_allclose(whole.robot.inertial[0] - task.robot.inertial[0], [0, 0.5, 0], atol=1e-12)
+    assert [t.effect.joints for t in whole.terms if t.effect.name == "dry_friction"] == [(1,), (2,)]
+    (own,) = [t.effect for t in whole.terms if t.effect.name == "empirical"]
+    assert (own.joints, own.variables) == ((2,), (("q", 1),))
+    assert np.isnan(whole.noise[0])
+    found = describe_transfer(design, motion, theta, whole, None)
+    assert found["motor"]["E1"] != pytest.approx(found["engine"]["E1"], rel=0.01)  # friction and rotors of two joints
+    assert found["tracking_error_rad"] < 1e-2
+    assert of_all_joints(task, whole) is whole
+
+
+def test_what_was_held_still_on_a_link_stays_on_it_once(moved):
+    """Of an unchanged model of the first joint, whose link carries all others, nothing is added to the task's link."""
+    task = moved[0].task
+    whole = of_all_joints(task, of_some(task, ("joint1",)))
+    np.testing.assert_allclose(whole.robot.inertial, task.robot.inertial, atol=1e-12)
+
+
+def test_a_model_of_other_joints_is_refused(moved):
+    task = moved[0].task
+    other = of_some(task, ("joint2", "joint3"))
+    elsewhere = replace(task, robot=load_robot("rrr", ("joint1", "joint2")))
+    with pytest.raises(
+        UserError, match="the model has the joints joint2, joint3, but the task's robot joint1, joint2; the model's must"
+    ):
+        of_all_joints(elsewhere, other)
+    turned = replace(other, robot=replace(other.robot, axes=-other.robot.axes))
+    with pytest.raises(UserError, match="joint joint2 of the model sits or turns otherwise"):
+        of_all_joints(task, turned)
+    light = of_some(task, ("joint2", "joint3"), heavier=-1000.0)
+    with pytest.raises(UserError, match="would be no possible body"):
+        of_all_joints(task, light)
+    shifted = of_some(task, ("joint1", "joint2"), (nominal_term(CATALOGUE["payload_com"](())),))
+    with pytest.raises(UserError, match="payload_com is of a payload on joint2; the task's is carried by joint3"):
+        of_all_joints(task, shifted)
 
 
 # with drives, under two controls

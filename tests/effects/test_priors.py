@@ -225,7 +225,10 @@ def test_without_a_file_priors_are_those_declared(tmp_path):
         ("[context]\nsprings = 1", "context.springs: found 1; true or false is required"),
         ("[context]\ninertias = 'x'", "context.inertias: found 'x'; allowed are 'exact', 'nominal'"),
         ("[context]\nspring = true", "context: unknown key 'spring'; allowed are springs, inertias, excluded"),
-        ("[context]\nexcluded = ['play']", "context.excluded: unknown effect 'play'; allowed are backlash, biarticular_spring, "),
+        (
+            "[context]\nexcluded = ['play']",
+            "context.excluded: unknown effect 'play'; allowed are backlash, biarticular_spring, ",
+        ),
         ("[context]\nexcluded = ['empirical']", "context.excluded: unknown effect 'empirical'; allowed are backlash, "),
         ("[stribeck", "not valid TOML: "),
     ],

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from rrr_oc import __version__
-from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import (
@@ -101,7 +100,8 @@ def prepared_set(request: Request, points: int, price: float | None, listener: L
     _check_price(price, tasks)
     joints = tasks.tasks[0].joints
     drives = None if request.actuators is None else load_actuators(joints, request.actuators)
-    model = None if request.model is None else load_model(request.model)
+    twin = None if request.model is None else Twin.of(request.model, tasks.tasks[0], drives, listener)
+    model = None if twin is None else twin.model
     like = CoDesign(tasks.tasks[0], (), request.cost, None if request.cost == "load" else drives)
     designs: dict[str, list[SetDesign]] = {}
     names = offered(tasks.tasks[0])
@@ -131,7 +131,6 @@ def prepared_set(request: Request, points: int, price: float | None, listener: L
     robot = first.task.robot
     asked |= {"robot": [robot.placements, robot.axes, robot.inertial], "repaired": request.repaired, "version": __version__}
     asked |= {"limits": [[t.lower, t.upper, t.speed, t.acceleration, t.torque] for t in tasks.tasks], "code": code()}
-    twin = None if model is None else Twin(model, drives)
     return SetStudy(request.out, tasks, designs, asked, request.search, twin, points, price, request.cost, listener)
 
 
@@ -313,7 +312,8 @@ def _describe(
         "meshes": optimum.meshes,
         "mujoco": describe_simulation(held, solution, motion),
         "scenarios": [_in_scenario(held, solution, motion, i) for i in range(len(held.scenarios))],
-        "calibrated": twin and describe_transfer(held, motion, solution.parameters, twin.model, twin.drives),
+        "calibrated": twin
+        and describe_transfer(held, motion, solution.parameters, twin.model, twin.drives) | {"uncalibrated": twin.unknown},
     }
     return plain(found), motion.arrays | {"joints": np.array(held.task.joints)} | restart_arrays(solution)
 

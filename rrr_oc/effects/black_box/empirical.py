@@ -98,6 +98,10 @@ class Empirical(BlackBox):
     def amplitudes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return tuple(p.name for p in self.parameters)
 
+    def renumbered(self, numbers):
+        variables = tuple((kind, numbers[j] if j >= 0 else j) for kind, j in self.variables)
+        return replace(self, joints=tuple(numbers[j] for j in self.joints), variables=variables)
+
     def torque(self, signals, theta, width):
         pairs = zip((theta[name] for name in self.amplitudes), self.basis(signals, width), strict=True)
         return (sum((c * value for c, value in pairs if not (isinstance(c, float) and c == 0.0)), 0.0),)

@@ -79,7 +79,7 @@ def design_page(summary: Mapping[str, Any], motions: Mapping[str, Arrays], pictu
         certificates={name: _certificate(c, quantity, summary["joints"]) for name, c in found.items()},
         twin=tell.transfer_table(found),
         in_twin=say.in_twin(found, best),
-        told={"twin": tell.TRANSFERRED, "optima": tell.LOCAL_OPTIMA, "layers": tell.LAYERS},
+        told={"twin": tell.transferred_in_words(found), "optima": tell.LOCAL_OPTIMA, "layers": tell.LAYERS},
         pictures=pictures,
     )
 
