@@ -182,6 +182,7 @@ def test_a_model_of_some_joints_is_one_of_all_of_the_tasks(moved):
     np.testing.assert_allclose(whole.robot.inertial[0] - task.robot.inertial[0], [0, 0.5, 0], atol=1e-12)
     assert [t.effect.joints for t in whole.terms if t.effect.name == "dry_friction"] == [(1,), (2,)]
     (own,) = [t.effect for t in whole.terms if t.effect.name == "empirical"]
+    assert isinstance(own, Empirical)
     assert (own.joints, own.variables) == ((2,), (("q", 1),))
     assert np.isnan(whole.noise[0])
     found = describe_transfer(design, motion, theta, whole, None)
