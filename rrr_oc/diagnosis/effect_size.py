@@ -30,10 +30,13 @@ PARTS = 4  # of the blocks, each predicted once
 QUANTILE = 0.975  # of the upper end of an interval
 
 
-def sized(near: Neighbours, findings: Sequence[Finding]) -> tuple[list[Finding], list[Finding]]:
-    """Findings that lower some joint's error by a share that matters, and those that do not, with the size of each.
+def sized(near: Neighbours, findings: Sequence[Finding], noise: np.ndarray) -> tuple[list[Finding], list[Finding]]:
+    """Findings that lower some joint's error by what a claim needs, and those that do not, with the size of each.
 
     The least is left out first, and the others are judged without it, since of two that stand for each other one matters.
+
+    Args:
+        noise: What noise leaves of each joint's torque, root of the mean square over the rows, (n,) [Nm].
     """
     own = {id(a.source): a for a in near.linear.own}
     effects = [in_shape(own[id(f.term)]) for f in findings]
@@ -41,9 +44,9 @@ def sized(near: Neighbours, findings: Sequence[Finding]) -> tuple[list[Finding],
     near = replace(near, level=Level(near.linear, edges))
     kept, sizes = list(range(len(findings))), dict[int, Fall]()
     while kept:
-        sizes |= dict(zip(kept, falls(near, tuple(effects[k] for k in kept)), strict=True))
-        least = min(kept, key=lambda k: sizes[k].low)
-        if sizes[least].low > MATTERS:
+        sizes |= dict(zip(kept, falls(near, tuple(effects[k] for k in kept), noise), strict=True))
+        least = min(kept, key=lambda k: sizes[k].margin)
+        if sizes[least].margin > 0:
             break
         kept.remove(least)
     every = [replace(f, fall=sizes[k]) for k, f in enumerate(findings)]
@@ -72,15 +75,26 @@ def block_edges(edges: np.ndarray) -> np.ndarray:
     return np.append(np.concatenate(inner), edges[-1])
 
 
-def falls(near: Neighbours, effects: Structure) -> list[Fall]:
-    """The size of each effect beside the others, where it acts: on the joint where it is surest."""
+def falls(near: Neighbours, effects: Structure, noise: np.ndarray) -> list[Fall]:
+    """The size of each effect beside the others, where it acts: on the joint where it exceeds most what a claim needs.
+
+    A law that explains less than what no law explains may be a part of that. So its squares must be larger than those that laws leave
+    unexplained, beyond noise; a black-box term is of what is unexplained, and has to matter alone.
+    """
     data, hyper = near.linear.fitter.data, near.linear.fitted.posterior.hyper
     after, of_block, result = squares(near, effects, hyper), data.label[near.level.edges[:-1]], []
+    laws = tuple(a for a in effects if not a.effect.black_box)
+    rows = np.add.reduceat(data.counted, near.level.edges[:-1], axis=1).T  # of each block and joint, (B, n)
+    unexplained = (after if len(laws) == len(effects) else squares(near, laws, hyper)) - rows * noise**2
     for k, a in enumerate(effects):
         before = squares(near, (*effects[:k], *effects[k + 1 :]), hyper)
         there = np.isin(np.array(data.labels)[of_block], a.scope or data.labels)
-        one = [fall_of(j, after[there, j], before[there, j]) for j in acts_on(a.effect, data.n)]
-        result.append(max(one, key=lambda f: f.low))
+        one = []
+        for j in acts_on(a.effect, data.n):
+            fall = fall_of(j, after[there, j], before[there, j])
+            left = 0.0 if a.effect.black_box else max(unexplained[there, j].sum() / max(after[there, j].sum(), 1e-300), 0.0)
+            one.append(replace(fall, needed=max(MATTERS, float(1 - 1 / np.sqrt(1 + left)))))
+        result.append(max(one, key=lambda f: f.margin))
     return result
 
 

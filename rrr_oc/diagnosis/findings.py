@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
-from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
+from rrr_oc.diagnosis.knobs import CLAIM, MATTERS, NEGLIGIBLE
 from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.effects import Effect
@@ -24,12 +24,21 @@ LINK_ERRORS: Key = ("link_errors", ())  # as the links stand among what an effec
 
 @dataclass(frozen=True)
 class Fall:
-    """By how much an effect lowers the held-out rms of a joint, as a share of what it is without it, and its 95 % interval."""
+    """By how much an effect lowers the held-out rms of a joint, as a share of what it is without it, and its 95 % interval.
+
+    `needed` is the share that a claim's lower end exceeds.
+    """
 
     joint: int
     share: float
     low: float
     high: float
+    needed: float = MATTERS
+
+    @property
+    def margin(self) -> float:
+        """By how much the lower end exceeds what a claim needs."""
+        return self.low - self.needed
 
 
 @dataclass(frozen=True)

@@ -84,11 +84,14 @@ def idle(bench: Data, model: CalibratedModel) -> tuple[tuple[int, float, float],
 
 def above_noise(bench: Data, fitted: Fitted) -> np.ndarray:
     """Standard deviation of each joint's filtered residual over that of filtered sample noise, (n,)."""
-    gains = [np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]
-    passed = np.sqrt(np.mean(np.concatenate(gains)))
     count = np.maximum(bench.counted.sum(axis=1), 1)
-    deviation = np.sqrt(np.sum(fitted.residual**2, axis=1) / count)
-    return deviation / np.maximum(noise(bench.prepared, fitted.model) * passed, 1e-9)
+    return np.sqrt(np.sum(fitted.residual**2, axis=1) / count) / filtered_noise(bench, fitted.model)
+
+
+def filtered_noise(bench: Data, model: CalibratedModel) -> np.ndarray:
+    """Standard deviation of the noise of each joint's samples, filtered as the rows of the fit are, (n,) [Nm]."""
+    gains = [np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]
+    return np.maximum(noise(bench.prepared, model) * np.sqrt(np.mean(np.concatenate(gains))), 1e-9)
 
 
 def _variables(bench: Data, model: CalibratedModel) -> dict[str, tuple[np.ndarray, str]]:

@@ -33,7 +33,7 @@ from rrr_oc.diagnosis.files.stages import (
 from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
-from rrr_oc.diagnosis.mismatch import FAR, above_noise, idle, mismatch
+from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.structures.neighbours import Kind, kind
 from rrr_oc.diagnosis.structures.search import Search, State
@@ -173,7 +173,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     complete = search.completed(at)
     findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
     near = search.neighbours(complete)
-    findings, rest = sized(near, findings)
+    findings, rest = sized(near, findings, filtered_noise(fitter.data, complete.model))
     worse = [f for f in rest if f.fall and f.fall.high <= 0]
     small = [f for f in rest if f not in worse]
     findings, undecided = separated(search, complete, findings, small)

@@ -12,6 +12,7 @@ from rrr_oc.calibration.estimator.evidence import Start
 from rrr_oc.diagnosis import effect_size
 from rrr_oc.diagnosis.effect_size import block_edges, fall_of, falls, sized
 from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.procedure import ready
 from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
@@ -19,18 +20,23 @@ from rrr_oc.effects.priors import Priors
 from rrr_oc.effects.sensor.torque_offset import TorqueOffset
 
 RECORDINGS = 4
+NOISE = np.full(2, np.inf)  # nothing that is left is beyond it
+
+
+def made(folder, coefficient):
+    """A fitter of recordings of two joints with drag at joint 2, and its plain model fitted."""
+    urdf = folder / "arm.urdf"
+    urdf.write_text(chains.arm(2))
+    plant, rng = Plant(urdf, np.ones(2), np.ones(2), 0.1 * np.ones(2)), np.random.default_rng(1)
+    recordings = [record(plant, f"{i}.csv", rng, 6.0, 0.02) for i in range(RECORDINGS)]
+    recordings = [replace(r, tau=r.tau + [[0.0], [coefficient]] * r.dq * np.abs(r.dq)) for r in recordings]
+    _, fitter, every, plain = ready(as_set(plant, recordings), Priors())
+    return fitter, fitter.fit(plain, fitter.data.links.none), every
 
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    """A fitter of recordings of two joints with drag at joint 2, and its plain model fitted."""
-    urdf = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    urdf.write_text(chains.arm(2))
-    plant, rng = Plant(urdf, np.ones(2), np.ones(2), 0.1 * np.ones(2)), np.random.default_rng(1)
-    made = [record(plant, f"{i}.csv", rng, 6.0, 0.02) for i in range(RECORDINGS)]
-    made = [replace(r, tau=r.tau + [[0.0], [0.1]] * r.dq * np.abs(r.dq)) for r in made]
-    _, fitter, every, plain = ready(as_set(plant, made), Priors())
-    return fitter, fitter.fit(plain, fitter.data.links.none), every
+    return made(tmp_path_factory.mktemp("arm"), 0.1)
 
 
 def with_terms(arm, *terms: Term):
@@ -51,7 +57,7 @@ def offset(joint: int) -> Term:
 
 def test_what_is_there_matters_and_what_is_not_is_small(arm):
     near, findings = with_terms(arm, offset(0), drag())
-    claimed, small = sized(near, findings)
+    claimed, small = sized(near, findings, NOISE)
     assert [f.term.effect.name for f in claimed] == ["quadratic_drag"]
     assert claimed[0].fall.joint == 1
     assert 0.1 < claimed[0].fall.low < claimed[0].fall.share < claimed[0].fall.high < 1
@@ -62,9 +68,9 @@ def test_what_is_there_matters_and_what_is_not_is_small(arm):
 def test_of_two_that_stand_for_each_other_one_matters(arm):
     """Each alone is not missed beside the other; both are."""
     near, findings = with_terms(arm, drag(), drag())
-    claimed, small = sized(near, findings)
+    claimed, small = sized(near, findings, NOISE)
     assert len(claimed) == len(small) == 1
-    assert abs(falls(near, near.linear.own)[0].share) < 0.02 < claimed[0].fall.low
+    assert abs(falls(near, near.linear.own, NOISE)[0].share) < 0.02 < claimed[0].fall.low
 
 
 def test_falls_are_those_of_exact_fits_to_the_other_recordings(arm, monkeypatch):
@@ -75,7 +81,7 @@ def test_falls_are_those_of_exact_fits_to_the_other_recordings(arm, monkeypatch)
     near, findings = with_terms(arm, drag())
     assert list(block_edges(near.level.edges)) == list(fitter.data.edges)
     squares, hyper = np.zeros(2), near.linear.fitted.posterior.hyper
-    fall = sized(near, findings)[0][0].fall
+    fall = sized(near, findings, NOISE)[0][0].fall
     for held in range(RECORDINGS):
         rest, out = fitter.data.part([k for k in range(RECORDINGS) if k != held]), fitter.data.part([held])
         for k, terms in enumerate(((), (drag(),))):
@@ -83,6 +89,21 @@ def test_falls_are_those_of_exact_fits_to_the_other_recordings(arm, monkeypatch)
             fitted = replace(fitter, data=rest).fit(model, begin.links, Start.of(rest, hyper), fixed=True)
             squares[k] += np.sum(out.rows(fitted.model).residual[1] ** 2)
     assert fall.share == pytest.approx(1 - np.sqrt(squares[1] / squares[0]), rel=0.06)  # ways of changing sign are not mixed
+
+
+def test_a_law_explains_more_than_what_no_law_explains(tmp_path):
+    """With less noise, what is left is unexplained; a law whose squares are smaller than that may be a part of it."""
+    near, findings = with_terms(made(tmp_path, 0.03), drag())
+    (fall,) = falls(near, near.linear.own, NOISE)
+    assert fall.needed == MATTERS
+    rows = near.linear.fitter.data.counted.sum(axis=1)
+    after = effect_size.squares(near, near.linear.own, near.linear.fitted.posterior.hyper).sum(axis=0)
+    for share in (0.5, 1.0):  # of what is left, that is noise
+        (fall,) = falls(near, near.linear.own, np.sqrt(share * after / rows))
+        assert fall.needed == pytest.approx(max(1 - np.sqrt(1 / (2 - share)), MATTERS))
+    assert 0.02 < fall.low < 1 - np.sqrt(0.5)
+    assert sized(near, findings, np.sqrt(after / rows))[0]
+    assert not sized(near, findings, np.zeros(2))[0]
 
 
 def test_intervals_hold_the_true_fall_as_often_as_they_say():

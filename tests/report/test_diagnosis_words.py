@@ -59,10 +59,10 @@ def test_what_is_not_claimed_is_listed():
 
 
 def test_what_is_sure_but_small_is_said_with_its_size():
-    one = entry("stribeck", "a", 0.99, lowers_error={"joint": "a", "share": 0.004, "interval": [-0.001, 0.009]})
+    one = entry("stribeck", "a", 0.99, lowers_error={"joint": "a", "share": 0.004, "interval": [-0.001, 0.009], "needed": 0.02})
     header, body = small({"small": [one]})
     assert len(header) == len(body[0])
-    assert body == [["stribeck of a", "99.0 %", "a", "0.4 % (95 %: -0.1 to 0.9 %)"]]
+    assert body == [["stribeck of a", "99.0 %", "a", "0.4 % (95 %: -0.1 to 0.9 %)", "2 %"]]
     assert small({})[1] == []
 
 
@@ -96,7 +96,7 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
         equation="law",
         parameters=parameters,
         share_of_error=0.123456789,
-        lowers_error={"joint": "joint1", "share": 0.123456789, "interval": [0.1, 0.2]},
+        lowers_error={"joint": "joint1", "share": 0.123456789, "interval": [0.1, 0.2], "needed": 0.02},
         nrmse={"held_out_before": 0.123456789, "held_out_after": 0.0123456789},
         probability_of_itself=0.6,
         rivals=[],

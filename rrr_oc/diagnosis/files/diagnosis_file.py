@@ -120,11 +120,13 @@ class Lowered(Struct, forbid_unknown_fields=True):
         joint: The joint where it is surest.
         share: Of the rms without the effect, beside all other effects [1].
         interval: 95 % interval, from the variation between blocks of some seconds; null with fewer than two.
+        needed: Share that the lower end exceeds, of a claim: what matters, or what a law needs to explain more than stays unexplained [1].
     """
 
     joint: str
     share: float
     interval: tuple[float, float] | None
+    needed: float
 
 
 class Claim(Named):
@@ -516,7 +518,7 @@ def _lowered(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
     fall = finding.fall
     assert fall is not None
     interval = [fall.low, fall.high] if np.isfinite([fall.low, fall.high]).all() else None
-    return {"joint": joints[fall.joint], "share": fall.share, "interval": interval}
+    return {"joint": joints[fall.joint], "share": fall.share, "interval": interval, "needed": fall.needed}
 
 
 def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:

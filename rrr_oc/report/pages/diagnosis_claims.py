@@ -142,12 +142,20 @@ def remaining(found: Mapping[str, Any]) -> list[str]:
 
 
 def small(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """What is sure but does not matter, as a table: header and rows."""
-    body = [
-        [say.placed(e), say.percent(e["probability"]), joint_words(e["lowers_error"]["joint"]), say.share(e["lowers_error"])]
-        for e in found.get("small", ())
-    ]
-    return ["what", "probability", "lowers the error of", "by"], body
+    """What is sure but too small for a claim, as a table: header and rows."""
+    body = []
+    for e in found.get("small", ()):
+        size = e["lowers_error"]
+        body.append(
+            [
+                say.placed(e),
+                say.percent(e["probability"]),
+                joint_words(size["joint"]),
+                say.share(size),
+                say.percent(size["needed"]),
+            ]
+        )
+    return ["what", "probability", "lowers the error of", "by", "a claim needs"], body
 
 
 def record_next(found: Mapping[str, Any]) -> list[str]:
