@@ -16,11 +16,11 @@ from validation.concealed.write import write_case
 
 @pytest.fixture(scope="module")
 def cases(tmp_path_factory):
-    """A pendulum of one joint, with nothing missing and with drag, four recordings of 20 s each."""
+    """A pendulum of one joint, with nothing missing and with drag, four recordings of 8 s each."""
     out = tmp_path_factory.mktemp("cases")
     (out / "sealed").mkdir()
     for kind, concealed in (("clean", ()), ("short", (Concealed("quadratic_drag", 3.0),))):
-        write_case(build(Case(f"{kind}/test", kind, 5, "arm1", concealed, short=True), 20.0), out)
+        write_case(build(Case(f"{kind}/test", kind, 5, "arm1", concealed, short=True), 8.0), out)
     return out
 
 
