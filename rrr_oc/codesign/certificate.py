@@ -1,10 +1,10 @@
 """The certificate of an optimum: optimality conditions, active bounds, discretisation and smoothing errors."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import chain, pairwise
 
 import numpy as np
+from msgspec import Struct
 from scipy.integrate import solve_ivp
 
 from rrr_oc.codesign.bounds.on_motion import SpringBound, solution_bound
@@ -24,15 +24,14 @@ _Bound = tuple[str, float, str, float]  # name, value [unit], unit, decrease of 
 _DESIGNER = {"rad": (180 / np.pi, "°"), "rad/s": (180 / np.pi, "°/s"), "rad/s²": (180 / np.pi, "°/s²"), "m": (1e3, "mm")}
 
 
-@dataclass(frozen=True)
-class ActiveBound:
+class ActiveBound(Struct, frozen=True):
     """A bound that is active at the optimum and costs something.
 
     Attributes:
         name: What is bounded, and on which side.
-        value: The bound [`unit`].
+        value: The bound, in `unit`.
         unit: Degrees and millimetres rather than SI units.
-        saving: Relative decrease of the cost for moving the bound outward by one unit, to first order.
+        saving: Relative decrease of the cost for moving the bound outward by one unit, to first order [1].
         sentence: The same in words.
     """
 
@@ -43,28 +42,56 @@ class ActiveBound:
     sentence: str
 
 
-@dataclass(frozen=True)
-class Certificate:
-    """What is known of an optimum. Residuals and errors have no unit.
+class MeshQuality(Struct, frozen=True):
+    """How exact the last mesh is.
 
     Attributes:
-        primal, dual, complementarity: Residuals of the optimality conditions, scaled; infinity norms.
-        second_order: "strict", "weak" or "violated", see `Kkt.second_order`. The biarticular spring stands with kappa, rho and
-            phi, so equivalent hardware makes no null directions.
+        error: Largest relative error between the nodes [1].
+        quadrature: Relative error of the cost's quadrature [1].
+        change: Relative change of the cost from the mesh before; null with one mesh alone [1].
+        converged: Whether error and change are within the tolerance.
+    """
+
+    error: float
+    quadrature: float
+    change: float | None
+    converged: bool
+
+
+class Reintegration(Struct, frozen=True):
+    """How far an adaptive integration of the controls is from the plan, see `reintegrate`.
+
+    Attributes:
+        state: Largest difference of the states at the phases' ends, over their scales [1].
+        cost: Relative difference of the cost [1].
+    """
+
+    state: float
+    cost: float
+
+
+class Certificate(Struct, frozen=True):
+    """What is known of an optimum.
+
+    Attributes:
+        primal: Residual of the constraints, scaled; the largest [1].
+        dual: Residual of the gradient of the Lagrangian, scaled; the largest [1].
+        complementarity: Residual of the complementarity conditions, scaled; the largest [1].
+        second_order: Whether the second-order condition is "strict", "weak" or "violated". The biarticular spring stands with kappa, rho
+            and phi, so equivalent hardware makes no null directions.
         curvature: Smallest eigenvalue of the Hessian of the Lagrangian on the null space of the active constraints, variables
-            scaled and weighted by their share of time, cost relative.
+            scaled and weighted by their share of time, cost relative [1].
         flattest: The variables that dominate its eigenvector.
         active: Bounds with their multipliers, largest saving first.
-        sensitivity: Relative change of the cost by one more kg of payload.
-        mesh: Largest error between the nodes, error of the quadrature, and last change of the cost from mesh to mesh, all
-            relative; and whether error and change are within the tolerance.
-        violation: Largest excess of a limit between the nodes, relative to its scale.
-        smoothing: Relative change of the cost with exact, non-smooth springs on the same motion.
-        exact_cost: The cost with exact springs.
-        reintegration: See `reintegrate`.
-        reached: See `Optimum.reached`.
-        bound: What no springs can be better than on the same motion; None where that is not known.
-        least: What no springs and no motion of the task can be better than [N²m²s]; None where that is not known.
+        sensitivity: Relative change of the cost by one more kg of payload [1/kg].
+        mesh: How exact the last mesh is.
+        violation: Largest excess of a limit between the nodes, relative to its scale [1].
+        smoothing: Relative change of the cost with exact, non-smooth springs on the same motion [1].
+        exact_cost: The cost with exact springs, in the cost's unit.
+        reintegration: How far an adaptive integration of the controls is from the plan.
+        reached: Number of starts that led to it; 0 where it was found from another optimum.
+        bound: What no springs can be better than on the same motion; null where that is not known.
+        least: What no springs and no motion of the task can be better than; null where that is not known [N²m²s].
     """
 
     primal: float
@@ -75,11 +102,11 @@ class Certificate:
     flattest: tuple[str, ...]
     active: tuple[ActiveBound, ...]
     sensitivity: float
-    mesh: dict[str, float | bool]
+    mesh: MeshQuality
     violation: float
     smoothing: float
     exact_cost: float
-    reintegration: dict[str, float]
+    reintegration: Reintegration
     reached: int
     bound: SpringBound | None
     least: float | None
@@ -101,16 +128,11 @@ def certify(result: SearchResult, optimum: Optimum, offered: CoDesign | None = N
         flattest=kkt.dominant(direction),
         active=_active(design, solution, kkt),
         sensitivity=float(kkt.data_gradient[0]) / solution.cost,
-        mesh={
-            "error": error.largest,
-            "quadrature": error.quadrature,
-            "change": last.get("change", float("nan")),
-            "converged": last.get("converged", False),
-        },
+        mesh=MeshQuality(error.largest, error.quadrature, last.get("change"), last.get("converged", False)),
         violation=error.violation,
         smoothing=abs(exact - solution.cost) / solution.cost,
         exact_cost=exact,
-        reintegration=reintegrate(solution),
+        reintegration=Reintegration(**reintegrate(solution)),
         reached=optimum.reached,
         bound=solution_bound(solution, design, offered),
         least=task_bound(offered or design),

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
 
 from rrr_oc.codesign.catalogue import Catalogue, Choices, Kinds, choices_of
 from rrr_oc.codesign.design_problem import CoDesign
@@ -27,8 +28,7 @@ MOST = 2000  # problems solved before the search gives up the rest; doubled, a h
 ACCEPTED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
-@dataclass(frozen=True)
-class Coverage:
+class Coverage(Struct, frozen=True):
     """How much of the catalogue was searched.
 
     Attributes:
@@ -39,9 +39,9 @@ class Coverage:
         excluded: Number of choices in excluded parts.
         failed: Number of choices that IPOPT did not solve.
         left: Number of all other choices, where the search ended early.
-        margin: Least relative excess of an excluded part's optimum over the best choice; infinite where no part was excluded.
+        margin: Least relative excess of an excluded part's optimum over the best choice; null where no part was excluded [1].
         undercut: Largest relative amount by which the optimum of a half was below that of the part, which shows that the latter was
-            not the global one. Bounds are uncertain by as much.
+            not the global one. Bounds are uncertain by as much [1].
     """
 
     combinations: int
@@ -51,7 +51,7 @@ class Coverage:
     excluded: int
     failed: int
     left: int
-    margin: float
+    margin: float | None
     undercut: float
 
 
@@ -140,7 +140,7 @@ class Search:
         left = sum(p.size for p in self.others if p.bound < self.limit)
         excluded = [p for p in self.others if p.bound >= self.limit]
         failed = sum(p.size == 1 and not p.solved for p in self.parts)
-        margin = excluded[0].bound / self.single[0].bound - 1 if excluded else float("inf")
+        margin = excluded[0].bound / self.single[0].bound - 1 if excluded else None
         counts = len(self.parts), len(self.single), sum(p.size for p in excluded), failed, left
         undercut = max(0.0, *(p.undercut for p in self.parts))
         return Coverage(self.choices.combinations, self.parts[0].size, *counts, margin, undercut)

@@ -1,6 +1,7 @@
-"""A study: one task designed with every configuration of springs, each design saved as soon as it is solved.
+"""A study: one task, or several that share the springs, designed with every configuration of springs, each saved when it is solved.
 
-For each configuration the cost is minimised over springs and motion by `multistart`; the best purchasable hardware is searched in a
+For each configuration the cost is minimised over springs and motions by `multistart`, and of several tasks by `solve_set`; beside the
+shared springs then stand those tuned to each task alone, and those tuned to the first. The best purchasable hardware is searched in a
 catalogue (the starred designs); published springs are given the best motion on the same model; every optimum is certified, simulated in
 MuJoCo and, where a calibrated model is given, tracked in that. What can be checked is checked before the first solve.
 """
@@ -12,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from rrr_oc import __version__
@@ -19,6 +21,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.catalogue import Catalogue, can_be_bought, check_offers, load_catalogue
 from rrr_oc.codesign.certificate import certify
+from rrr_oc.codesign.design_file import Configuration, Transferred, data, typed
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import (
     SAVED,
@@ -30,20 +33,28 @@ from rrr_oc.codesign.optimum import (
     embedded,
     idle_springs,
     mounted,
+    resimulate,
     restart_arrays,
     restored,
     sample_motion,
 )
 from rrr_oc.codesign.purchasable import search_catalogue
-from rrr_oc.codesign.search.multistart import SHARES, SearchResult, best_arranged, continue_from, solve_multistart
+from rrr_oc.codesign.search.local_optima import Optimum
+from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import allowed_configurations, arrangements, holding, offered
-from rrr_oc.codesign.task import PHASES, PRESETS, Task, load_task
+from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
+from rrr_oc.codesign.task import PHASES, PRESETS, Task
+from rrr_oc.codesign.task_sets.set_search import SetResult, front, solve_chosen, solve_set
+from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
+from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_tasks, with_uncertainty
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, repaired
+from rrr_oc.effects import Clutched
 from rrr_oc.errors import UserError
-from rrr_oc.kept import Listener, kept_motion, once, save
+from rrr_oc.kept import Listener, kept_motion, once, save, taken
+from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.problem import Guess
-from rrr_oc.optimal_control.solver import SolverFailure
+from rrr_oc.optimal_control.solver import Solution, SolverFailure
+from rrr_oc.parallel import ordered, unordered
 from rrr_oc.progress import Progress, Step
 from rrr_oc.robot.drives import Actuators, load_actuators
 from rrr_oc.storage import check_folder, code, plain, read_npz, read_utf8, write_npz
@@ -57,14 +68,17 @@ class Request:
     """What is asked of a study.
 
     Attributes:
-        task: A bundled task, or the path of a task file.
+        task: A bundled task or set of tasks, or the path of a file of either.
         out: Folder of the results.
-        configurations: Names as in `rrr_oc.codesign.springs.configurations`; None for all that the task offers.
+        configurations: Names as in `rrr_oc.codesign.springs.configurations`; None for all that the tasks offer.
         search: Options of every search.
         cost: Of `COSTS`.
         actuators, catalogue: A JSON file, "prototype" or "none"; by default the prototype's for the bundled tasks and none for others.
+            There is no catalogue by default where springs have a price.
         model: The file of a calibrated model, in which every optimum is tracked.
         repaired: Whether designs are made for the arm as this model has it.
+        front: Number of optima between that of a set of tasks and that of its first task.
+        price: Of a spring, in the unit of the objective; None if all offered springs are used.
     """
 
     task: str
@@ -76,16 +90,20 @@ class Request:
     catalogue: str | None = None
     model: Path | None = None
     repaired: bool = False
+    front: int = 0
+    price: float | None = None
 
     def __post_init__(self) -> None:
         if self.configurations == ():
             raise UserError(f"--configurations names none; a configuration is {allowed_configurations()}")
         if self.repaired and self.model is None:
             raise UserError("--repaired needs --model, the file of the model that the designs are to be made for")
-        for name in ("actuators", "catalogue"):
+        if self.price is not None and self.catalogue not in (None, "none"):
+            raise UserError(f"--price is {self.price:g} and --catalogue is {self.catalogue!r}; only one of them is allowed")
+        bundled = "prototype" if self.bundled else None
+        for name, default in (("actuators", bundled), ("catalogue", None if self.price is not None else bundled)):
             given = getattr(self, name)
-            bundled = "prototype" if self.bundled else None
-            object.__setattr__(self, name, bundled if given is None else None if given == "none" else given)
+            object.__setattr__(self, name, default if given is None else None if given == "none" else given)
 
     @property
     def bundled(self) -> bool:
@@ -131,235 +149,459 @@ class Study:
     """What all configurations of a run share.
 
     Attributes:
-        out: Folder of the results.
-        task: The task, on the arm for which it is designed.
-        designs: By configuration, in every way in which the task lets its springs be mounted.
+        request: What was asked.
+        tasks: The tasks, on the arm for which they are designed.
+        designs: By configuration, in every way in which the tasks let its springs be mounted.
         asked: The settings on which a result depends; a result saved under the same ones is taken again.
-        options: Of every search.
         shop: The catalogue of the starred designs, if there is one.
         twin: The calibrated model, if there is one.
         published: Springs that were published for the task, if there are some.
         listener: Who is told how it goes on.
     """
 
-    out: Path
-    task: Task
-    designs: Mapping[str, Sequence[CoDesign]]
+    request: Request
+    tasks: TaskSet
+    designs: Mapping[str, Sequence[SetDesign]]
     asked: dict[str, Any]
-    options: SearchOptions
     shop: Catalogue | None
     twin: Twin | None
     published: Published | None
     listener: Listener
 
-    def results(self) -> Iterator[tuple[str, dict[str, Any]]]:
+    @property
+    def out(self) -> Path:
+        """Folder of the results."""
+        return self.request.out
+
+    @property
+    def options(self) -> SearchOptions:
+        """Options of every search."""
+        return self.request.search
+
+    @property
+    def single(self) -> bool:
+        """Whether there is one task alone."""
+        return len(self.tasks.tasks) == 1
+
+    def results(self) -> Iterator[tuple[str, Configuration]]:
         """Configurations and starred designs by name: each as soon as it is saved, and again with what is compared with it."""
-        found: dict[str, Any] = {}
+        found: dict[str, Configuration] = {}
         for name, ways in self.designs.items():
             for key, result in _results(self, name, ways, found):
                 found[key] = result
                 yield key, result
-        if "SA" in found:
+        if self.single and "SA" in found:
             yield from _with_idle_motion(self, found).items()
+
+
+def files_of(name: str, tasks: int) -> list[str]:
+    """Names of the npz with the motion of each task in a configuration."""
+    return [name] if tasks == 1 else [f"{name}_{t + 1}" for t in range(tasks)]
 
 
 def prepared(request: Request, published: Published | None, listener: Listener) -> Study:
     """A study whose results are ready to be solved; raises `UserError` for whatever would end it later."""
-    task = load_task(request.task)
+    tasks = load_tasks(request.task)
     check_folder(request.out)
-    drives = None if request.actuators is None else load_actuators(task.joints, request.actuators)
-    twin = None if request.model is None else Twin.of(request.model, task, drives, listener)
-    needed = None if request.cost == "load" else drives
-    designs = {}
-    for name in holding(task, request.configurations, offered(task), listener):
-        ways = [CoDesign(task, springs, request.cost, needed) for springs in arrangements(task, name)]
-        designs[name] = ways if twin is None or not request.repaired else [repaired(way, twin.model, ("", "")) for way in ways]
-    own, shop = next(iter(designs.values()))[0].task, None if request.catalogue is None else load_catalogue(request.catalogue)
-    asked = _asked(request, own)
-    study = Study(request.out, own, designs, asked, request.search, shop, twin, published, listener)
+    _check_combined(request, tasks)
+    drives = None if request.actuators is None else load_actuators(tasks.first.joints, request.actuators)
+    twin = None if request.model is None else Twin.of(request.model, tasks.first, drives, listener)
+    names = offered(tasks.first)
+    for task in tasks.tasks:
+        names = holding(task, request.configurations, names, listener)
+    designs = {name: _designs(request, tasks, name, drives, twin) for name in names}
+    shop = None if request.catalogue is None else load_catalogue(request.catalogue)
+    own = replace(tasks, tasks=tuple(one.task for one in next(iter(designs.values()))[0].designs))
+    study = Study(request, own, designs, _asked(request, own), shop, twin, published, listener)
     _check(study)
     return study
 
 
-def _asked(request: Request, task: Task) -> dict[str, Any]:
-    asked = {"preset": request.task, "cost": request.cost, "catalogue": request.catalogue}
-    read = (request.task, request.catalogue, None if request.cost == "load" else request.actuators)
+def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | None, twin: Twin | None) -> list[SetDesign]:
+    """The problems of a configuration, one for each way to mount its springs; with a price, one with every way to mount each."""
+    _check_clutches(tasks, name)
+    ways = arrangements(tasks.first, name)
+    if request.price is not None:
+        ways = [tuple(way for each in ways_to_mount(tasks.first, name) for way in each)]
+    made, known = [], twin.model if twin is not None and request.repaired else None
+    for springs in ways:
+        alone = [CoDesign(task, springs, request.cost, None if request.cost == "load" else drives) for task in tasks.tasks]
+        if request.price is not None and alone[0].series.rows:
+            raise UserError(
+                f"--price chooses among springs that can be left out; in {name}, those between drives and links cannot"
+            )
+        alone = alone if known is None else [repaired(one, known, ("", "")) for one in alone]
+        made.append(SetDesign(tasks, tuple(with_uncertainty(one, tasks, known) for one in alone)))
+    return made
+
+
+def _asked(request: Request, tasks: TaskSet) -> dict[str, Any]:
+    asked = {"tasks": tasks.contents, "cost": request.cost, "catalogue": request.catalogue}
+    read = (request.catalogue, None if request.cost == "load" else request.actuators)
     read += (str(request.model),) if request.repaired else ()
     files = [read_utf8(f).decode() for f in read if f is not None and Path(f).is_file()]
-    asked |= {"options": asdict(request.search), "files": files}
-    robot = [
-        task.robot.placements,
-        task.robot.axes,
-        task.robot.inertial,
-        task.robot.gravity,
-        task.tool.joint,
-        task.tool.position,
-    ]
-    limits = [task.lower, task.upper, task.speed, task.acceleration, task.torque]  # some may be the robot's
-    return asked | {"robot": robot, "limits": limits, "springs": task.springs, "version": __version__, "code": code()}
+    asked |= {"options": asdict(request.search), "files": files, "front": request.front, "price": request.price}
+    robot, tool = tasks.first.robot, tasks.first.tool
+    asked["robot"] = [robot.placements, robot.axes, robot.inertial, robot.gravity, tool.joint, tool.position]
+    return asked | {"version": __version__, "code": code()}
+
+
+def _check_combined(request: Request, tasks: TaskSet) -> None:
+    """Raise `UserError` for what cannot be asked together."""
+    several, worst = len(tasks.tasks) > 1, tasks.objective != "sum"
+    if request.front and not several:
+        raise UserError(f"--front is {request.front}; it needs a set of tasks, and {request.task} is a task")
+    if request.front and worst:
+        raise UserError(f"--front needs a set whose objective is 'sum'; that of {tasks.name!r} is {tasks.objective!r}")
+    if request.catalogue is not None and several:
+        raise UserError(f"--catalogue is {request.catalogue!r}; for a set of tasks only 'none' is allowed")
+    if request.price is None:
+        return
+    if not (np.isfinite(request.price) and request.price >= 0):
+        raise UserError(f"--price is {request.price:g}; a finite number of 0 or more is required, in the unit of the cost")
+    if worst or tasks.payload or tasks.model:
+        found = f"the objective {tasks.objective!r}" if worst else "something uncertain"
+        raise UserError(f"--price needs a set whose objective is 'sum', without 'uncertain'; {tasks.name!r} has {found}")
+
+
+def _check_clutches(tasks: TaskSet, name: str) -> None:
+    """Raise `UserError` where a spring with a clutch cannot keep its energy in all tasks."""
+    first, *others = (
+        [np.r_[s.lower, s.upper] for way in arrangements(task, name) for s in way if isinstance(s.effect, Clutched)]
+        for task in tasks.tasks
+    )
+    for task, other in zip(tasks.tasks[1:], others, strict=True):
+        if len(other) != len(first) or not all(map(np.allclose, first, other)):
+            raise UserError(
+                f"set {tasks.name!r}: no spring with a clutch keeps its energy both in task {tasks.first.name!r} and in "
+                f"{task.name!r}; the joints' ways between start and release decide its parameters, and must be the same"
+            )
 
 
 def _check(study: Study) -> None:
     """Raise `UserError` for what would end the study after its first design was solved."""
     for design, *_ in study.designs.values():
-        if study.shop is not None and can_be_bought(design):
-            check_offers(design, study.shop)
-        check_simulation(design)
+        if study.shop is not None and can_be_bought(design.first):
+            check_offers(design.first, study.shop)
+        check_simulation(replace(design.first, springs=_one_a_place(design.first)))
     if study.twin is not None:
-        check_transfer(next(iter(study.designs.values()))[0], study.twin.model)
+        check_transfer(next(iter(study.designs.values()))[0].first, study.twin.model)
 
 
-def does_nothing(found: Mapping[str, Any]) -> bool:
-    """Whether a design has springs and none of them does anything."""
-    return bool(found.get("idle")) and set(found["idle"]) == set(found["mounted"])
+def _one_a_place(design: CoDesign) -> tuple[SpringBounds, ...]:
+    """The springs of a design in the first way to mount each."""
+    first = {(s.effect.name, s.effect.joints): s for s in reversed(design.springs)}
+    return tuple(s for s in design.springs if s.known or first[s.effect.name, s.effect.joints] is s)
+
+
+def _once(study: Study, name: str, make: Callable[[], Configuration]) -> Configuration:
+    """A configuration by name: the saved one, or a new one, which is saved."""
+    files = files_of(name, len(study.tasks.tasks))
+    return msgspec.convert(once(study, name, lambda: data(make()), files), Configuration)
 
 
 def _results(
-    study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[str, Any]
-) -> Iterator[tuple[str, dict[str, Any]]]:
+    study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[str, Configuration]
+) -> Iterator[tuple[str, Configuration]]:
     """A configuration and its starred design by name: each as soon as it is saved, and again with what is compared with it."""
-    solved = once(study, name, partial(_solve, study, name, ways, before))
+    solved = _once(study, name, partial(_solve, study, name, ways, before))
     yield name, solved
+    if solved.interrupted:
+        return
     design = _chosen(ways, solved)
-    if not solved["interrupted"]:
-        solved |= _compared(study, name, design)
-        yield name, solved
-    if study.shop is None or not can_be_bought(design) or solved["interrupted"]:
+    solved = _compared(study, name, design, solved)
+    yield name, solved
+    if study.shop is None or not can_be_bought(design.first):
         return
     starred = f"{name}*"
     try:
-        bought = once(study, starred, partial(_buy, study, starred, design))
+        bought = _once(study, starred, partial(_buy, study, starred, design.first))
     except SolverFailure as failure:
         study.listener.show(f"{starred}: no choice of the catalogue could be solved: {failure}")
-        yield name, solved | {"not_bought": str(failure)}
+        yield name, msgspec.structs.replace(solved, not_bought=str(failure))
         return
     yield starred, bought
-    yield starred, bought | _compared(study, starred, design)
+    yield starred, _compared(study, starred, design, bought)
 
 
-def _chosen(ways: Sequence[CoDesign], solved: dict[str, Any]) -> CoDesign:
-    """The design with the springs mounted as in a result."""
-    return next(design for design in ways if plain(mounted(design)) == solved["mounted"])
+def _chosen(ways: Sequence[SetDesign], solved: Configuration) -> SetDesign:
+    """The design with the springs of a result alone, mounted as there."""
+
+    def has(design: CoDesign, spring: SpringBounds) -> bool:
+        effect = spring.effect
+        options = plain({key: getattr(effect, key) for key in effect.options})
+        return spring.known or solved.mounted.get(design.model.label(effect)) == options
+
+    some = [way.with_springs(tuple(s for s in way.springs if has(way.first, s))) for way in ways]
+    return next(design for design in some if plain(mounted(design.first)) == solved.mounted)
 
 
-def _with_idle_motion(study: Study, found: dict[str, Any]) -> dict[str, Any]:
+def _with_idle_motion(study: Study, found: dict[str, Configuration]) -> dict[str, Configuration]:
     """The stiff arm moved as a design whose springs do nothing, if that is cheaper than what its own search found; saved."""
     designs, stiff = study.designs, found["SA"]
     (design,) = designs["SA"]
-    idle = [name for name in designs if name in found and does_nothing(found[name])]
-    cheapest = min(idle, key=lambda name: found[name]["cost"], default="SA")
-    if stiff["interrupted"] or found[cheapest]["cost"] >= stiff["cost"] * (1 - CHEAPER):
+    idle = [name for name in designs if name in found and found[name].does_nothing]
+    cheapest = min(idle, key=lambda name: found[name].cost, default="SA")
+    if stiff.interrupted or found[cheapest].cost >= stiff.cost * (1 - CHEAPER):
         return {}
     began = time.perf_counter()
     file = read_npz(kept_motion(study, cheapest))
-    guess = restored(_chosen(designs[cheapest], found[cheapest]), study.options, file).guess()
-    tried = continue_from([(design, replace(guess, parameters=np.zeros(0)))], study.options)
-    if not tried or tried[0][1].cost >= stiff["cost"]:
+    guess = restored(_chosen(designs[cheapest], found[cheapest]).first, study.options, file).guess()
+    tried = continue_from([(design.first, replace(guess, parameters=np.zeros(0)))], study.options)
+    if not tried or tried[0][1].cost >= stiff.cost:
         return {}
-    better = _describe(study, "SA", SearchResult(design, (tried[0][1],), (), False), began)
-    better |= {key: stiff[key] for key in ("optima", "layers")}
-    save(study, "SA", better, ["SA"])
-    return {"SA": better | _compared(study, "SA", design)}
+    better = _described(study, "SA", SetResult.of_one(design, tried[0][1]), began)
+    better = msgspec.structs.replace(better, optima=stiff.optima, layers=stiff.layers)
+    save(study, "SA", data(better), ["SA"])
+    return {"SA": _compared(study, "SA", design, better)}
 
 
-def _compared(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
-    """What a saved optimum is compared with: published springs on this model, and the optimum in the calibrated twin."""
-    published = {"published_springs_E1": None}
+def _compared(study: Study, name: str, design: SetDesign, solved: Configuration) -> Configuration:
+    """A saved result with what it is compared with: published springs on this model, and the motions in the calibrated model."""
     if study.published is not None:
         hardware = study.published(name)
-        published = once(study, f"{name} published springs", lambda: _published(study, name, design, hardware), files=())
-    return published | {"calibrated": None if study.twin is None else _transferred(study, name, design, study.twin)}
+        published = once(study, f"{name} published springs", lambda: _published(study, name, design.first, hardware), files=())
+        solved = msgspec.structs.replace(solved, published_springs=published["cost"])
+    if study.twin is None:
+        return solved
+    files = [read_npz(kept_motion(study, file)) for file in files_of(name, len(design.designs))]
+    motions = [SampledMotion(**dict[str, Any]({key: file[key] for key in SAVED})) for file in files]
+    theta, twin = design.first.model.theta(solved.parameters), study.twin
+    calls = [(one, motion, theta, twin.model, twin.drives) for one, motion in zip(design.designs, motions, strict=True)]
+    tracked = [typed(one | {"uncalibrated": twin.unknown}, Transferred) for one in ordered(describe_transfer, calls)]
+    tasks = {
+        task: msgspec.structs.replace(moved, calibrated=one)
+        for (task, moved), one in zip(solved.tasks.items(), tracked, strict=True)
+    }
+    return msgspec.structs.replace(solved, tasks=tasks)
 
 
-def _solve(study: Study, name: str, ways: Sequence[CoDesign], before: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration, its springs mounted in the best of some ways; writes its motion. The search also starts from what was found
-    before for configurations with fewer springs, so that it is not worse than these."""
+def _solve(study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[str, Configuration]) -> Configuration:
+    """A configuration, its springs mounted in the best of some ways; writes its motions."""
     began = time.perf_counter()
-    if len(ways) > 1:
-        study.listener.show(f"{name}: the task leaves {len(ways)} ways to mount the springs open; each is tried")
-    design, known = best_arranged(ways, study.options), []
-    for other, result in before.items():
-        if other in study.designs and not result["interrupted"]:
-            inner = _chosen(study.designs[other], result)
-            file = read_npz(kept_motion(study, other))
-            known.append(embedded(restored(inner, study.options, file), inner, design))
+    if study.request.price is not None:
+        return _solve_priced(study, name, ways[0], began)
+    design = _best_arranged(study, name, ways)
+    if study.single:
+        return _solve_one(study, name, design, before, began)
+    alone = _alone(study, name, design)
     with study.listener.stages(name) as report:
-        result = _search(study, design, [guess for guess in known if guess is not None], report)
-        Progress(SHARES, report).tell("certificate", 0.0, f"best {result.best.cost:.6g}")
-        return _describe(study, name, result, began)
+        result = solve_set(design, alone, study.options, report)
+    return _described(study, name, result, began)
 
 
-def _buy(study: Study, name: str, design: CoDesign) -> dict[str, Any]:
-    """A starred design, from the saved optimum of its configuration; writes its motion."""
+def _solve_one(study: Study, name: str, design: SetDesign, before: Mapping[str, Configuration], began: float) -> Configuration:
+    """As `_solve`, for one task. The search also starts from what was found before for configurations with fewer springs, so that it
+    is not worse than these."""
+    known = []
+    for other, solved in before.items():
+        if other in study.designs and not solved.interrupted:
+            inner = _chosen(study.designs[other], solved).first
+            file = read_npz(kept_motion(study, other))
+            known.append(embedded(restored(inner, study.options, file), inner, design.first))
+    with study.listener.stages(name) as report:
+        found = _search(study, design.first, [guess for guess in known if guess is not None], report)
+        Progress(SHARES, report).tell("certificate", 0.0, f"best {found.best.cost:.6g}")
+        described = _described(study, name, SetResult.of_one(design, found.best), began)
+    optima = [
+        {
+            "cost": o.cost,
+            "reached": o.reached,
+            "refined": len(o.meshes) > 1,
+            "durations": dict(zip(PHASES, o.solution.durations.tolist(), strict=True)),
+            "springs": design.first.hardware(o.solution.parameters),
+        }
+        for o in found.optima
+    ]
+    more = {"optima": optima, "layers": found.layers(), "interrupted": found.interrupted}
+    return typed(data(described) | more | {"wall_s": time.perf_counter() - began}, Configuration)
+
+
+def _solve_priced(study: Study, name: str, offered: SetDesign, began: float) -> Configuration:
+    """As `_solve`, with those springs of the offered ones that are worth their price."""
+    bare = offered.with_springs(tuple(s for s in offered.springs if s.known))
+    few = replace(study.options, refinement=replace(study.options.refinement, rounds=0))  # the choice has its own mesh
+    if not offered.sprung:
+        return _described(study, name, solve_set(bare, _alone(study, name, bare), study.options), began)
+    quick = replace(study, request=replace(study.request, search=few))
+    stiff = _alone(quick, f"{name} stiff", bare)
+    with study.listener.count(f"{name} choice") as count:
+        found = spring_front(offered, stiff, study.options, lambda left, _: count(left, "springs left"))
+    price = study.request.price or 0.0
+    result = solve_chosen(*chosen(offered, study.options, found.at(price)), study.options)
+    described = _described(study, name, result, began)
+    return typed(data(described) | {"choice": _choice(study, offered, found, price)}, Configuration)
+
+
+def _choice(study: Study, offered: SetDesign, found: SpringFront, price: float) -> dict[str, Any]:
+    """The front of the number of springs, as it is saved."""
+    points = []
+    for point in found.points:
+        design, start = chosen(offered, study.options, point)
+        points.append(
+            {
+                "count": len(point.springs),
+                "cost": point.total,
+                "priced": point.total + price * len(point.springs),
+                "springs": design.first.hardware(start.parameters),
+                "mounted": mounted(design.first),
+            }
+        )
+    at = found.points.index(found.at(price))
+    places = len({(s.effect.name, s.effect.joints) for s in offered.springs if not s.known})
+    return {"price": price, "offered": places, "chosen": at, "solved": found.solved, "points": points}
+
+
+def _buy(study: Study, name: str, design: CoDesign) -> Configuration:
+    """A starred design of one task, from the saved optimum of its configuration; writes its motion."""
     began = time.perf_counter()
     start = restored(design, study.options, read_npz(kept_motion(study, name.rstrip("*"))))
     assert study.shop is not None
     with study.listener.count(name) as count:
         bought = search_catalogue(design, start, study.shop, study.options, lambda done: count(done, "problems solved"))
-    found = _describe(study, name, SearchResult(bought.design, (bought.optimum,), (), False), began, design)
+    result = SetResult.of_one(SetDesign(study.tasks, (bought.design,)), bought.optimum)
     gap = bought.optimum.cost / start.cost - 1
-    left = {key: value for key, value in found.items() if key not in ("optima", "layers")}
-    return left | {"catalogue": plain(asdict(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up})}
+    catalogue = data(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up}
+    return typed(data(_described(study, name, result, began, design)) | {"catalogue": catalogue}, Configuration)
 
 
 def _search(study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None]) -> SearchResult:
     try:
         return solve_multistart(design, study.options, known=known, report=report)
     except SolverFailure as failure:
-        task = design.task
-        rows = zip(task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True)
-        limits = "; ".join(f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows)
-        raise UserError(
-            f"no motion of task {task.name!r} was found within its limits ({limits}; "
-            f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
-        ) from None
+        raise _no_motion(design.task, failure) from None
 
 
-def _describe(study: Study, name: str, result: SearchResult, began: float, offered: CoDesign | None = None) -> dict[str, Any]:
-    """The entry of a configuration in summary.json; first keeps its motion. Its springs are compared with those of
-    `offered`, by default with the design's own."""
-    design, solution = result.design, result.best.solution
-    motion = sample_motion(design, solution)
-    joints = {"joints": np.array(design.task.joints)}
-    write_npz(kept_motion(study, name), motion.arrays | joints | restart_arrays(solution))
-    described = describe(design, motion.metrics()) | {
-        "cost": solution.cost,
-        "lowest_tool_m": min(float(design.model.tool_height(q)) for q in design.task.full(motion.q).T[::7]),
-        "springs": design.hardware(solution.parameters),
-        "mounted": mounted(design),
-        "idle": idle_springs(design, motion, solution.parameters),
-        "beyond": beyond_known(design, motion, solution.parameters),
-        "parameters": design.model.values(solution.parameters),
-        "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
-        "certificate": asdict(certify(result, result.best, offered)),
-        "meshes": result.best.meshes,
-        "mujoco": describe_simulation(design, solution, motion),
-        "optima": [
-            {
-                "cost": o.solution.cost,
-                "reached": o.reached,
-                "refined": len(o.meshes) > 1,
-                "durations": dict(zip(PHASES, o.solution.durations.tolist(), strict=True)),
-                "springs": design.hardware(o.solution.parameters),
-            }
-            for o in result.optima
-        ],
-        "layers": result.layers(),
-        "interrupted": result.interrupted,
-    }
-    if design.cost == "load":
-        described["E1"] = solution.cost
-    return plain(described | {"wall_s": time.perf_counter() - began})
-
-
-def _transferred(study: Study, name: str, design: CoDesign, twin: Twin) -> dict[str, Any]:
-    """Metrics of a saved optimum in the calibrated twin."""
-    saved = read_npz(kept_motion(study, name))
-    motion, values = (
-        SampledMotion(**dict[str, Any]({key: saved[key] for key in SAVED})),
-        restored(design, study.options, saved).parameters,
+def _no_motion(task: Task, failure: SolverFailure) -> UserError:
+    rows = zip(task.joints, *np.degrees([task.lower, task.upper, task.speed, task.acceleration]), task.torque, strict=True)
+    limits = "; ".join(f"{j}: {lo:.0f} … {hi:.0f}°, {v:.0f} °/s, {a:.0f} °/s², {tau:g} Nm" for j, lo, hi, v, a, tau in rows)
+    return UserError(
+        f"no motion of task {task.name!r} was found within its limits ({limits}; "
+        f"{task.duration[0]:g} … {task.duration[1]:g} s a phase): {failure}"
     )
-    return plain(describe_transfer(design, motion, values, twin.model, twin.drives) | {"uncalibrated": twin.unknown})
+
+
+def _best_arranged(study: Study, name: str, ways: Sequence[SetDesign]) -> SetDesign:
+    """Of ways to mount the springs the one in which the tasks alone cost least."""
+    if len(ways) == 1:
+        return ways[0]
+    study.listener.show(f"{name}: the tasks leave {len(ways)} ways to mount the springs open; each is tried")
+    costs = [arranged_costs(of_task, study.options) for of_task in zip(*(way.designs for way in ways), strict=True)]
+    return ways[int(np.argmin([way.total(of_way) for way, of_way in zip(ways, zip(*costs, strict=True), strict=True)]))]
+
+
+def _alone(study: Study, name: str, design: SetDesign) -> list[Optimum]:
+    """The optimum of each task with springs of its own; each is saved as soon as it is solved, for a run that is interrupted."""
+    names = [f"{name} alone {t + 1}" for t in range(len(design.designs))]
+    open_ = [t for t, one in enumerate(names) if taken(study, one, [one]) is None]
+    with study.listener.count(f"{name} alone", len(names)) as count:
+        count(len(names) - len(open_), "tasks alone")
+        calls = [(t, design.designs[t], study.options) for t in open_]
+        for done, (t, optimum) in enumerate(unordered(_search_alone, calls), len(names) - len(open_) + 1):
+            if isinstance(optimum, SolverFailure):
+                raise _no_motion(design.designs[t].task, optimum)
+            multipliers = {"lam_g": optimum.solution.lam_g, "lam_w": optimum.solution.lam_w}
+            write_npz(kept_motion(study, names[t]), restart_arrays(optimum.solution) | multipliers)
+            save(study, names[t], plain({"meshes": optimum.meshes}), [names[t]])
+            count(done, "tasks alone")
+    return [_restored(study, one, own) for one, own in zip(names, design.designs, strict=True)]
+
+
+def _search_alone(task: int, design: CoDesign, options: SearchOptions) -> tuple[int, Optimum | SolverFailure]:
+    try:
+        return task, solve_multistart(design, options).whole().best
+    except SolverFailure as failure:
+        return task, failure
+
+
+def _restored(study: Study, name: str, design: CoDesign) -> Optimum:
+    found = taken(study, name, [name])
+    assert found is not None
+    file = read_npz(kept_motion(study, name))
+    solution = replace(restored(design, study.options, file), lam_g=file["lam_g"], lam_w=file["lam_w"])
+    return Optimum(solution, found["meshes"])
+
+
+def _described(study: Study, name: str, result: SetResult, began: float, compared: CoDesign | None = None) -> Configuration:
+    """The entry of a result; first keeps the motions of its tasks. The springs of one task are compared with those of `compared`, by
+    default with the design's own."""
+    design, parameters = result.design, result.parameters
+    free = study.single and study.request.price is None  # else the springs were found first, and held for the motions
+    held = design.designs if free else design.held(parameters)
+    compared = (compared or design.first) if study.single else None
+    calls = [(own, one, o, compared) for own, one, o in zip(design.designs, held, result.motions, strict=True)]
+    tasks, files = {}, files_of(name, len(held))
+    for t, (moved, arrays) in enumerate(ordered(_moved, calls)):
+        write_npz(kept_motion(study, files[t]), arrays)
+        own = design.designs[t].hardware(result.alone[t].solution.parameters)
+        others = {"alone": result.alone[t].cost, "with_first": result.first[t].cost, "springs_alone": own}
+        tasks[study.tasks.tasks[t].name] = moved | others
+    points = front(result, study.options, study.request.front) if study.request.front and design.sprung else []
+    found = {
+        "cost": result.total,
+        "alone": design.total([o.cost for o in result.alone]),
+        "with_first": design.total([o.cost for o in result.first]),
+        "springs": design.first.hardware(parameters),
+        "mounted": mounted(design.first),
+        "parameters": design.first.model.values(parameters),
+        "tasks": tasks,
+        "starts": [{"layer": start.layer, "polished": start.polished} for start in result.starts],
+        "change": result.change,
+        "front": [{"share": p.share, "first": p.costs[0], "total": p.total, "springs": p.springs} for p in points],
+        "wall_s": time.perf_counter() - began,
+    }
+    return typed(found, Configuration)
+
+
+def _moved(
+    own: CoDesign, held: CoDesign, optimum: Optimum, compared: CoDesign | None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """What is saved of the motion of a task, and its arrays.
+
+    Args:
+        own: The task's problem with the bounds of the springs.
+        held: The problem that the optimum is one of: where tasks share the springs, with these held.
+        compared: See `certify`.
+    """
+    solution = optimum.solution
+    motion, cases = sample_motion(held, solution), len(held.scenarios)
+    found = describe(held, motion.metrics()) | {
+        "cost": solution.cost,
+        "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
+        "lowest_tool_m": min(float(held.model.tool_height(q)) for q in held.task.full(motion.q).T[::7]),
+        "idle": idle_springs(own, motion, solution.parameters),
+        "beyond": beyond_known(own, motion, solution.parameters),
+        "certificate": certify(SearchResult(held, (optimum,), (), False), optimum, compared),
+        "meshes": optimum.meshes,
+        "mujoco": describe_simulation(held, solution, motion),
+        "scenarios": [_in_scenario(held, solution, motion, i) for i in range(cases)] if cases > 1 else [],
+    }
+    if held.cost == "load" and cases == 1:
+        found["E1"] = solution.cost
+    return found, motion.arrays | {"joints": np.array(held.task.joints)} | restart_arrays(solution)
+
+
+def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, index: int) -> dict[str, Any]:
+    """E1 of a motion in one scenario, as planned and in MuJoCo, which knows the scenario."""
+    scenario, task = design.scenarios[index], design.task
+    w, names = solution.w.copy(), solution.problem.parameters
+    for at, value in scenario.theta:
+        w[at] = value / solution.problem.p_scale[at]
+    case = replace(solution, w=w)
+    there = replace(design, task=replace(task, payload=task.payload * scenario.payload), scenarios=design.scenarios[:1])
+    widths = design.widths(solution.problem.data)
+    payloads = there.task.payloads
+    thetas = [there.engaged(i, case.parameters) for i in range(len(PHASES))]
+    torques = [
+        (motion.t[k], np.array(there.torques(motion.q[:, k], motion.dq[:, k], motion.ddq[:, k], m, theta, widths)[0]))
+        for k, m, theta in zip(motion.phases(), payloads, thetas, strict=True)
+    ]
+    return {
+        "payload_kg": there.task.payload,
+        "parameters": {names[at]: value for at, value in scenario.theta},
+        "E1": measure(torques).E1_total,
+        "mujoco": describe(there, resimulate(there, case, motion).metrics, task.moving)["E1"],
+    }
 
 
 def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str, float]) -> dict[str, float | None]:
@@ -367,10 +609,10 @@ def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str,
     found."""
     options = study.options
     if not hardware:
-        return {"published_springs_E1": None}
+        return {"cost": None}
     few = replace(options, starts=max(4, options.starts // 4), kept=3, motions=0)
     try:
-        return {"published_springs_E1": solve_multistart(design.with_fixed(hardware), few).whole().best.cost}
+        return {"cost": solve_multistart(design.with_fixed(hardware), few).whole().best.cost}
     except SolverFailure as failure:
         study.listener.show(f"{name}: no motion was found with the published springs: {failure}")
-        return {"published_springs_E1": None}
+        return {"cost": None}

@@ -3,25 +3,26 @@
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.markdown import Markdown
 
 from rrr_oc import parallel
+from rrr_oc.codesign.design_file import Configuration
 from rrr_oc.codesign.design_problem import COSTS
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import allowed_configurations
 from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
-from rrr_oc.codesign.task_sets.set_study import SetStudy, prepared_set
-from rrr_oc.codesign.task_sets.task_set import SETS, is_task_set
+from rrr_oc.codesign.task_sets.task_set import SETS
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Jobs, Workers, check_apart, command_line
-from rrr_oc.errors import UserError, printable
+from rrr_oc.errors import printable
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
-from rrr_oc.report.study_files import FILES, SET_FILES, write_set_study, write_study
+from rrr_oc.report.design_report import CERTIFICATES
+from rrr_oc.report.study_files import FILES, write_study
 
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
 app = typer.Typer(add_completion=False)
@@ -56,7 +57,7 @@ def design(
     ] = 0,
     price: Annotated[
         float | None,
-        typer.Option(help="of a spring, in the unit of the cost, for a set of tasks: only springs worth it are used"),
+        typer.Option(help="of a spring, in the unit of the cost: only springs that are worth it are used"),
     ] = None,
     intervals: Annotated[
         int, typer.Option(min=8, help="of a phase on the first fine mesh; fewer are faster, and the tolerance refines them")
@@ -75,49 +76,32 @@ def design(
     output = Output(quiet, as_json)
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
     search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
-    request = Request(task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired)
-    together = is_task_set(task)
-    if not together:
-        _check_single(task, front, price)
+    request = Request(
+        task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired, front=front, price=price
+    )
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
-    check_apart(read, [out / name for name in (*FILES, *SET_FILES)])
+    check_apart(read, [out / name for name in FILES])
     with parallel.workers(jobs, workers):
-        if together:
-            _run(prepared_set(request, front, price, output), output, command_line(context))
-        else:
-            _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
+        _run(prepared(request, published_springs if request.bundled else None, output), output, command_line(context))
 
 
 def _names(configurations: str | None) -> tuple[str, ...] | None:
     return None if configurations is None else tuple(name.strip() for name in configurations.split(",") if name.strip())
 
 
-def _check_single(task: str, front: int, price: float | None) -> None:
-    """Raise `UserError` for options that a single task does not have."""
-    if front:
-        raise UserError(f"--front is {front}; it needs a set of tasks, and {task} is a task")
-    if price is not None:
-        raise UserError(f"--price is {price:g}; it needs a set of tasks, and {task} is a task; a set may have one task")
-
-
-def _run(study: Study | SetStudy, output: Output, command: str) -> None:
+def _run(study: Study, output: Output, command: str) -> None:
     """Solve, write and show a study."""
-    began, found = time.perf_counter(), dict[str, Any]()
-    task = study.tasks.tasks[0] if isinstance(study, SetStudy) else study.task
-    for note in task.robot.notes:
+    began, found = time.perf_counter(), dict[str, Configuration]()
+    for note in study.tasks.first.robot.notes:
         output.note(f"Note: {note}.")
     try:
         for name, result in study.results():
             found[name] = result
     finally:  # whatever ends the study, the designs that are finished are reported
         if found:
-            wall_s = time.perf_counter() - began
-            if isinstance(study, SetStudy):
-                summary, text = write_set_study(study, found, wall_s, command)
-            else:
-                summary, text = write_study(study, found, wall_s, command)
+            summary, text = write_study(study, found, time.perf_counter() - began, command)
             output.result(summary)
-            output.show(Markdown(printable(text.split("## Certificates")[0])))
+            output.show(Markdown(printable(text.split(f"## {CERTIFICATES}")[0])))
             output.show(
-                f"Everything is in {study.out}: report.html, report.md, summary.json, figures, one npz a configuration."
+                f"Everything is in {study.out}: report.html, report.md, summary.json, figures, one npz a configuration and task."
             )

@@ -1,42 +1,50 @@
 """The figures of a co-design study, made from its saved files alone."""
 
-import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import LogFormatter
 
+from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.report.figures import COLOURS, FOOTER, plt, save_figure
 from rrr_oc.report.tables import spring_unit
 from rrr_oc.robot.rigid_body import rigid_body
+from rrr_oc.schema import read_json
 
 ONE_JOINT = ("k_p", "k_v", "k_t")  # stiffnesses of springs across one joint
 ORDERS = ("q", "dq", "ddq")  # of which drives and links differ where a spring stands between them
+MARKS = {
+    "with_first": ("s", "springs of the first task"),
+    "cost": ("o", "springs of the set"),
+    "alone": ("D", "springs of its own"),
+}
 
 
-def draw_all(folder: Path, task: Task) -> list[Path]:
+def draw_all(folder: Path, tasks: Sequence[Task]) -> list[Path]:
     """Every figure of a run's folder; returns their paths."""
-    summary = json.loads((folder / "summary.json").read_text())
-    names = list(summary["configurations"])
-    motions = {name: dict(np.load(folder / f"{name}.npz")) for name in names}
-    drawn = [
-        save_figure(draw_torques(summary, motions), folder / "torques.png"),
-        save_figure(draw_landscape(summary), folder / "landscape.png"),
-    ]
-    for name in names:
-        drawn.append(save_figure(draw_trajectory(name, motions[name], task), folder / f"trajectory_{name}.png"))
-        drawn.append(
-            save_figure(
-                draw_arm(name, motions[name], task, summary["configurations"][name]["springs"]), folder / f"arm_{name}.png"
-            )
-        )
-    return drawn
+    study = read_json(folder / "summary.json", DesignFile)
+    found, drawn = study.configurations, {}
+    if study.single:
+        motions = {name: dict(np.load(folder / f"{name}.npz")) for name in found}
+        drawn |= {"torques": draw_torques(study, motions), "landscape": draw_landscape(study)}
+        for name, motion in motions.items():
+            drawn[f"trajectory_{name}"] = draw_trajectory(name, motion, tasks[0])
+            drawn[f"arm_{name}"] = draw_arm(name, motion, tasks[0], found[name].springs)
+    else:
+        drawn["tasks"] = draw_tasks(study)
+    if any(c.front for c in found.values()):
+        drawn["front"] = draw_front(study)
+    if any(c.choice for c in found.values()):
+        drawn["choice"] = draw_choice(study)
+    return [save_figure(figure, folder / f"{name}.png") for name, figure in drawn.items()]
 
 
-def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
+def draw_torques(study: DesignFile, motions: dict[str, dict]) -> Any:
     """Load and spring torque over time, summed over the moving joints, both phases (as Figure 5)."""
-    rows, (what, unit) = (len(motions) + 1) // 2, summary["quantity"]
+    rows, quantity = (len(motions) + 1) // 2, study.quantity
     figure, axes = plt.subplots(rows, min(2, len(motions)), figsize=(12, 3.2 * rows), squeeze=False, sharey=True)
     for axis, (name, m) in zip(axes.ravel(), motions.items(), strict=False):
         load, spring = m["tau_load"].sum(axis=0), m["tau_spring"].sum(axis=0)
@@ -51,7 +59,7 @@ def draw_torques(summary: dict, motions: dict[str, dict]) -> Any:
             "payload released", (change, 0.97), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right", **FOOTER
         )
         axis.axhline(0, color="0.8", lw=0.8)
-        axis.set_title(f"{name}: {what} = {summary['configurations'][name]['cost']:.4g} {unit}", fontsize=10)
+        axis.set_title(f"{name}: {quantity.name} = {study.configurations[name].cost:.4g} {quantity.unit}", fontsize=10)
         axis.set_xlabel("time [s]")
     for axis in axes[:, 0]:
         axis.set_ylabel("sum over joints [Nm]")
@@ -154,27 +162,27 @@ def _joints(body, q: np.ndarray, task: Task) -> np.ndarray:
     return np.vstack([np.zeros(3), frames[9:].T, tool])
 
 
-def draw_landscape(summary: dict) -> Any:
+def draw_landscape(study: DesignFile) -> Any:
     """Where starts ended: cost against the two phases' durations, distinct optima marked by how often each was reached."""
-    names = [n for n, c in summary["configurations"].items() if c.get("optima")]
+    names = [n for n, c in study.configurations.items() if c.optima]
     figure, axes = plt.subplots(2, max(len(names), 1), figsize=(3.4 * max(len(names), 1), 6.4), squeeze=False)
     for column, name in enumerate(names):
-        optima = summary["configurations"][name]["optima"]
+        optima = study.configurations[name].optima
         for row, phase in enumerate(PHASES):
             axis = axes[row, column]
             for o in optima:
                 axis.plot(
-                    o["durations"][phase],
-                    o["cost"],
-                    "o" if o["refined"] else "s",
-                    ms=5 + 2.5 * np.sqrt(max(o["reached"], 0)),
-                    mfc=COLOURS[0] if o["refined"] else "none",
+                    o.durations[phase],
+                    o.cost,
+                    "o" if o.refined else "s",
+                    ms=5 + 2.5 * np.sqrt(max(o.reached, 0)),
+                    mfc=COLOURS[0] if o.refined else "none",
                     mec=COLOURS[0],
                     alpha=0.8,
                 )
                 axis.annotate(
-                    str(o["reached"]),
-                    (o["durations"][phase], o["cost"]),
+                    str(o.reached),
+                    (o.durations[phase], o.cost),
                     textcoords="offset points",
                     xytext=(7, 3),
                     **FOOTER,
@@ -187,8 +195,76 @@ def draw_landscape(summary: dict) -> Any:
             axis.margins(y=0.25)
             axis.ticklabel_format(useOffset=False)
     for axis in axes[:, 0]:
-        axis.set_ylabel("{} [{}]".format(*summary["quantity"]))
+        axis.set_ylabel(study.quantity.title)
     note = "filled: refined to the mesh tolerance; open: on the first fine mesh; number and size: starts that ended there"
     figure.text(0.5, -0.02, note, ha="center", **FOOTER)
+    figure.tight_layout()
+    return figure
+
+
+def draw_tasks(study: DesignFile) -> Any:
+    """The cost of each task with springs of its own, of the set, and of the first task; one panel a configuration with springs."""
+    found = {name: c for name, c in study.configurations.items() if c.springs} or study.configurations
+    tasks = [t.name for t in study.tasks]
+    figure, axes = plt.subplots(
+        1, len(found), figsize=(2.2 + 4.2 * len(found), 1.6 + 0.32 * len(tasks)), squeeze=False, sharey=True
+    )
+    y = np.arange(len(tasks))
+    for axis, (name, c) in zip(axes[0], found.items(), strict=True):
+        rows = {key: [getattr(c.tasks[task], key) for task in tasks] for key in MARKS}
+        every = np.array(list(rows.values()))
+        axis.hlines(y, every.min(axis=0), every.max(axis=0), color="0.8", lw=2, zorder=1)
+        for colour, (key, (mark, label)) in zip((COLOURS[1], COLOURS[0], COLOURS[2]), MARKS.items(), strict=True):
+            axis.plot(rows[key], y, mark, color=colour, ms=6, mfc="none" if key == "alone" else colour, label=label)
+        axis.set_xscale("log")
+        for part in (axis.xaxis.set_major_formatter, axis.xaxis.set_minor_formatter):
+            part(LogFormatter(labelOnlyBase=False, minor_thresholds=(1.5, 0.5)))
+        axis.set_title(name, fontsize=10)
+        axis.set_xlabel(study.quantity.title)
+        axis.grid(axis="x", which="both", color="0.92", lw=0.6)
+    axes[0, 0].set_yticks(y, tasks)
+    axes[0, 0].invert_yaxis()
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="upper center", ncols=3, fontsize=9, frameon=False, bbox_to_anchor=(0.5, 1.02))
+    figure.tight_layout(rect=(0, 0, 1, 0.95))
+    return figure
+
+
+def draw_choice(study: DesignFile) -> Any:
+    """The objective against the number of springs, without and with their price; one panel a configuration."""
+    found = {name: c.choice for name, c in study.configurations.items() if c.choice is not None}
+    figure, axes = plt.subplots(1, len(found), figsize=(4.4 * len(found), 3.8), squeeze=False)
+    for axis, (name, choice) in zip(axes[0], found.items(), strict=True):
+        points, best = choice.points, choice.points[choice.chosen]
+        counts = [p.count for p in points]
+        axis.plot(counts, [p.cost for p in points], "o-", color=COLOURS[0], lw=1.2, ms=5, label="without the price")
+        label = f"with {choice.price:g} a spring"
+        axis.plot(counts, [p.priced for p in points], "s--", color=COLOURS[1], lw=1.2, ms=4, label=label)
+        axis.plot(best.count, best.priced, "o", color=COLOURS[1], ms=12, mfc="none", label="chosen")
+        axis.set_yscale("log")
+        axis.set_xticks(range(choice.offered + 1))
+        axis.set_title(name, fontsize=10)
+        axis.set_xlabel("number of springs")
+        axis.set_ylabel(study.quantity.title)
+        axis.grid(axis="y", which="both", color="0.92", lw=0.6)
+        axis.legend(fontsize=8, frameon=False)
+    figure.tight_layout()
+    return figure
+
+
+def draw_front(study: DesignFile) -> Any:
+    """The cost of the first task against the objective of the set; one panel a configuration."""
+    found = {name: c.front for name, c in study.configurations.items() if c.front}
+    figure, axes = plt.subplots(1, len(found), figsize=(4.4 * len(found), 3.8), squeeze=False)
+    for axis, (name, points) in zip(axes[0], found.items(), strict=True):
+        first, total, shares = ([getattr(p, key) for p in points] for key in ("first", "total", "share"))
+        axis.plot(first, total, "o-", color=COLOURS[0], lw=1.2, ms=5)
+        for x, y, share in zip(first, total, shares, strict=True):
+            axis.annotate(f"{share:.2g}", (x, y), textcoords="offset points", xytext=(6, 4), **FOOTER)
+        axis.set_title(name, fontsize=10)
+        axis.set_xlabel(f"{study.quantity.title} of “{study.tasks[0].name}”")
+        axis.set_ylabel(study.quantity.title)
+        axis.margins(0.12)
+    figure.text(0.5, -0.02, "number: share of the objective that is the first task's alone", ha="center", **FOOTER)
     figure.tight_layout()
     return figure

@@ -1,328 +1,297 @@
-"""A co-design study in tables and sentences, made from its summary alone, and its report in Markdown."""
+"""A co-design study in tables and sections, made from its summary alone, and its report in Markdown."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
 
-from rrr_oc.codesign.study import does_nothing, uncalibrated
+from rrr_oc.codesign.design_file import Choice, Compromise, Configuration, DesignFile, Moved, Quantity
 from rrr_oc.codesign.task import PHASES
-from rrr_oc.effects.words import joint_words
 from rrr_oc.model.metrics import decrease
-from rrr_oc.report.tables import NONE, SPRINGS, Table, markdown, spring_unit, table_3, table_4
+from rrr_oc.report import design_words as say
+from rrr_oc.report.sections import Part, Section, as_markdown
+from rrr_oc.report.tables import NONE, SPRINGS, Table, table_3, table_4
 
-SECOND_ORDER = {
-    "strict": "The second-order condition is strict, which is sufficient for a local optimum.",
-    "weak": "The second-order condition is weak: some bound is touched with next to no multiplier, and a local optimum is not proved.",
-    "violated": "The second-order condition is violated: some small change lowers the cost, so this is no local optimum.",
-}
-TRANSFERRED = (
-    "Each optimum tracked by P-controllers with the model's own torque as feed-forward; E1 [N²m²s], and its decrease against SA, of the "
-    "load torque that the engine gives, and, where the drives' friction is given, of the one that follows from the motor torque."
+LOCAL_OPTIMA = "Distinct local optima (those not refined carry the error of their mesh):"
+LAYERS = "What each layer contributed (coarse mesh):"
+FRONT = (
+    "The first row is the optimum of the set, the last has the springs of the first task alone; those between favour the first task more "
+    "and more, and are on the first fine mesh."
 )
-LOCAL_OPTIMA = "Distinct local optima (those not refined carry the error of their mesh)"
-UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
-LAYERS = "What each layer contributed (coarse mesh)"
+CASES = "The same springs and the same motion in every scenario; the worst one of a task is its cost."
+MOTION = ("torque", "spring", "angle", "speed")  # figures of the page
+CERTIFICATES = "Certificates"  # the title from which on the command shows no more
 
 
-class Quantity(NamedTuple):
-    """What a study minimises: its name and unit."""
-
-    name: str
-    unit: str
-
-    @property
-    def title(self) -> str:
-        """Head of a column."""
-        return f"{self.name} [{self.unit}]"
-
-    @property
-    def engine(self) -> str:
-        """What the column of the engine shows, if that is not the cost."""
-        return "" if self.name == "E1" else "E1 [N²m²s] of the load torque, "
+def report(study: DesignFile) -> str:
+    """The whole report in Markdown."""
+    said = [*say.minimised(study), f"Seed {study.seed}, {study.starts} starts a configuration, {study.wall_s:.0f} s."]
+    parts = [f"# {say.title(study)}\n", " ".join(said) + "\n", say.verdict(study) + "\n"]
+    parts += [f"**{sentence}**\n" for sentence in say.cautions(study)]
+    return "\n".join([*parts, as_markdown(sections(study))])
 
 
-def report(summary: dict[str, Any]) -> str:
-    """The whole report in Markdown: results, Table 3, Table 4, certificates, optima, what each search layer contributed."""
-    found, quantity = summary["configurations"], Quantity(*summary["quantity"])
-    parts = [
-        f"# Co-design of springs and motion, task `{summary['preset']}`\n",
-        f"Cost: {summary['cost']}. Seed {summary['seed']}, {summary['starts']} starts a configuration, "
-        f"{summary['wall_s']:.0f} s.\n",
-        *[f"{sentence}\n" for sentence in ends_in_words(summary)],
-        "## Optima\n",
-        markdown(*optima_table(found, quantity, summary["paper"])),
-        *_idle(found),
-        *_beyond(found),
-        " ".join(f"`{name}`: {words}" for name, words in columns_in_words(quantity, summary["paper"]).items()) + "\n",
+def sections(study: DesignFile) -> list[Section]:
+    """What a report says after its verdict; a section without parts is left out."""
+    moved = Part(figures=MOTION)
+    made = [
+        Section("Optima", tuple(_optima(study))),
+        Section("The motion and what the springs do", (moved, *_pictures(study))),
+        Section("Hardware and durations", (_hardware(study),)),
+        Section("Which springs are worth their price", tuple(_choices(study))),
+        Section("Between the set and its first task", tuple(_fronts(study))),
+        Section("Scenarios", tuple(_scenarios(study))),
+        Section(CERTIFICATES, tuple(_certificates(study))),
+        Section("In the twin calibrated on recordings", tuple(_twin(study))),
     ]
-    beside = summary["paper"]
-    if "SA" in found:
-        title = "## Relative decrease against stiff actuation" + (
-            " (Table 3, simulation columns): ours | paper\n" if beside else "\n"
-        )
-        parts += [title, "In percent.\n\n" + markdown(*decrease_table(found, beside))]
-    parts += ["## Hardware and durations" + (" (Table 4): ours | paper\n" if beside else "\n")]
-    parts += [markdown(*hardware_table(found, beside, summary["joints"]))]
-    parts += ["## Certificates\n", *[_certificate(name, c, quantity, summary["joints"]) for name, c in found.items()]]
-    if (transferred := transfer_table(found)) is not None:
-        parts += ["\n## In the twin calibrated on recordings\n", f"{transferred_in_words(found)}\n", markdown(*transferred)]
-    return "\n".join(parts)
+    return [section for section in made if section.parts]
 
 
-def ends_in_words(summary: Mapping[str, Any]) -> list[str]:
-    """What a reader should know of a task whose ends are not both at rest, a sentence each."""
-    speeds = summary.get("speeds", {})
-    said = {
-        "moving": "The arm does not stop at the {}: its speed there is the same at the end of one phase as at the start of the next.",
-        "free": "The speed at the {} is free at the end of one phase and at the start of the next, and may jump between them.",
-    }
-    sentences = [said[speed].format(end) for end, speed in speeds.items() if speed in said]
-    if sentences:
-        sentences.append("No bound over all motions is stated: its proof needs an arm that rests at both ends.")
-    return sentences
+def _optima(study: DesignFile) -> Iterator[Part]:
+    notes = " ".join(f"“{name}”: {words}" for name, words in columns_in_words(study).items())
+    yield Part(table=optima_table(study), note=notes)
+    if study.single and "SA" in study.configurations:
+        beside = ", by joint: ours | paper (Table 3, simulation)" if study.paper else ", by joint"
+        yield Part(said=(f"Decrease against stiff actuation in percent{beside}.",), table=decrease_table(study))
+    if not study.single:
+        yield Part(figures=("tasks",))
+        for name, c in study.configurations.items():
+            yield Part(f"Every task with {name}", table=tasks_table(study, c), of=name)
 
 
-def _idle(found: dict) -> list[str]:
-    """A sentence for each spring that does nothing along the motion of its design."""
+def _pictures(study: DesignFile) -> Iterator[Part]:
+    """Where the page shows the arm."""
+    for name in study.configurations if study.single else ():
+        yield Part(of=name, figures=(f"arm_{name}",))
+
+
+def _hardware(study: DesignFile) -> Part:
+    beside = ("Table 4, ours | paper:",) if study.paper else ()
+    symbols = say.symbols(study.configurations)
+    note = "; ".join(
+        [f"{symbol}: {words}" for symbol, words in symbols] + ["t_go, t_return: durations with and without the payload."]
+    )
+    return Part(said=beside, table=hardware_table(study), note=note if symbols else "")
+
+
+def _choices(study: DesignFile) -> Iterator[Part]:
+    some = {name: (c, c.choice) for name, c in study.configurations.items() if c.choice is not None}
+    if some:
+        yield Part(figures=("choice",))
+    for name, (c, made) in some.items():
+        yield Part(name, (say.choice(c, made, study.quantity.unit),), table=choice_table(made, study.quantity), of=name)
+
+
+def _fronts(study: DesignFile) -> Iterator[Part]:
+    some = {name: c.front for name, c in study.configurations.items() if c.front}
+    if some:
+        yield Part(figures=("front",))
+    for name, points in some.items():
+        yield Part(name, (FRONT,), table=front_table(points, study), of=name)
+
+
+def _scenarios(study: DesignFile) -> Iterator[Part]:
+    for name, c in study.configurations.items():
+        if any(m.scenarios for m in c.tasks.values()):
+            yield Part(f"Scenarios of {name}", (CASES,), table=scenarios_table(c), of=name)
+
+
+def _certificates(study: DesignFile) -> Iterator[Part]:
+    for name, c in study.configurations.items():
+        yield Part(f"Certificate of {name}", points=tuple(say.certificate(study, c)), of=name)
+        if not study.single:
+            yield Part(said=("Of each motion, its springs held:",), table=motions_table(c), note=_notes(QUALITY), of=name)
+            continue
+        if c.first.certificate.active:
+            bounds = tuple(say.bound(one.sentence) for one in c.first.certificate.active)
+            yield Part(said=("What limits it, the most costly bound first:",), points=bounds, of=name)
+        if c.not_bought:
+            yield Part(said=(f"No choice of the catalogue could be solved: {c.not_bought}",), of=name)
+        if c.catalogue is not None:
+            yield Part(said=(say.coverage(c.catalogue),), of=name)
+        if c.optima:
+            yield Part(said=(LOCAL_OPTIMA,), table=local_optima_table(study, c), of=name)
+        if c.layers:
+            yield Part(said=(LAYERS,), table=layers_table(c), of=name)
+
+
+def _twin(study: DesignFile) -> Iterator[Part]:
+    table, best = transfer_table(study.configurations), say.best_of(study.configurations) or next(iter(study.configurations))
+    if table is not None:
+        needed = say.in_twin(study, best)
+        yield Part(said=(needed,) if needed else (), table=table, note=say.transferred(study))
+
+
+QUALITY = {
+    "engine": "re-simulated in MuJoCo with feed-forward and P-controllers, load torque read from the engine.",
+    "energy balance": "what it misses in MuJoCo, relative.",
+    "mesh error": "between the nodes, relative.",
+    "over limits": "the largest excess of a limit between the nodes, relative to its scale; meshes are refined for limits of range, "
+    "speed and acceleration.",
+    "smoothing": "exact, non-smooth springs on the same motion against the smoothed ones.",
+    "2nd order": "strict is sufficient for a local optimum; weak is less, some bound is touched with next to no multiplier.",
+}  # columns on a motion
+SHARED = {
+    "alone": "with the best springs for each task alone that the search found.",
+    "more than alone": "what sharing the springs costs.",
+    "first's": "with the springs tuned to the first task alone, and the best motions for them.",
+}  # columns on springs that several tasks share
+
+
+def _quality(m: Moved) -> list[str]:
+    """The cells of `QUALITY`."""
+    k = m.certificate
     return [
-        f"**{name}: {label} is {why}** ({', '.join(f'{k} {v}' for k, v in c['mounted'][label].items())}).\n"
-        for name, c in found.items()
-        for label, why in c.get("idle", {}).items()
+        f"{m.mujoco.E1:.3f}",
+        f"{m.mujoco.energy_residual:.1e}",
+        f"{k.mesh.error:.1e}{'' if k.mesh.converged else ' (not met)'}",
+        f"{k.violation:.0e}",
+        f"{k.smoothing:.1e}",
+        k.second_order,
     ]
 
 
-def _beyond(found: dict) -> list[str]:
-    """A sentence for each spring that a motion turns further than its law is known."""
-    return [
-        f"**{name}: the law of {label} is {how}.**\n" for name, c in found.items() for label, how in c.get("beyond", {}).items()
-    ]
-
-
-def optima_table(found: dict, quantity: Quantity, beside: bool) -> Table:
-    """A row for each configuration; `beside` adds the cost with the springs that the paper published."""
-    header = ["", quantity.title, "decrease", *(["published springs"] if beside else []), "engine", "energy balance"]
-    header += ["mesh error", "over limits", "smoothing", "2nd order", "wall [s]"]
-    stiff = found.get("SA", {}).get("cost")
-    rows = []
-    for name, c in found.items():
-        certificate, engine = c["certificate"], c["mujoco"]
-        fall = "" if stiff is None or name == "SA" else f"{100 * decrease(c['cost'], stiff):.1f} %"
-        if does_nothing(c):
-            fall = "springs do nothing"
-        rows.append(
-            [
-                name,
-                f"{c['cost']:.3f}",
-                fall,
-                *([_published(c)] if beside else []),
-                f"{engine['E1']:.3f}",
-                f"{engine['energy_residual']:.1e}",
-                f"{certificate['mesh']['error']:.1e}{'' if certificate['mesh']['converged'] else ' (not met)'}",
-                f"{certificate['violation']:.0e}",
-                f"{certificate['smoothing']:.1e}",
-                certificate["second_order"],
-                f"{c['wall_s']:.0f}",
-            ]
-        )
+def optima_table(study: DesignFile) -> Table:
+    """A row for each configuration; of the paper's tasks with the cost with the springs that it published."""
+    header = ["", study.quantity.title, "decrease", *(["published springs"] if study.paper else [])]
+    header += [*(QUALITY if study.single else SHARED), "wall [s]"]
+    stiff, rows = study.configurations.get("SA"), []
+    for name, c in study.configurations.items():
+        fall = "" if stiff is None or name == "SA" else f"{100 * decrease(c.cost, stiff.cost):.1f} %"
+        cells = [name, f"{c.cost:.3f}", "springs do nothing" if c.does_nothing else fall]
+        if study.paper:
+            cells.append("" if c.published_springs is None else f"{c.published_springs:.2f}")
+        cells += _quality(c.first) if study.single else _compared(c)
+        rows.append([*cells, f"{c.wall_s:.0f}"])
     return header, rows
 
 
-def columns_in_words(quantity: Quantity, beside: bool) -> dict[str, str]:
+def _compared(c: Configuration | Moved) -> list[str]:
+    """The cells of `SHARED`."""
+    more = f"{100 * (c.cost / c.alone - 1):+.1f} %" if c.alone else NONE
+    return [f"{c.alone:.3f}", more, f"{c.with_first:.3f}"]
+
+
+def _notes(columns: dict[str, str]) -> str:
+    return " ".join(f"“{name}”: {words}" for name, words in columns.items())
+
+
+def columns_in_words(study: DesignFile) -> dict[str, str]:
     """What the columns of `optima_table` show, a sentence or two each."""
-    published = {"published springs": "Table 4's hardware, its motion re-optimised on this model."} if beside else {}
-    return published | {
-        "engine": f"{quantity.engine}re-simulated in MuJoCo with feed-forward and P-controllers, load torque read from "
-        "the engine.",
-        "mesh error": "between the nodes, relative.",
-        "over limits": "the largest excess of a limit between the nodes, relative to its scale; meshes are refined for limits of range, "
-        "speed and acceleration.",
-        "smoothing": "exact, non-smooth springs on the same motion against the smoothed ones.",
-        "2nd order": "strict is sufficient for a local optimum; weak is less, some bound is touched with next to no multiplier.",
-    }
+    published = {"published springs": "Table 4's hardware, its motion re-optimised on this model."} if study.paper else {}
+    if not study.single:
+        return published | SHARED
+    return published | QUALITY | {"engine": study.quantity.engine + QUALITY["engine"]}
 
 
-def _published(c: dict) -> str:
-    return "" if c.get("published_springs_E1") is None else f"{c['published_springs_E1']:.2f}"
+def tasks_table(study: DesignFile, c: Configuration) -> Table:
+    """A row for each task of a configuration."""
+    header = ["task", "weight", "payload [kg]", study.quantity.title, *SHARED, *(f"t_{phase} [s]" for phase in PHASES)]
+    rows = []
+    for task in study.tasks:
+        m = c.tasks[task.name]
+        cells = [task.name, f"{task.weight:g}", f"{task.payload_kg:g}", f"{m.cost:.3f}", *_compared(m)]
+        rows.append([*cells, *(f"{m.durations[phase]:.3f}" for phase in PHASES)])
+    return header, rows
 
 
-def decrease_table(found: dict, beside: bool) -> Table:
-    """Relative decreases against stiff actuation [%], which must be among the configurations; `beside`: with the paper's."""
-    ours, joints = {n: [c] for n, c in found.items()}, list(found["SA"]["E1_joint"])
-    return table_3(ours, joints, "E1", digits=1, beside=beside)
+def motions_table(c: Configuration) -> Table:
+    """What is known of each task's motion, its springs held."""
+    header = ["task", *QUALITY, "conditions", "re-integration", "tracking [rad]"]
+    rows = []
+    for task, m in c.tasks.items():
+        more = (say.residual(m), m.certificate.reintegration.state, m.mujoco.tracking_error_rad)
+        rows.append([task, *_quality(m), *(f"{value:.0e}" for value in more)])
+    return header, rows
 
 
-def of_joint(name: str, joints: Sequence[str]) -> str:
-    """A spring's quantity with the joint's own name in place of its number, as in "k_p of elbow"; one across joints as it is."""
-    symbol = name.rstrip("0123456789")
-    number = name.removeprefix(symbol)
-    return f"{symbol} of {joint_words(joints[int(number) - 1])}" if number and not symbol.endswith("_") else name
+def decrease_table(study: DesignFile) -> Table:
+    """Relative decreases of one task against stiff actuation [%], which must be among the configurations."""
+    moved = {name: c.first for name, c in study.configurations.items()}
+    ours = {name: [{"E1": m.E1, "E1_joint": m.E1_joint, "rms": m.rms, "peak": m.peak}] for name, m in moved.items()}
+    return table_3(ours, list(moved["SA"].E1_joint), "E1", digits=1, beside=study.paper)
 
 
-def hardware_table(found: dict, beside: bool, joints: Sequence[str]) -> Table:
-    """Springs and durations of each configuration; `beside`: with the paper's, by the paper's names."""
-    used = {n for c in found.values() for n in c["springs"]}
+def hardware_table(study: DesignFile) -> Table:
+    """Springs of each configuration, and durations of one task; of several tasks also the springs of the first alone."""
+    shown: dict[str, dict[str, float]] = {}
+    for name, c in study.configurations.items():
+        shown[name] = c.springs
+        if not study.single and c.springs:
+            shown[f"{name}, {study.tasks[0].name} alone"] = c.first.springs_alone
+    used = {n for springs in shown.values() for n in springs}
     names = [n for n in SPRINGS if n in used] + sorted(used - set(SPRINGS))
-    ours = {n: [{"springs": c["springs"], "durations": [c["durations"][p] for p in PHASES]}] for n, c in found.items()}
-    if beside:
+    times = {name: list(c.first.durations.values()) for name, c in study.configurations.items()}
+    ours = {name: [{"springs": springs, "durations": times.get(name, (0.0, 0.0))}] for name, springs in shown.items()}
+    if study.paper:
         return table_4(ours, names, digits=3)
-    return table_4(ours, names, 3, None, {name: of_joint(name, joints) for name in names})
+    header, rows = table_4(ours, names, 3, None, {name: say.of_joint(name, study.joints) for name in names})
+    end = None if study.single else -len(PHASES)  # each task has durations of its own
+    return header[:end], [row[:end] for row in rows]
 
 
-def transfer_table(found: dict) -> Table | None:
+def transfer_table(found: say.Found) -> Table | None:
     """E1 in the calibrated twin and its decrease against stiff actuation, by both load torques; None without a twin."""
-    known = {name: c["calibrated"] for name, c in found.items() if c.get("calibrated")}
+    known = {(name, task): m.calibrated for name, c in found.items() for task, m in c.tasks.items() if m.calibrated is not None}
     if not known:
         return None
-    stiff, rows = known.get("SA"), []
-    routes = ["engine"] + ["eq10"] * any(c["eq10"] is not None for c in known.values())
-    for name, c in known.items():
-        cells = [name]
+    rows, single = [], len({task for _, task in known}) == 1
+    routes = ["engine"] + ["eq10"] * any(twin.eq10 is not None for twin in known.values())
+    for (name, task), twin in known.items():
+        cells, stiff = [name if single else f"{name}, {task}"], known.get(("SA", task))
         for route in routes:
-            if c[route] is None:  # the drives of this one are unknown
-                cells += [NONE, NONE]
-                continue
-            less = "" if stiff is None or name == "SA" else f"{100 * decrease(c[route]['E1'], stiff[route]['E1']):.1f} %"
-            cells += [f"{c[route]['E1']:.2f}", less]
-        cells += [", ".join(f"{v:.1f}" for v in c["motor"]["rms"].values()), f"{c['tracking_error_rad']:.4f}"]
-        rows.append([*cells, "yes" if c["saturated"] else "no"])
+            own, other = getattr(twin, route), None if stiff is None or name == "SA" else getattr(stiff, route)
+            less = "" if own is None or other is None else f"{100 * decrease(own.E1, other.E1):.1f} %"
+            cells += [NONE, NONE] if own is None else [f"{own.E1:.2f}", less]  # without the drives there is no other route
+        cells += [", ".join(f"{v:.1f}" for v in twin.motor.rms.values()), f"{twin.tracking_error_rad:.4f}"]
+        rows.append([*cells, "yes" if twin.saturated else "no"])
     heads = ["engine", "decrease", "from the motor torque", "decrease"][: 2 * len(routes)]
     return ["", *heads, "RMS motor torque [Nm]", "tracking [rad]", "at its limit"], rows
 
 
-def transferred_in_words(found: Mapping[str, Any]) -> str:
-    """How optima were tracked in the calibrated twin, and which joints no recording says anything of."""
-    unknown = next((c["calibrated"]["uncalibrated"] for c in found.values() if c.get("calibrated")), [])
-    return TRANSFERRED + (f" Beware: {uncalibrated(unknown)}." if unknown else "")
-
-
-def _certificate(name: str, c: dict, quantity: Quantity, joints: Sequence[str]) -> str:
-    lines = [f"### {name}\n", " ".join(certificate_sentences(c, quantity)) + "\n"]
-    lines += [f"- {bound['sentence']}" for bound in c["certificate"]["active"]]
-    if "not_bought" in c:
-        lines.append(f"\nNo choice of the catalogue could be solved: {c['not_bought']}")
-    if "catalogue" in c:
-        lines.append(f"\n{coverage(c['catalogue'])}")
-    if c.get("optima"):
-        lines.append(f"\n{LOCAL_OPTIMA}:\n\n" + markdown(*local_optima_table(c, quantity, joints)))
-    if c.get("layers"):
-        lines.append(f"\n{LAYERS}:\n\n" + markdown(*layers_table(c)))
-    return "\n".join(lines) + "\n"
-
-
-def certificate_sentences(c: dict, quantity: Quantity) -> list[str]:
-    """What is known of an optimum, a sentence or two on each subject."""
-    k, error = c["certificate"], c["mujoco"]
-    worst = max(k["primal"], k["dual"], k["complementarity"])
-    met = "within the tolerance" if k["mesh"]["converged"] else "more than the tolerance, which was not met"
-    return [
-        f"The first-order conditions of an optimum hold to {worst:.1e} (the largest of the primal, dual and complementarity "
-        f"residuals, scaled).",
-        f"{SECOND_ORDER[k['second_order']]} The cost is flattest along {' and '.join(k['flattest'])}, with a curvature of "
-        f"{k['curvature']:.1e}.",
-        f"Between the nodes of the mesh the motion misses the dynamics by at most {k['mesh']['error']:.1e} (relative), {met}, and "
-        f"exceeds limits by at most {k['violation']:.1e} of their scale.",
-        f"With exact springs in the place of smoothed ones, {quantity.name} of this motion is {k['exact_cost']:.4f} {quantity.unit}, "
-        f"{k['smoothing']:.1e} away (relative).",
-        f"An adaptive integrator run with the same controls ends {k['reintegration']['state']:.1e} away from the planned end, with a "
-        f"cost that differs by {k['reintegration']['cost']:.1e}.",
-        f"MuJoCo, which simulates the motion with the same springs and P-controllers, finds an E1 of {error['E1']:.4f} N²m²s, "
-        f"and follows the motion to {error['tracking_error_rad']:.1e} rad.",
-        *bounds_in_words(c),
-        f"The lowest point of the tool is {abs(c['lowest_tool_m']):.3f} m {'below' if c['lowest_tool_m'] < 0 else 'above'} the base.",
-        _origin(c),
-        f"One more kg of payload changes the cost by {100 * k['sensitivity']:+.1f} % of {quantity.name}.",
-    ]
-
-
-def spring_words(springs: Mapping[str, float], joints: Sequence[str]) -> str:
-    """Quantities of springs with their joints, in a designer's units."""
-    units = {name: spring_unit(name)[1:] for name in springs}
-    return ", ".join(f"{of_joint(n, joints)} = {value * units[n][0]:.4g} {units[n][1]}" for n, value in springs.items())
-
-
-def bounds_in_words(c: dict) -> list[str]:
-    """What no springs can be better than, on the motion of the design and on any, a sentence each; none where that is not known."""
-    bound, least = c["certificate"]["bound"], c["certificate"]["least"]
-    said, which = [], "in the catalogue or not" if "catalogue" in c else "of any size within the task's bounds"
-    if bound is not None and not c["springs"]:
-        said.append("On this motion there are no springs to choose.")
-    elif bound is not None and bound["excess"] is None:
-        said.append("How good the springs are on this motion is not known: several in one place, mixed, could give all torque.")
-    elif bound is not None:
-        above = max(bound["excess"], 0.0)
-        doubt = min(bound["mixture"] / bound["lower"] - 1, above)
-        said.append(
-            f"On this motion no springs of these kinds, {which}, reach an E1 below {bound['lower']:.4g} N²m²s; this design is "
-            f"{_percent(above)} above, of which up to {_percent(doubt)} is the tolerance of this bound."
-        )
-    if least:
-        all_ = (
-            f"no motion of the task and no springs of these kinds, {which}, reach"
-            if c["springs"]
-            else "no motion of the task reaches"
-        )
-        said.append(f"It is proved that {all_} an E1 below {least:.4g} N²m²s, {100 * least / c['E1']:.0f} % of this design's.")
-    return said
-
-
-def _percent(x: float) -> str:
-    return f"{100 * x:.2g} %"
-
-
-def local_optima_table(c: dict, quantity: Quantity, joints: Sequence[str]) -> Table:
+def local_optima_table(study: DesignFile, c: Configuration) -> Table:
     """The distinct local optima that a search found."""
     rows = [
         [
-            f"{o['cost']:.3f}",
-            str(o["reached"] or "from others"),
-            f"{o['durations']['go']:.3f}",
-            f"{o['durations']['return']:.3f}",
-            "yes" if o["refined"] else "no",
-            spring_words(o["springs"], joints),
+            f"{o.cost:.3f}",
+            str(o.reached or "from others"),
+            *(f"{o.durations[phase]:.3f}" for phase in PHASES),
+            "yes" if o.refined else "no",
+            say.spring_words(o.springs, study.joints),
         ]
-        for o in c["optima"]
+        for o in c.optima
     ]
-    return [quantity.title, "reached", "t_go [s]", "t_return [s]", "refined", "hardware"], rows
+    return [study.quantity.title, "reached", *(f"t_{phase} [s]" for phase in PHASES), "refined", "hardware"], rows
 
 
-def layers_table(c: dict) -> Table:
+def layers_table(c: Configuration) -> Table:
     """What each layer of a search contributed."""
-    digits = {"best_proposal": 1, "best": 3, "median": 3}
-    rows = [
-        [
-            layer,
-            str(v["starts"]),
-            str(v["failed"]),
-            *(NONE if v[key] is None else f"{v[key]:.{n}f}" for key, n in digits.items()),  # of a layer whose starts all failed
-        ]
-        for layer, v in c["layers"].items()
-    ]
+    rows = []
+    for name, layer in c.layers.items():
+        numbers = ((layer.best_proposal, 1), (layer.best, 3), (layer.median, 3))
+        cells = [NONE if value is None else f"{value:.{n}f}" for value, n in numbers]  # none where all starts failed
+        rows.append([name, str(layer.starts), str(layer.failed), *cells])
     return ["layer", "starts", "failed", "best proposal", "best after IPOPT", "median after IPOPT"], rows
 
 
-def _origin(c: dict) -> str:
-    """Where an optimum comes from."""
-    if "catalogue" in c:
-        return "Found by following the continuous optimum to this hardware."
-    reached = c["certificate"]["reached"]
-    if reached == 0:
-        return "No start led to it: it was found from other optima, by changes of their durations."
-    return "One start led to it." if reached == 1 else f"{reached} starts led to it."
+def front_table(points: Sequence[Compromise], study: DesignFile) -> Table:
+    """Optima between that of the set and that of the first task alone."""
+    title = study.quantity.title
+    rows = [[f"{p.share:.2f}", f"{p.first:.3f}", f"{p.total:.3f}", say.spring_words(p.springs, study.joints)] for p in points]
+    return ["share of the first task", f"first task, {title}", f"set, {title}", "springs"], rows
 
 
-def coverage(cover: dict) -> str:
-    """What of a catalogue was searched, and what was not."""
-    text = f"Catalogue: {cover['combinations']} combinations, {cover['distinct']} distinct. Branch and bound solved {cover['solved']} "
-    text += f"problems, {cover['single']} of them with the hardware held"
-    if cover["excluded"]:
-        text += f", and excluded the other {cover['excluded']}: by their bounds they cost at least {100 * cover['margin']:.1f} % more than "
-        text += "the best. These bounds hold as far as each local optimum is the global one of its problem"
-    if cover["undercut"] > UNDERCUT:
-        text += f"; one was not, by {100 * cover['undercut']:.1g} %"
-    text += ". "
-    if cover["failed"]:
-        text += f"{cover['failed']} could not be solved. "
-    if cover["left"]:
-        text += f"The search ended early, with {cover['left']} left. "
-    return (
-        text + f"Cost of buying instead of making: {round(100 * cover['gap'], 1) + 0.0:+.1f} % against the continuous optimum."
-    )
+def choice_table(choice: Choice, quantity: Quantity) -> Table:
+    """The front of the number of springs: cost, cost with the price, and which springs."""
+    rows = []
+    for i, p in enumerate(choice.points):
+        mark = " (chosen)" if i == choice.chosen else ""
+        rows.append([f"{p.count}{mark}", f"{p.cost:.3f}", f"{p.priced:.3f}", say.springs_of(p)])
+    return ["springs", quantity.title, f"with {choice.price:g} a spring", "which"], rows
+
+
+def scenarios_table(c: Configuration) -> Table:
+    """E1 of every task in every scenario, as planned and in MuJoCo; the worst of a task is its cost."""
+    rows = []
+    for task, m in c.tasks.items():
+        for s in m.scenarios:
+            known = ", ".join(f"{k.removeprefix('known ')} {v:.4g}" for k, v in s.parameters.items()) or NONE
+            rows.append([task, f"{s.payload_kg:.3g}", known, f"{s.E1:.3f}", f"{s.mujoco:.3f}"])
+    return ["task", "payload [kg]", "model", "E1 [N²m²s]", "MuJoCo"], rows

@@ -1,7 +1,10 @@
 """Bounds of what springs can reach, on a motion and on any: against random springs and motions, closed forms, a relaxation on a grid."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
+from typing import Any
 
+import designs
+import msgspec
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -9,18 +12,19 @@ from test_design_problem import TASK, design_of, sampled, solved, springs_by_han
 
 from rrr_oc.codesign.bounds import on_motion as bound
 from rrr_oc.codesign.bounds import over_motions
-from rrr_oc.codesign.bounds.on_motion import Needed, bound_on_motion, needed_by, solution_bound
+from rrr_oc.codesign.bounds.on_motion import Needed, SpringBound, bound_on_motion, needed_by, solution_bound
 from rrr_oc.codesign.bounds.over_motions import task_bound
 from rrr_oc.codesign.certificate import exact_cost
+from rrr_oc.codesign.design_file import data
 from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.purchasable import Coverage
 from rrr_oc.codesign.springs import SpringBounds, spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.effects.elastic.biarticular_spring import hardware_exists, reduced
 from rrr_oc.optimal_control.solver import Solution
-from rrr_oc.report.design_report import bounds_in_words
+from rrr_oc.report.design_words import bounds_in_words
 from rrr_oc.robot.drives import load_actuators
-from rrr_oc.storage import plain
 
 KINDS = ("PEA", "BPEA", "PEA+BPEA")
 
@@ -222,18 +226,21 @@ def test_the_sentences(optima):
     found = solution_bound(solution, design)
     assert found is not None
 
-    def said(springs: dict, bound: dict | None = None, least: float | None = None, **more: dict) -> list[str]:
-        return bounds_in_words({"certificate": {"bound": bound, "least": least}, "springs": springs, "E1": 50.0, **more})
+    def said(springs: dict, bound: SpringBound | None = None, least: float | None = None, **more: Any) -> list[str]:
+        of_motion = designs.moved(50.0, msgspec.structs.replace(designs.GOOD, bound=bound, least=least))
+        return bounds_in_words(designs.design(50.0, {"t": of_motion}, springs=springs, **more))
 
-    known, some = plain(asdict(found)), {"k_p2": 1.0}
+    known, some = found, {"k_p2": 1.0}
     (sentence,) = said(some, known)
     assert (
         f"no springs of these kinds, of any size within the task's bounds, reach an E1 below {found.lower:.4g} N²m²s"
         in sentence
     )
     assert f"this design is {100 * found.excess:.2g} % above" in sentence
-    assert "in the catalogue or not" in said(some, known, catalogue={})[0]
-    assert "is not known" in said(some, {"lower": 0.0, "mixture": 0.1, "cost": 1.0, "excess": None, "boxes": 1})[0]
+    coverage = Coverage(8, 4, 3, 2, 2, 0, 0, 0.1, 0.0)
+    searched = data(coverage) | {"gap": 0.1, "runners_up": []}
+    assert "in the catalogue or not" in said(some, known, catalogue=searched)[0]
+    assert "is not known" in said(some, SpringBound(0.0, 0.1, 1.0, None, 1))[0]
     assert said(some) == said({}) == said({}, None, 0.0) == []
     assert "no motion of the task and no springs of these kinds" in said(some, None, 12.5)[0]
     assert said({}, known, 12.5) == [

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from commands import rrr_oc
 
+from rrr_oc.codesign import study as steps
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import saved_springs, ways_to_mount
 from rrr_oc.codesign.task import load_task
-from rrr_oc.codesign.task_sets import set_study
 from rrr_oc.codesign.task_sets.spring_choice import GAIN, _Search, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, load_task_set
 from rrr_oc.optimal_control.refinement import Refinement
@@ -121,7 +121,10 @@ def test_a_price_is_reported_and_its_design_simulated(monkeypatch, tmp_path):
 BAD = {
     "below 0": (lambda f: [set_file(f), "--price", "-1"], "--price is -1; a finite number of 0 or more is required"),
     "infinite": (lambda f: [set_file(f), "--price", "inf"], "--price is inf; a finite number of 0 or more is required"),
-    "of a task": (lambda f: ["paper", "--price", "2"], "--price is 2; it needs a set of tasks, and paper is a task"),
+    "with a catalogue": (
+        lambda f: ["paper", "--price", "2", "--catalogue", "prototype"],
+        "--price is 2 and --catalogue is 'prototype'; only one of them is allowed",
+    ),
     "of the worst": (
         lambda f: [set_file(f, objective="worst"), "--price", "2"],
         "--price needs a set whose objective is 'sum', without 'uncertain'; 'set' has the objective 'worst'",
@@ -135,7 +138,7 @@ BAD = {
 
 @pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD.keys())
 def test_a_bad_price_is_one_sentence_before_the_first_solve(monkeypatch, capsys, tmp_path, arguments, message):
-    monkeypatch.setattr(set_study, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(steps, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
     assert rrr_oc(monkeypatch, "design", *arguments(tmp_path), "--out", str(tmp_path / "out")) == 2
     told = capsys.readouterr().err.strip()
     assert told.startswith("Error: ")

@@ -5,6 +5,8 @@ from dataclasses import replace
 from importlib import resources
 
 import casadi as ca
+import designs
+import msgspec
 import mujoco
 import numpy as np
 import pytest
@@ -16,14 +18,14 @@ from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import prepare
 from rrr_oc.codesign.bounds.on_motion import bound_on_motion, needed_by
 from rrr_oc.codesign.bounds.over_motions import task_bound
+from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import beyond_known, describe_simulation, idle_springs, profiles, sample_motion
 from rrr_oc.codesign.search.multistart import SearchResult, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import arrangements, configurations, offered, spring_bounds
-from rrr_oc.codesign.study import Request
+from rrr_oc.codesign.study import Request, prepared
 from rrr_oc.codesign.task import load_task
-from rrr_oc.codesign.task_sets.set_study import prepared_set
 from rrr_oc.commands.moving.sources import designed
 from rrr_oc.commands.output import Output
 from rrr_oc.diagnosis.signatures import trials, view
@@ -42,8 +44,9 @@ from rrr_oc.numerics.cubic_spline import natural_spline
 from rrr_oc.numerics.enclosure import enclosures
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.report.design_report import report
-from rrr_oc.report.pages.design_words import cautions, verdict
+from rrr_oc.report.design_words import cautions, verdict
 from rrr_oc.robot.robot import load_robot
+from rrr_oc.schema import read_json
 from rrr_oc.simulation.engine_model import Settings, twin
 
 DESIGN_ONLY = [name for name, kind in CATALOGUE.items() if kind.role == "design"]
@@ -508,7 +511,7 @@ def test_clutched_springs_of_a_set_need_the_same_ways(tmp_path):
             "tasks": [{"name": "first"}, {"name": "other", **changes}],
         }
         path.write_text(json.dumps(content))
-        return prepared_set(Request(str(path), tmp_path / "out", ("PEA+CBPEA",), QUICK), 0, None, Output(True, False))
+        return prepared(Request(str(path), tmp_path / "out", ("PEA+CBPEA",), QUICK), None, Output(True, False))
 
     assert len(read({"payload_kg": 2.0}).designs["PEA+CBPEA"]) == 2
     with pytest.raises(UserError, match="no spring with a clutch keeps its energy both in task 'first' and in 'other'"):
@@ -521,21 +524,20 @@ def test_what_knows_no_phases_says_so(monkeypatch, tmp_path):
     out = tmp_path / "out"
     assert rrr_oc(monkeypatch, "design", "further_springs", *options, "--out", str(out)) == 0
     task, label = load_task("further_springs"), "clutched_biarticular_spring[joint2,joint3]"
-    saved = json.loads((out / "summary.json").read_text())["configurations"]["CBPEA"]
-    assert saved["mounted"][label]["phase"] == "go"
-    assert saved["certificate"]["least"] is None
+    study = read_json(out / "summary.json", DesignFile)
+    saved = study.configurations["CBPEA"]
+    assert saved.mounted[label]["phase"] == "go"
+    assert saved.first.certificate.least is None
     scene, file = designed(out / "CBPEA.npz", "further_springs"), np.load(out / "CBPEA.npz")
     (spring,) = scene.springs
     assert np.all(spring.tension[file["phase"] == 1] == 0)
     assert spring.tension.max() > 1
     assert "that a clutch connects in one phase" in (out / "report.html").read_text()
-    summary = json.loads((out / "summary.json").read_text())
-    assert "the clutched biarticular spring of joint2 and joint3 acts in the phase “go” only" in verdict(summary)
-    summary["configurations"]["CBPEA"]["beyond"] = {"table_spring[joint2]": "known from 0.0° to 9.0° of its joint"}
-    assert any(
-        "the law of the table spring of joint2 is known from 0.0° to 9.0° of its joint" in said for said in cautions(summary)
-    )
-    assert "the law of table_spring[joint2] is known from 0.0° to 9.0°" in report(summary)
+    assert "the clutched biarticular spring of joint2 and joint3 acts in the phase “go” only" in verdict(study)
+    beyond = {"table_spring[joint2]": "known from 0.0° to 9.0° of its joint"}
+    changed = msgspec.structs.replace(study, configurations={"CBPEA": designs.with_motion(saved, beyond=beyond)})
+    assert any("the law of the table spring of joint2 is known from 0.0° to 9.0° of its" in said for said in cautions(changed))
+    assert "the law of the table spring of joint2 is known from 0.0° to 9.0°" in report(changed)
     asked = ["--design", str(out / "summary.json"), "--configuration", "CBPEA", "--task", "further_springs"]
     assert rrr_oc(monkeypatch, "export", "--out", str(tmp_path / "arm"), *asked) == 0
     assert "tendon" not in (tmp_path / "arm" / "arm.xml").read_text()

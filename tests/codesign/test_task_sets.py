@@ -10,13 +10,13 @@ import pytest
 from commands import rrr_oc
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.codesign import study as steps
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
 from rrr_oc.codesign.optimum import sample_motion
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions, motion_guess
 from rrr_oc.codesign.springs import saved_springs, spring_bounds
 from rrr_oc.codesign.task import load_task
-from rrr_oc.codesign.task_sets import set_study
 from rrr_oc.codesign.task_sets.set_search import held_motions, solve_set
 from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_task_set, with_uncertainty
 from rrr_oc.codesign.transfer import repaired
@@ -181,7 +181,7 @@ def test_the_worst_payload_is_at_an_end_of_its_interval(three):
 
     def cost_at(factor: float, of=solution) -> float:
         case = replace(held, task=replace(PAPER, payload=factor * PAPER.payload), scenarios=(Scenario(),))
-        return set_study._in_scenario(case, of, sample_motion(held, of), 0)["E1"]
+        return steps._in_scenario(case, of, sample_motion(held, of), 0)["E1"]
 
     costs = [cost_at(f) for f in np.linspace(0.8, 1.2, 9)]
     assert max(costs) == pytest.approx(max(costs[0], costs[-1]))
@@ -236,7 +236,7 @@ def set_file(folder: Path, **changes) -> str:
 
 
 def other_task(folder: Path, **changes) -> str:
-    content = json.loads((Path(set_study.__file__).parents[2] / "data" / "paper.json").read_text()) | changes
+    content = json.loads((Path(steps.__file__).parents[1] / "data" / "paper.json").read_text()) | changes
     (folder / "other.json").write_text(json.dumps(content))
     return "other.json"
 
@@ -294,7 +294,7 @@ BAD = {
 
 @pytest.mark.parametrize(("arguments", "message"), BAD.values(), ids=BAD.keys())
 def test_bad_input_is_one_sentence_before_the_first_solve(monkeypatch, capsys, tmp_path, arguments, message):
-    monkeypatch.setattr(set_study, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
+    monkeypatch.setattr(steps, "solve_multistart", lambda *a: pytest.fail("it began to solve"))
     out = tmp_path / "out"
     assert rrr_oc(monkeypatch, "design", *arguments(tmp_path), "--out", str(out)) == 2
     told = capsys.readouterr().err.strip()
@@ -317,7 +317,7 @@ def out(tmp_path_factory) -> Path:
         raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(set_study, "solve_set", interrupted)
+        patch.setattr(steps, "solve_set", interrupted)
         assert rrr_oc(patch, *command) == 130
     before = {path.name: path.stat().st_mtime_ns for path in (folder / "out").glob(".PEA alone *")}
     assert len(before) == 4
@@ -371,7 +371,7 @@ def test_report_page_and_figures_are_there(out):
 
 def test_a_repeated_command_solves_nothing(out, monkeypatch, capsys):
     before = json.loads((out / "summary.json").read_text())
-    monkeypatch.setattr(set_study, "solve_set", lambda *a: pytest.fail("it solved again"))
+    monkeypatch.setattr(steps, "solve_set", lambda *a: pytest.fail("it solved again"))
     assert rrr_oc(monkeypatch, "design", str(out.parent / "set.json"), *TINY, "--out", str(out), "--json") == 0
     assert json.loads(capsys.readouterr().out)["configurations"] == before["configurations"]
 

@@ -4,6 +4,7 @@ routes mean what they say."""
 from dataclasses import replace
 
 import casadi as ca
+import designs
 import numpy as np
 import pytest
 from recorded import Plant, as_set, record
@@ -110,13 +111,14 @@ def test_the_table_has_a_row_per_transferred_optimum(moved):
     design, motion, theta = moved
     one = describe_transfer(design, motion, theta, calibrated(1.0), load_actuators(design.task.joints))
     half = {**one, "engine": {**one["engine"], "E1": one["engine"]["E1"] / 2}}
-    header, rows = transfer_table({"SA": {"calibrated": one}, "PEA": {"calibrated": half}, "BPEA": {"calibrated": None}}) or (
-        [],
-        [],
-    )
+    found = {
+        name: designs.with_motion(designs.design(1.0), calibrated=twin)
+        for name, twin in (("SA", one), ("PEA", half), ("BPEA", None))
+    }
+    header, rows = transfer_table(found) or ([], [])
     assert [row[0] for row in rows] == ["SA", "PEA"]
     assert rows[1][header.index("decrease")] == "50.0 %"
-    assert transfer_table({"SA": {"calibrated": None}}) is None
+    assert transfer_table({"BPEA": found["BPEA"]}) is None
 
 
 def test_what_builds_up_on_the_way_is_fed_forward(moved):

@@ -179,7 +179,7 @@ def test_an_arm_whose_limits_are_0_gets_as_far_as_the_first_solve(tmp_path):
     study = prepared(Request(str(tmp_path / "set" / "task.json"), tmp_path / "design"), None, listener)
     assert list(study.designs) == ["SA", "PEA"]
     assert said == []
-    assert "ctrlrange" not in mjcf(study.task.model(), []).text
+    assert "ctrlrange" not in mjcf(study.tasks.first.model(), []).text
 
 
 def test_limits_that_the_urdf_lacks_are_said_by_every_reader(tmp_path, capsys):

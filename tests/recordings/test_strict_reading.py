@@ -24,6 +24,7 @@ from rrr_oc.codesign.catalogue import load_catalogue
 from rrr_oc.codesign.springs import saved_springs
 from rrr_oc.codesign.study import Request, _asked
 from rrr_oc.codesign.task import load_task
+from rrr_oc.codesign.task_sets.task_set import load_tasks
 from rrr_oc.commands.output import Output
 from rrr_oc.commands.shared import check_apart
 from rrr_oc.effects.priors import load_priors
@@ -515,7 +516,7 @@ def test_limits_of_the_arm_are_among_what_a_design_depends_on(tmp_path):
     for speed in ("", "", "9"):
         (tmp_path / "arm.urdf").write_text(re.sub(r'velocity="', f'velocity="{speed}', text))
         request = Request(str(tmp_path / "task.json"), tmp_path / "out", ("SA",))
-        asked.append(json.dumps(plain(_asked(request, load_task(request.task)))))
+        asked.append(json.dumps(plain(_asked(request, load_tasks(request.task)))))
     assert asked[0] == asked[1] != asked[2]
     assert "jobs" not in asked[0]
 

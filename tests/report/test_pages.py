@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
+import designs
 import numpy as np
 import pea_bpea as study
 import pytest
@@ -23,16 +24,16 @@ from recorded import Plant, as_set, record
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import blocks_of
+from rrr_oc.codesign.certificate import MeshQuality
 from rrr_oc.diagnosis.held_out import Fold
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.report.design_words import bound, cautions, hardware, verdict
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.pages.design_page import write_design_page
-from rrr_oc.report.pages.design_words import bound, cautions, hardware, verdict
 from rrr_oc.report.pages.diagnosis_curves import POINTS, curves, held_out_predictions
 from rrr_oc.report.pages.diagnosis_page import write_diagnosis_page
 from rrr_oc.report.pages.page import thinned
-from rrr_oc.report.pages.set_page import write_set_page
 from rrr_oc.robot.robot import load_robot
 
 MARKUP = "<b>x</b>&\"'"  # a name that is markup where it is not escaped
@@ -176,7 +177,7 @@ def test_every_figure_finds_its_data_and_has_a_sentence(folders, name):
 @pages
 def test_a_page_is_made_again_from_its_files(folders, name):
     text = text_of(folders[name])
-    write = {"design": write_design_page, "set": write_set_page, "diagnosis": write_diagnosis_page}[name]
+    write = {"design": write_design_page, "set": write_design_page, "diagnosis": write_diagnosis_page}[name]
     (folders[name] / "report.html").unlink()
     assert write(folders[name]) == folders[name] / "report.html"
     assert text_of(folders[name]) == text
@@ -247,69 +248,77 @@ def test_each_block_of_an_only_recording_is_predicted_by_the_models_that_did_not
         np.testing.assert_array_equal(before[:, block], (plain, model)[k % 2].predicted_torque(recorded)[:, block])
 
 
-def a_design(cost: float, **changes: Any) -> dict[str, Any]:
-    """The entry of a configuration in summary.json, as far as its words need it."""
-    springs = {"k_p2": 10.0, "q_eq2": np.pi / 2, "k_b": 5.0, "r_1": 0.02}
-    certificate = {
-        "mesh": {"converged": True, "error": 1e-7},
-        "violation": 0.0,
-        "second_order": "strict",
-        "reached": 5,
-        "least": None,
-    }
-    found = {"cost": cost, "E1": cost, "springs": springs, "mounted": {"parallel_spring[b]": {}}, "idle": {}}
-    found |= {"certificate": certificate, "mujoco": {"E1": cost}, "calibrated": None}
-    return found | changes
+def tracked(E1: float) -> dict[str, Any]:
+    """Metrics in MuJoCo."""
+    found = designs.metrics(E1) | {"E1_relative_error": 0.0, "energy_residual": 0.0, "tracking_error_rad": 0.0}
+    return found | {"exact_springs": found}
 
 
-def a_summary(**found: Any) -> dict[str, Any]:
-    named = {name.replace("_", "*"): c for name, c in found.items()}
-    return {"configurations": named, "quantity": ["E1", "N²m²s"], "joints": ["a", "b", "c"], "starts": 10}
-
-
-STIFF = a_design(200.0, springs={}, mounted={})
+STIFF = designs.design(200.0, springs={}, mounted={})
 IDLE = {"parallel_spring[b]": "never taut"}
 
 
 def test_the_verdict_of_a_design_names_the_best_its_gain_and_what_is_bought():
-    said = verdict(a_summary(SA=STIFF, PEA=a_design(50.0), PEA_=a_design(60.0)))
+    said = verdict(designs.summary(SA=STIFF, PEA=designs.design(50.0), PEA_=designs.design(60.0)))
     assert said.startswith("PEA is best: E1 is 50 N²m²s, 75.0 % less than the 200 N²m²s of stiff actuation. To buy for PEA*: ")
     springs = "a spring of 10 Nm/rad on b, slack at 90° and a spring of 5 Nm/rad across two joints with r_1 = 20 mm"
-    assert hardware(a_design(1.0), ["a", "b", "c"]) == springs
+    assert hardware(designs.design(1.0), ["a", "b", "c"]) == springs
     assert said.endswith(f"{springs}. Then E1 is 60 N²m²s, 70.0 % less than the 200 N²m²s of stiff actuation.")
-    assert "no catalogue of springs to buy was searched" in verdict(a_summary(SA=STIFF, PEA=a_design(50.0)))
-    alone = verdict(a_summary(PEA=a_design(50.0, not_bought="none converged")))
+    assert "no catalogue of springs to buy was searched" in verdict(designs.summary(SA=STIFF, PEA=designs.design(50.0)))
+    alone = verdict(designs.summary(PEA=designs.design(50.0, not_bought="none converged")))
     assert "no choice of the catalogue could be solved" in alone
     assert "without stiff actuation among the configurations" in alone
-    nothing = verdict(a_summary(SA=STIFF, PEA=a_design(199.0, idle=IDLE)))
+    nothing = verdict(designs.summary(SA=STIFF, PEA=designs.with_motion(designs.design(199.0), idle=IDLE)))
     assert nothing == "PEA costs E1 = 199 N²m²s; no springs help this task."
 
 
+TWIN = {
+    "engine": designs.metrics(150.0),
+    "eq10": None,
+    "motor": designs.metrics(1.0),
+    "saturated": True,
+    "tracking_error_rad": 0.2,
+}
 CAUTIONS = {
     "a spring that is never taut": ({"idle": IDLE}, "the parallel spring of b is never taut"),
-    "a mesh that was not met": ({"mesh": {"converged": False, "error": 1e-3}}, "the tolerance of the mesh was not met"),
-    "an engine that disagrees": ({"mujoco": {"E1": 103.0}}, "MuJoCo finds an E1 that is +3.0 % away"),
+    "a mesh that was not met": ({"mesh": MeshQuality(1e-3, 0.0, None, False)}, "the tolerance of the mesh was not met"),
+    "an engine that disagrees": ({"mujoco": tracked(103.0)}, "MuJoCo finds an E1 that is +3.0 % away"),
     "a limit that is exceeded": ({"violation": 0.1}, "exceeded between the nodes by 10 % of its scale"),
     "no local optimum": ({"second_order": "violated"}, "is no local optimum"),
     "one start": ({"reached": 1}, "only one start led to this optimum; more starts, or another seed, may find a better one."),
     "no start": ({"reached": 0}, "no start led to this optimum itself"),
     "one start, and a bound": ({"reached": 1, "least": 12.5}, "may find a better one, though none below 12.5 N²m²s."),
-    "a search that was interrupted": ({"interrupted": True}, "was interrupted"),
-    "a twin that needs more": (
-        {"calibrated": {"engine": {"E1": 150.0}, "saturated": True, "tracking_error_rad": 0.2}},
-        "in the calibrated twin E1 is +50 % away",
-    ),
+    "a twin that needs more": ({"calibrated": TWIN}, "in the calibrated twin E1 is +50 % away"),
 }
 
 
 @pytest.mark.parametrize(("changes", "said"), CAUTIONS.values(), ids=CAUTIONS.keys())
 def test_what_a_reader_should_know_is_said(changes, said):
-    whole = a_design(100.0)
-    of_certificate = {key: value for key, value in changes.items() if key in whole["certificate"]}
-    rest = {key: value for key, value in changes.items() if key not in of_certificate}
-    changed = whole | rest | {"certificate": whole["certificate"] | of_certificate}
-    assert any(said in line for line in cautions(a_summary(SA=STIFF, PEA=changed)))
-    assert cautions(a_summary(SA=STIFF, PEA=whole)) == []
+    whole = designs.design(100.0)
+    assert any(said in line for line in cautions(designs.summary(SA=STIFF, PEA=designs.with_motion(whole, **changes))))
+    assert cautions(designs.summary(SA=STIFF, PEA=whole)) == []
+
+
+def test_a_search_that_was_interrupted_is_said():
+    assert any("was interrupted" in line for line in cautions(designs.summary(SA=designs.design(100.0, interrupted=True))))
+
+
+def test_what_a_reader_should_know_of_a_set_names_the_task():
+    """A spring that does nothing in one task alone is no reason to warn; one that does nothing in any is."""
+    some = {"a": designs.moved(60.0, idle=IDLE, beyond={"table_spring[b]": "known from 0° to 9°"}), "b": designs.moved(40.0)}
+    (said,) = cautions(designs.summary(PEA=designs.design(100.0, some)))
+    assert said == "PEA: in task a the law of the table spring of b is known from 0° to 9°: beyond, it is a guess."
+    every = {name: designs.moved(50.0, idle=IDLE) for name in "ab"}
+    assert cautions(designs.summary(PEA=designs.design(100.0, every))) == [
+        "PEA: the parallel spring of b is never taut: it does nothing in any task."
+    ]
+
+
+def test_the_verdict_of_a_set_says_what_sharing_costs():
+    shared = designs.design(100.0, {"a": designs.moved(60.0), "b": designs.moved(40.0)}, alone=80.0, with_first=125.0)
+    said = verdict(designs.summary(PEA=shared))
+    assert "PEA is best: E1 is 100 N²m²s for all tasks together, without stiff actuation" in said
+    assert "Springs of its own for each task would need 20.0 % less; the springs of “a” need 25.0 % more." in said
 
 
 def test_a_bound_is_told_in_words():
@@ -379,6 +388,6 @@ def _every_choice_is_shown(page: Any) -> None:
         for option in others[-1:]:
             select.select_option(option)
             assert page.locator("figcaption").all_text_contents() != captions
-            parts = page.locator(f'section[data-choice="{choice}"]')
-            assert parts.count() == 0 or parts.evaluate_all("parts => parts.filter(part => !part.hidden).length") == 1
+            shown = "parts => [...new Set(parts.filter(part => !part.hidden).map(part => part.dataset.of))]"
+            assert page.locator(f'[data-choice="{choice}"][data-of]').evaluate_all(shown) in ([], [option])
         select.select_option(before)

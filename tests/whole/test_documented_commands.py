@@ -175,7 +175,7 @@ def test_the_path_of_start(started):
     assert {"design", "export"} <= set(names[5:])
     found = json.loads((folder / "arm/diagnosis/diagnosis.json").read_text())["effects"]
     assert [(e["effect"], e["joint"]) for e in found] in ([("cable_harness", "joint2")], [("parallel_spring", "joint2")])
-    assert json.loads((folder / "arm/redesign/summary.json").read_text())["configurations"]["PEA"]["E1"] > 0
+    assert json.loads((folder / "arm/redesign/summary.json").read_text())["configurations"]["PEA"]["cost"] > 0
     assert (folder / "arm/pea.gif").stat().st_size > 10_000
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from scipy.optimize import nnls
 
 from rrr_oc.codesign.design_problem import CoDesign
@@ -42,22 +43,21 @@ MARGINS = 50.0  # below the maximum, within which these are; doubled, they are f
 EQUAL = 1e3  # weight of the rows by which the shares of a place add up to 1; doubled, they do so more closely before they are scaled
 
 
-@dataclass(frozen=True)
-class SpringBound:
-    """What springs can reach on a motion: E1 [N²m²s] by quadrature, with exact springs.
+class SpringBound(Struct, frozen=True):
+    """What springs can reach on a motion: E1 by quadrature, with exact springs.
 
     Attributes:
-        lower: No springs within bounds cost less on this motion.
-        mixture: Cost of the best mixture that was found; the best possible `lower` lies between both.
-        cost: Cost of the design itself.
-        excess: `cost` relative to `lower`, less 1.
+        lower: No springs within bounds cost less on this motion [N²m²s].
+        mixture: Cost of the best mixture that was found; the best possible `lower` lies between both [N²m²s].
+        cost: Cost of the design itself [N²m²s].
+        excess: `cost` relative to `lower`, less 1; null where `lower` is 0 [1].
         boxes: Number of boxes of parameters that were examined.
     """
 
     lower: float
     mixture: float
     cost: float
-    excess: float
+    excess: float | None
     boxes: int
 
 
@@ -308,7 +308,7 @@ def bound_on_motion(springs: Sequence[SpringBounds], needed: Needed, cost: float
         if mixture.cost - lower <= mixture.tolerance or boxes >= BOXES:
             break
         grids = [grid.extended(g.near) for grid, g in zip(grids, greatest, strict=True)]
-    return SpringBound(lower, mixture.cost, cost, cost / lower - 1 if lower > 0 else float("inf"), boxes)
+    return SpringBound(lower, mixture.cost, cost, cost / lower - 1 if lower > 0 else None, boxes)
 
 
 def solution_bound(solution: Solution, design: CoDesign, offered: CoDesign | None = None) -> SpringBound | None:

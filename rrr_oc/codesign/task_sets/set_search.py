@@ -85,6 +85,11 @@ class SetResult:
     starts: tuple[SetStart, ...]
     change: float | None
 
+    @classmethod
+    def of_one(cls, design: SetDesign, optimum: Optimum) -> "SetResult":
+        """The result of a set of one task, from an optimum of that."""
+        return cls(design, optimum.solution.parameters, (optimum,), (optimum,), (optimum,), (), 0.0)
+
     @property
     def total(self) -> float:
         """The objective."""

@@ -15,7 +15,7 @@ from msgspec import Meta
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
 from rrr_oc.codesign.springs import SpringBounds
-from rrr_oc.codesign.task import PHASES, PRESETS, End, Task, TaskFile, read_task, task_of
+from rrr_oc.codesign.task import PHASES, PRESETS, End, Task, TaskFile, load_task, read_task, task_of
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.problem import Guess, Link, Problem
 from rrr_oc.schema import Interval, Payload, Positive, Schema, Text, check_interval, check_names, parsed, read_preset
@@ -113,6 +113,11 @@ class TaskSet:
     model: tuple[str, ...] = ()
 
     @property
+    def first(self) -> Task:
+        """The first task, or the only one."""
+        return self.tasks[0]
+
+    @property
     def contents(self) -> list[Any]:
         """All that the set says, as plain data, to tell whether two sets are the same."""
         of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files")]
@@ -128,6 +133,14 @@ def is_task_set(source: str) -> bool:
         return False
     content = parsed(source, read_utf8(source).decode())
     return isinstance(content, dict) and str(content.get("format", "")).startswith("rrr_oc-tasks/")
+
+
+def load_tasks(source: str | Path) -> TaskSet:
+    """A set of tasks, or a single task as a set; raises `UserError` as `load_task_set` and `load_task` do."""
+    if is_task_set(str(source)):
+        return load_task_set(source)
+    task = load_task(source)
+    return TaskSet(task.name, (task,), np.ones(1))
 
 
 def load_task_set(source: str | Path) -> TaskSet:

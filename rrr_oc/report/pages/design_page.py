@@ -1,28 +1,26 @@
-"""The page of a co-design study, made from its saved files alone: summary.json, one npz a configuration, and the arm's pictures."""
+"""The page of a co-design study, made from its saved files alone: summary.json, the npz of each motion, and the arm's pictures."""
 
 import base64
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rrr_oc.codesign.design_file import Configuration, DesignFile, Limits, Quantity
+from rrr_oc.codesign.study import files_of
 from rrr_oc.effects.words import joint_words
-from rrr_oc.report import design_report as tell
-from rrr_oc.report.design_report import Quantity
-from rrr_oc.report.pages import design_words as say
+from rrr_oc.report import design_words as say
+from rrr_oc.report.design_report import FRONT, sections
 from rrr_oc.report.pages.page import Curve, Figure, columns, key, render, thinned
+from rrr_oc.schema import read_json
 from rrr_oc.storage import write_text
 
-POINTS = 2000  # of a curve, at most
+POINTS = (2000, 500)  # of a curve, at most: of one task, and of several, which have many
 NEAR = 0.4  # [1] of a curve's range within which a limit is drawn
-BY = ("configuration", "joint")
-QUANTITIES = {
-    "q": "range_rad",
-    "dq": "speed_rad_per_s",
-    "tau_load": "torque_Nm",
-}  # rows of an npz with their limits in the summary
+GOOD = 1.1  # [1] of the cost with springs of its own that a task may have with those of the set to be counted as near
+QUANTITIES = {"q": "range_rad", "dq": "speed_rad_per_s", "tau_load": "torque_Nm"}  # rows of an npz with their limits
 RELEASE = Curve("release", "{}_span", "limit", "payload released", dash="dot", width=1.5)
 SIDES = ("lower", "upper")  # of a limit
 LIMITS = tuple(Curve("ends", f"{{}}_{side}", "limit", "limit", dash="dash", width=1.5) for side in SIDES)
@@ -31,80 +29,133 @@ Arrays = Mapping[str, np.ndarray]
 
 def write_design_page(folder: Path) -> Path:
     """Write report.html from the files in the folder of a study; nothing is solved. Raises `UserError` where it cannot be written."""
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    motions = {}
-    for name in summary["configurations"]:
-        with np.load(folder / f"{name}.npz") as file:
-            motions[name] = {n: file[n] for n in file.files}
+    study = read_json(folder / "summary.json", DesignFile)
+    motions: dict[str, list[Arrays]] = {}
+    for name in study.configurations:
+        motions[name] = [dict(np.load(folder / f"{file}.npz")) for file in files_of(name, len(study.tasks))]
     pictures = {name: folder / f"arm_{name}.png" for name in motions}
     drawn = {name: base64.b64encode(path.read_bytes()).decode() for name, path in pictures.items() if path.is_file()}
-    write_text(folder / "report.html", design_page(summary, motions, drawn))
+    write_text(folder / "report.html", design_page(study, motions, drawn))
     return folder / "report.html"
 
 
-def design_page(summary: Mapping[str, Any], motions: Mapping[str, Arrays], pictures: Mapping[str, str]) -> str:
+def design_page(study: DesignFile, motions: Mapping[str, list[Arrays]], pictures: Mapping[str, str]) -> str:
     """The page as HTML.
 
     Args:
-        summary: The content of summary.json.
-        motions: Arrays of each configuration's npz.
+        study: The content of summary.json.
+        motions: Arrays of the npz of each task, by configuration.
         pictures: PNG of the arm's motion in base64, of configurations that have one.
     """
-    found, quantity, beside = summary["configurations"], Quantity(*summary["quantity"]), summary["paper"]
-    best = say.best_of(found) or next(iter(found))
-    data = {
-        key(name, j): joint_columns(m, j, summary.get("limits", {}).get(joint, {}), POINTS)
-        for name, m in motions.items()
-        for j, joint in _joints(m)
+    found, single = study.configurations, study.single
+    best, by = say.best_of(found) or next(iter(found)), ("configuration", *["task"] * (not single), "joint")
+    shown = {
+        key(name, *[t] * (not single), j): joint_columns(m, j, study.tasks[t].limits.get(joint), POINTS[not single])
+        for name, of_tasks in motions.items()
+        for t, m in enumerate(of_tasks)
+        for j, joint in enumerate(m["joints"].tolist())
     }
-    captions = {k: captions_of(c) for k, c in data.items()}
+    figures = motion_figures(by, {k: captions_of(c) for k, c in shown.items()})
+    tables = {"motion": {k: columns(c) for k, c in shown.items()}}
+    for figure, table in _of_costs(study):
+        figures.append(figure)
+        tables[figure.data] = table
+    choices = [("configuration", "Configuration", [(name, name) for name in found], best)]
+    if not single:
+        choices.append(("task", "Task", [(str(t), task.name) for t, task in enumerate(study.tasks)], "0"))
+    choices.append(("joint", "Joint", [(str(j), joint_words(joint)) for j, joint in enumerate(study.moving)], "0"))
     return render(
         "design.html",
-        figures_of(BY, captions),
-        {"motion": {k: columns(c) for k, c in data.items()}},
-        summary=summary,
-        quantity=quantity,
+        figures,
+        tables,
+        study=study,
         best=best,
-        verdict=say.verdict(summary),
+        title=say.title(study),
+        minimised=say.minimised(study),
         kinds=say.kinds_of_springs(found),
-        ends=tell.ends_in_words(summary),
-        cautions=say.cautions(summary),
-        configurations=[(name, name) for name in found],
-        joints=[(str(j), joint_words(joint)) for j, joint in _joints(motions[best])],
-        optima=tell.optima_table(found, quantity, beside),
-        columns_in_words=tell.columns_in_words(quantity, beside),
-        decreases=tell.decrease_table(found, beside) if "SA" in found else None,
-        hardware=tell.hardware_table(found, beside, summary["joints"]),
-        symbols=say.symbols(found),
-        certificates={name: _certificate(c, quantity, summary["joints"]) for name, c in found.items()},
-        twin=tell.transfer_table(found),
-        in_twin=say.in_twin(found, best),
-        told={"twin": tell.transferred_in_words(found), "optima": tell.LOCAL_OPTIMA, "layers": tell.LAYERS},
+        verdict=say.verdict(study),
+        cautions=say.cautions(study),
+        sections=sections(study),
+        choices=choices,
         pictures=pictures,
     )
 
 
-def _joints(motion: Arrays) -> list[tuple[int, str]]:
-    return list(enumerate(motion["joints"].tolist()))
+def _of_costs(study: DesignFile) -> list[tuple[Figure, dict[str, dict[str, list[Any]]]]]:
+    """The figures of costs that a study has, each with its data by configuration."""
+    found, made = study.configurations, []
+    if not study.single:
+        made.append((_tasks(study), {name: _costs(c) for name, c in found.items()}))
+    if any(c.choice for c in found.values()):
+        made.append((_choice(found, study.quantity), {name: _choices(c) for name, c in found.items()}))
+    if any(c.front for c in found.values()):
+        made.append((_front(found, study.quantity), {name: _points(c) for name, c in found.items()}))
+    return made
 
 
-def _certificate(c: Mapping[str, Any], quantity: Quantity, joints: Sequence[str]) -> dict[str, Any]:
-    return {
-        "sentences": tell.certificate_sentences(dict(c), quantity),
-        "bounds": [say.bound(bound["sentence"]) for bound in c["certificate"]["active"]],
-        "coverage": tell.coverage(c["catalogue"]) if "catalogue" in c else None,
-        "optima": tell.local_optima_table(dict(c), quantity, joints) if c.get("optima") else None,
-        "layers": tell.layers_table(dict(c)) if c.get("layers") else None,
-    }
+def _costs(c: Configuration) -> dict[str, list[Any]]:
+    rows = {k: np.array([getattr(m, k) for m in c.tasks.values()]) for k in ("cost", "alone", "with_first")}
+    return columns(rows | {"task": np.array([escape(task, quote=False) for task in c.tasks])})  # plotly reads markup
 
 
-def joint_columns(m: Arrays, j: int, limits: Mapping[str, Any], points: int) -> dict[str, np.ndarray]:
+def _tasks(study: DesignFile) -> Figure:
+    captions = {}
+    for name, c in study.configurations.items():
+        near = sum(m.cost <= GOOD * m.alone for m in c.tasks.values())
+        said = (
+            f"With {name} the set's springs need {near} of {len(c.tasks)} tasks within 10 % of what springs of their own need."
+        )
+        captions[name] = said if c.springs else "Without springs nothing is shared."
+    curves = (
+        Curve("with_first", "task", "spring", "springs of the first task", "markers", 9),
+        Curve("cost", "task", "load", "springs of the set", "markers", 9),
+        Curve("alone", "task", "needed", "springs of its own", "markers", 9),
+    )
+    height = 140 + 26 * len(study.tasks)
+    layout = {"height": height, "xaxis": {"type": "log"}, "yaxis": {"autorange": "reversed", "automargin": True}}
+    axes = (study.quantity.title, "")
+    return Figure("tasks", "The cost of each task", "tasks", ("configuration",), axes, curves, captions, layout)
+
+
+def _choices(c: Configuration) -> dict[str, list[Any]]:
+    rows = [(0, c.cost, c.cost)] if c.choice is None else [(p.count, p.cost, p.priced) for p in c.choice.points]
+    return columns(dict(zip(("count", "cost", "priced"), map(np.array, zip(*rows, strict=True)), strict=True)))
+
+
+def _choice(found: say.Found, quantity: Quantity) -> Figure:
+    curves = (
+        Curve("count", "cost", "load", "without the price"),
+        Curve("count", "cost", "load", "without the price", "markers", 9),
+        Curve("count", "priced", "spring", "with the price", dash="dash"),
+        Curve("count", "priced", "spring", "with the price", "markers", 7),
+    )
+    axes = ("number of springs", quantity.title)
+    said = "The least cost that was found for each number of springs, without and with their price."
+    captions = {name: said if c.choice else "This configuration offers no springs." for name, c in found.items()}
+    layout = {"xaxis": {"dtick": 1}, "yaxis": {"type": "log"}}
+    return Figure("choice", "The cost for each number", "choice", ("configuration",), axes, curves, captions, layout)
+
+
+def _points(c: Configuration) -> dict[str, list[Any]]:
+    rows = [(p.first, p.total) for p in c.front] or [(c.first.cost, c.cost)]
+    return columns(dict(zip(("first", "total"), map(np.array, zip(*rows, strict=True)), strict=True)))
+
+
+def _front(found: say.Found, quantity: Quantity) -> Figure:
+    curves = (Curve("first", "total", "load", ""), Curve("first", "total", "load", "", "markers", 9))
+    axes = (f"{quantity.title} of the first task", f"{quantity.title} of the set")
+    captions = {name: FRONT if c.front else "Without springs there is nothing in between." for name, c in found.items()}
+    layout = {"showlegend": False}
+    return Figure("front", "The set against its first task", "front", ("configuration",), axes, curves, captions, layout)
+
+
+def joint_columns(m: Arrays, j: int, limits: Limits | None, points: int) -> dict[str, np.ndarray]:
     """What the figures of one joint show, in degrees and Nm; the two phases meet at the instant of "release".
 
     Args:
         m: Arrays of a motion's npz.
         j: Row of the joint.
-        limits: The joint's, as in summary.json.
+        limits: The joint's.
         points: Of a curve, at most.
     """
     rows = {"t": m["t"], "q": np.degrees(m["q"][j]), "dq": np.degrees(m["dq"][j])}
@@ -119,15 +170,15 @@ def joint_columns(m: Arrays, j: int, limits: Mapping[str, Any], points: int) -> 
         values = [shown[n] for n in (name, "needed") if n in shown and (n == name or name == "tau_load")]
         low, high = float(np.min(values)), float(np.max(values))
         shown[f"{name}_span"] = np.array([low, high])
-        bound, unit = limits.get(of), 1.0 if name == "tau_load" else 180 / np.pi
-        both = bound if isinstance(bound, list) else [None, None] if bound is None else [-bound, bound]
+        bound, unit = limits and getattr(limits, of), 1.0 if name == "tau_load" else 180 / np.pi
+        both = bound if isinstance(bound, tuple) else [None, None] if bound is None else [-bound, bound]
         for side, value in zip(SIDES, both, strict=True):
             if value is not None and low - NEAR * (high - low) <= value * unit <= high + NEAR * (high - low):
                 shown[f"{name}_{side}"] = np.full(2, value * unit)
     return shown
 
 
-def figures_of(by: tuple[str, ...], captions: Mapping[str, Mapping[str, str]]) -> list[Figure]:
+def motion_figures(by: tuple[str, ...], captions: Mapping[str, Mapping[str, str]]) -> list[Figure]:
     """The figures of one joint; the data "motion" has its columns by the choices `by`, and `captions` what `captions_of` says."""
 
     def over_time(name: str, title: str, axis: str, row: str, *curves: Curve) -> Figure:

@@ -17,6 +17,7 @@ import msgspec
 
 from rrr_oc.calibration.model_file import ModelFile
 from rrr_oc.codesign.catalogue import catalogue_schema
+from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.codesign.task import TaskFile
 from rrr_oc.codesign.task_sets.task_set import TaskSetFile
 from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
@@ -30,6 +31,10 @@ from rrr_oc.robot.drives import Drive
 from rrr_oc.schema import spellings
 from rrr_oc.storage import write_text
 
+DESIGN = (
+    "What a design found, for one task or for several; `rrr-oc design` writes it. `rrr-oc export` reads the springs of a configuration, and "
+    "the page, the report and the figures are made from it. The cost's unit is in `quantity`."
+)
 DIAGNOSIS = "What a diagnosis found; `rrr-oc diagnose` writes it. Probabilities and p values are from 0 to 1."
 UNIT = r" \[([^\],`]+)\](?=\.|$)"  # at the end of a sentence; a list of numbers in brackets is a default
 COLUMNS = ("key", "type", "unit", "default", "allowed", "meaning")
@@ -137,6 +142,7 @@ def _described() -> dict[str, Page]:
             "not known are ignored, so that files of later versions can be read.",
             {"model.json": ModelFile},
         ),
+        "design": Page("summary.json", DESIGN, {"summary.json": DesignFile}),
         "diagnosis": Page("diagnosis.json", DIAGNOSIS, {"diagnosis.json": DiagnosisFile}),
     }
 

@@ -1,0 +1,390 @@
+"""A co-design study in sentences: the verdict, what is to be made or bought, what is known, and what to be careful about."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Moved, Priced, Quantity
+from rrr_oc.codesign.study import uncalibrated
+from rrr_oc.effects import design_forms
+from rrr_oc.effects.words import joint_words, listed, words
+from rrr_oc.model.metrics import decrease
+from rrr_oc.report.tables import NONE, spring_unit
+
+AGREES = 0.01  # [1] of E1 by which MuJoCo may differ before a reader is warned; doubled, only errors of the model are told
+OVER = 0.05  # [1] of a limit's scale by which it may be exceeded between the nodes before a reader is warned
+FAR = 0.1  # [1] of E1 by which the calibrated twin may differ from the plan before a reader is warned
+FOLLOWED = 0.05  # [rad] of tracking error in the twin above which a reader is warned
+UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
+SECOND_ORDER = {
+    "strict": "The second-order condition is strict, which is sufficient for a local optimum.",
+    "weak": "The second-order condition is weak: some bound is touched with next to no multiplier, and a local optimum is not proved.",
+    "violated": "The second-order condition is violated: some small change lowers the cost, so this is no local optimum.",
+}
+OBJECTIVES = {"sum": "the weighted sum of the tasks' costs", "worst": "the greatest of the tasks' weighted costs"}
+TRANSFERRED = (
+    "Each optimum tracked by P-controllers with the model's own torque as feed-forward; E1 [N²m²s], and its decrease against SA, of the "
+    "load torque that the engine gives, and, where the drives' friction is given, of the one that follows from the motor torque."
+)
+Found = Mapping[str, Configuration]
+
+
+def best_of(found: Found, bought: bool = False) -> str | None:
+    """The cheapest configuration whose springs do something, of all or of those with hardware of the catalogue; None without one."""
+    some = [n for n, c in found.items() if c.springs and not c.does_nothing and (n.endswith("*") or not bought)]
+    return min(some, key=lambda name: found[name].cost, default=None)
+
+
+def kinds_of_springs(names: Iterable[str]) -> list[tuple[str, str]]:
+    """Of each kind of springs in some configurations its label and what it is, as a phrase."""
+    labels = {label for name in names for label in name.rstrip("*").split("+")}
+    return [(label, kind.design.words) for label, kind in design_forms().items() if label in labels]
+
+
+def title(study: DesignFile) -> str:
+    """What a study is of."""
+    if study.single:
+        return f"Springs and motion for task “{study.name}”"
+    return f"One set of springs for {len(study.tasks)} tasks: “{study.name}”"
+
+
+def minimised(study: DesignFile) -> list[str]:
+    """What is minimised, over what is uncertain, and how the arm moves at the tasks' ends, a sentence each."""
+    said, unsure = [f"The cost of a task is {study.cost}, {study.quantity.title}."], study.uncertain
+    if not study.single:
+        equal = ", all weights equal" if len({t.weight for t in study.tasks}) == 1 else ""
+        said.append(f"Minimised is {OBJECTIVES[study.objective]}{equal}.")
+    what = [f"payloads within ±{100 * unsure.payload:g} %"] if unsure.payload else []
+    what += [f"{name} in its 95 % interval" for name in unsure.model]
+    if what:
+        said.append(f"The cost of a task is that of the worst case of {listed(what)}, with the same motion in all cases.")
+    return [*said, *ends_in_words(study)]
+
+
+def ends_in_words(study: DesignFile) -> list[str]:
+    """What a reader should know of tasks whose ends are not both at rest, a sentence each."""
+    told = {
+        "moving": "The arm does not stop at the {}: its speed there is the same at the end of one phase as at the start of the next.",
+        "free": "The speed at the {} is free at the end of one phase and at the start of the next, and may jump between them.",
+    }
+    speeds = [item for task in study.tasks for item in task.speeds.items()]
+    said = list(dict.fromkeys(told[speed].format(end) for end, speed in speeds if speed in told))
+    return said + ["No bound over all motions is stated: its proof needs an arm that rests at both ends."] * bool(said)
+
+
+def verdict(study: DesignFile) -> str:
+    """Which configuration is best, by how much, what hardware that is, and what it costs that tasks share it."""
+    found, quantity = study.configurations, study.quantity
+    best, bought, stiff = best_of(found), best_of(found, bought=True), found.get("SA")
+    if best is None or (stiff is not None and stiff.cost < found[best].cost):
+        name, c = min(found.items(), key=lambda item: item[1].cost)
+        some = "no configuration with springs was asked for"
+        if any(c.springs for c in found.values()):
+            some = f"no springs help {'this task' if study.single else 'these tasks'}"
+        return f"{name} costs {quantity.name} = {_cost(c, quantity)}; {some}."
+    parts = [f"{best} is best: {_gain(study, best)}."]
+    if not study.single:
+        parts.append(_shared(study, found[best]))
+    if bought is not None:
+        parts.append(f"To buy for {bought}: {hardware(found[bought], study.joints)}.")
+        parts += [f"Then {_gain(study, bought)}."] * (bought != best)
+    else:
+        tried = any(c.not_bought for c in found.values())
+        why = "no choice of the catalogue could be solved" if tried else "no catalogue of springs to buy was searched"
+        parts.append(f"To be made: {hardware(found[best], study.joints)}; {why}.")
+    return " ".join(parts)
+
+
+def _cost(c: Configuration, quantity: Quantity) -> str:
+    return f"{c.cost:.4g} {quantity.unit}"
+
+
+def _gain(study: DesignFile, name: str) -> str:
+    quantity, c, stiff = study.quantity, study.configurations[name], study.configurations.get("SA")
+    what = "" if study.single else " in the worst task" if study.objective == "worst" else " for all tasks together"
+    said = f"{quantity.name} is {_cost(c, quantity)}{what}"
+    if stiff is None:
+        return f"{said}, without stiff actuation among the configurations to compare it with"
+    return f"{said}, {100 * decrease(c.cost, stiff.cost):.1f} % less than the {_cost(stiff, quantity)} of stiff actuation"
+
+
+def _shared(study: DesignFile, c: Configuration) -> str:
+    """What sharing the springs costs, and what those of the first task would cost."""
+    said = f"Springs of its own for each task would need {100 * (1 - c.alone / c.cost):.1f} % less"
+    return f"{said}; the springs of “{study.tasks[0].name}” need {100 * (c.with_first / c.cost - 1):.1f} % more."
+
+
+def of_joint(name: str, joints: Sequence[str]) -> str:
+    """A spring's quantity with the joint's own name in place of its number, as in "k_p of elbow"; one across joints as it is."""
+    symbol = name.rstrip("0123456789")
+    number = name.removeprefix(symbol)
+    return f"{symbol} of {joint_words(joints[int(number) - 1])}" if number and not symbol.endswith("_") else name
+
+
+def hardware(c: Configuration, joints: Sequence[str]) -> str:
+    """The springs of a design, in a designer's units."""
+    left, said = dict(c.springs), []
+    for n, joint in enumerate(joints, 1):
+        if f"k_p{n}" in left and f"q_eq{n}" in left:
+            stiffness, slack = _number("k_p", left.pop(f"k_p{n}")), _number("q_eq", left.pop(f"q_eq{n}"))
+            said.append(f"a spring of {stiffness} on {joint}, slack at {slack}")
+    if "k_b" in left:
+        said.append(f"a spring of {_number('k_b', left.pop('k_b'))} across two joints")
+    shown = spring_words(left, joints)
+    phased = ((label, ways["phase"]) for label, ways in c.mounted.items() if "phase" in ways)
+    acting = [f"; the {placed(label)} acts in the phase “{phase}” only" for label, phase in phased]
+    return listed(said) + f" with {shown}" * bool(said and shown) + shown * (not said) + "".join(acting)
+
+
+def spring_words(springs: Mapping[str, float], joints: Sequence[str]) -> str:
+    """Quantities of springs with their joints, in a designer's units."""
+    return ", ".join(f"{of_joint(name, joints)} = {_number(name, value)}" for name, value in springs.items())
+
+
+def _number(name: str, value: float) -> str:
+    _, factor, unit = spring_unit(name)
+    return f"{value * factor:.4g}{'' if unit == '°' else ' '}{unit}"
+
+
+def placed(label: str) -> str:
+    """A spring's label in words: "parallel spring of joint2" for "parallel_spring[joint2]"."""
+    name, _, joints = label.removesuffix("]").partition("[")
+    return f"{words(name)} of {listed(joints.split(','))}"
+
+
+def bound(sentence: str) -> str:
+    """The sentence of an active bound with the names of springs and their parameters in words."""
+    said = re.sub(r"(\w+\[[^\]]*\])\.(\w+)", lambda m: f"{words(m[2])} of the {placed(m[1])}", sentence)
+    return f"{said[:1].upper()}{said[1:]}."
+
+
+def in_twin(study: DesignFile, best: str) -> str:
+    """What the best design of one task needs in the calibrated twin, beside what was planned; "" without a twin."""
+    found = study.configurations
+    moved, stiff = found[best].first, found["SA"].first.calibrated if "SA" in found else None
+    if moved.calibrated is None or not study.single:
+        return ""
+    needed = moved.calibrated.engine.E1
+    less = (
+        ""
+        if stiff is None or best == "SA"
+        else f", {100 * decrease(needed, stiff.engine.E1):.1f} % less than stiff actuation there"
+    )
+    return f"In the twin {best} needs E1 = {needed:.4g} N²m²s{less}; {moved.E1:.4g} N²m²s were planned."
+
+
+def transferred(study: DesignFile) -> str:
+    """How optima were tracked in the calibrated twin, and which joints no recording says anything of."""
+    some = (m.calibrated.uncalibrated for c in study.configurations.values() for m in c.tasks.values() if m.calibrated)
+    unknown = next(some, ())
+    return TRANSFERRED + (f" Beware: {uncalibrated(unknown)}." if unknown else "")
+
+
+def certificate(study: DesignFile, c: Configuration) -> list[str]:
+    """What is known of a result, a sentence or two on each subject."""
+    return of_motion(c, c.first, study.quantity) if study.single else of_set(c)
+
+
+def of_motion(c: Configuration, m: Moved, quantity: Quantity) -> list[str]:
+    """What is known of springs and motion of one task."""
+    k = m.certificate
+    met = "within the tolerance" if k.mesh.converged else "more than the tolerance, which was not met"
+    return [
+        f"The first-order conditions of an optimum hold to {residual(m):.1e} (the largest of the primal, dual and complementarity "
+        f"residuals, scaled).",
+        f"{SECOND_ORDER[k.second_order]} The cost is flattest along {' and '.join(k.flattest)}, with a curvature of {k.curvature:.1e}.",
+        f"Between the nodes of the mesh the motion misses the dynamics by at most {k.mesh.error:.1e} (relative), {met}, and "
+        f"exceeds limits by at most {k.violation:.1e} of their scale.",
+        f"With exact springs in the place of smoothed ones, {quantity.name} of this motion is {k.exact_cost:.4f} {quantity.unit}, "
+        f"{k.smoothing:.1e} away (relative).",
+        f"An adaptive integrator run with the same controls ends {k.reintegration.state:.1e} away from the planned end, with a "
+        f"cost that differs by {k.reintegration.cost:.1e}.",
+        f"MuJoCo, which simulates the motion with the same springs and P-controllers, finds an E1 of {m.mujoco.E1:.4f} N²m²s, "
+        f"and follows the motion to {m.mujoco.tracking_error_rad:.1e} rad.",
+        *bounds_in_words(c),
+        f"The lowest point of the tool is {abs(m.lowest_tool_m):.3f} m {'below' if m.lowest_tool_m < 0 else 'above'} the base.",
+        _origin(c),
+        f"One more kg of payload changes the cost by {100 * k.sensitivity:+.1f} % of {quantity.name}.",
+    ]
+
+
+def residual(m: Moved) -> float:
+    """The largest residual of the first-order conditions."""
+    return max(m.certificate.primal, m.certificate.dual, m.certificate.complementarity)
+
+
+def of_set(c: Configuration) -> list[str]:
+    """What is known of springs that several tasks share."""
+    if not c.springs:
+        return ["Without springs nothing is shared: every task is solved by itself."]
+    costs = [start.polished for start in c.starts if start.polished is not None]
+    near = sum(cost <= min(costs) * 1.01 for cost in costs)
+    worst = max((m.certificate.second_order for m in c.tasks.values()), key=list(SECOND_ORDER).index)
+    again = "On the refined meshes, springs and motions together could not be solved once more; only the motions were."
+    if c.change is not None:
+        fell = f"fell by {c.change:.1e} (relative)" if c.change else "fell no further"
+        again = f"Springs and motions were solved once more on the refined meshes, and the objective {fell}."
+    return [
+        f"{near} of {len(c.starts)} starts ended within 1 % of the best on the coarse mesh."
+        if c.starts
+        else "The springs were chosen by their price; the search began at the stiff arm alone.",
+        again,
+        f"No springs can bring the set below {c.alone:.3f}, the objective of the springs tuned to each task alone, if those optima are "
+        "the best ones.",
+        "Of the motions with the springs held: " + SECOND_ORDER[worst],
+    ]
+
+
+def bounds_in_words(c: Configuration) -> list[str]:
+    """What no springs can be better than, on the motion of the design and on any, a sentence each; none where that is not known."""
+    bound, least = c.first.certificate.bound, c.first.certificate.least
+    said, which = [], "in the catalogue or not" if c.catalogue is not None else "of any size within the task's bounds"
+    if bound is not None and not c.springs:
+        said.append("On this motion there are no springs to choose.")
+    elif bound is not None and bound.excess is None:
+        said.append("How good the springs are on this motion is not known: several in one place, mixed, could give all torque.")
+    elif bound is not None and bound.excess is not None:
+        above = max(bound.excess, 0.0)
+        doubt = min(bound.mixture / bound.lower - 1, above)
+        said.append(
+            f"On this motion no springs of these kinds, {which}, reach an E1 below {bound.lower:.4g} N²m²s; this design is "
+            f"{100 * above:.2g} % above, of which up to {100 * doubt:.2g} % is the tolerance of this bound."
+        )
+    if least:
+        every = (
+            f"no motion of the task and no springs of these kinds, {which}, reach"
+            if c.springs
+            else "no motion of the task reaches"
+        )
+        share = f"{100 * least / c.first.E1:.0f} % of this design's"
+        said.append(f"It is proved that {every} an E1 below {least:.4g} N²m²s, {share}.")
+    return said
+
+
+def _origin(c: Configuration) -> str:
+    """Where an optimum comes from."""
+    if c.catalogue is not None:
+        return "Found by following the continuous optimum to this hardware."
+    reached = c.first.certificate.reached
+    if c.choice is not None:
+        return "Found from the choice of springs by their price."
+    if reached == 0:
+        return "No start led to it: it was found from other optima, by changes of their durations."
+    return "One start led to it." if reached == 1 else f"{reached} starts led to it."
+
+
+def coverage(cover: Bought) -> str:
+    """What of a catalogue was searched, and what was not."""
+    text = f"Catalogue: {cover.combinations} combinations, {cover.distinct} distinct. Branch and bound solved {cover.solved} "
+    text += f"problems, {cover.single} of them with the hardware held"
+    if cover.margin is not None:
+        text += f", and excluded the other {cover.excluded}: by their bounds they cost at least {100 * cover.margin:.1f} % more than "
+        text += "the best. These bounds hold as far as each local optimum is the global one of its problem"
+    if cover.undercut > UNDERCUT:
+        text += f"; one was not, by {100 * cover.undercut:.1g} %"
+    text += ". "
+    if cover.failed:
+        text += f"{cover.failed} could not be solved. "
+    if cover.left:
+        text += f"The search ended early, with {cover.left} left. "
+    return text + f"Cost of buying instead of making: {round(100 * cover.gap, 1) + 0.0:+.1f} % against the continuous optimum."
+
+
+def choice(c: Configuration, made: Choice, unit: str) -> str:
+    """Which number of springs is best at the price, and how far the front can be trusted."""
+    best = made.points[made.chosen]
+    which = f": {springs_of(best)}" if best.count else ""
+    return (
+        f"At a price of {made.price:g} {unit} a spring, {best.count} of {made.offered} springs are best{which}. "
+        f"{made.solved} sets of springs were solved with their motions, each to a local optimum on the first fine mesh; so no cost in this "
+        "table is proven to be the least. A number of springs that is missing did not cost less than fewer. "
+        f"Refined, and searched for better motions, the chosen springs cost {c.cost:.4g} {unit}."
+    )
+
+
+def springs_of(point: Priced) -> str:
+    """The springs of a point of the front and how each is mounted."""
+    named = []
+    for label, ways in point.mounted.items():
+        kind, joints = label.rstrip("]").split("[")
+        shown = [" ".join(f"{v:+d}" for v in way) if isinstance(way, list) else str(way) for way in ways.values()]
+        where = f"across {joints.replace(',', ' and ')}" if "," in joints else f"on {joints}"
+        name = kind.removesuffix("_spring").replace("_", " ")
+        named.append(f"{name} {where}" + (f" ({', '.join(shown)})" if shown else ""))
+    return ", ".join(named) or NONE
+
+
+def symbols(found: Found) -> list[tuple[str, str]]:
+    """What the symbols of the springs in a study mean."""
+    used = {name for c in found.values() for name in c.springs}
+    known = {
+        "k_p": "stiffness of a spring in parallel with a joint",
+        "q_eq": "angle of the joint at which that spring is slack",
+        "k_t": "stiffness of a spring across one joint that pulls both ways",
+        "q_t": "angle of the joint at which that spring is slack",
+        "k_v": "stiffness of a cable's spring over a pulley at one joint",
+        "q_v": "angle of the joint at which that cable is slack",
+        "r1_v": "with r2_v to r5_v the radii of that pulley, whose profile is in a CSV file beside the results",
+        "n_n": "number of springs in parallel, each as its table says, across one joint",
+        "q_n": "angle of the joint at which the angle of that table is 0",
+        "k_c": "stiffness of a spring that a clutch connects to one joint in one phase",
+        "q_c": "angle of the joint at which that spring is slack, in the middle between start and release",
+        "k_bc": "with q_0c and r_1c to r_3c a spring across two joints that a clutch connects in one phase, named as if always connected",
+        "k_b": "stiffness of a spring across two joints",
+        "q_0": "angle that sets where the spring across two joints is slack",
+        "r_1": "radius of the pulley at the spring, which turns its stiffness into torque",
+        "r_2": "radius of the pulley at the first of the two joints",
+        "r_3": "radius of the pulley at the second of the two joints",
+    }
+    used |= {name.rstrip("0123456789") for name in used}  # those with the number of a joint
+    return [(symbol, meaning) for symbol, meaning in known.items() if symbol in used]
+
+
+def cautions(study: DesignFile) -> list[str]:
+    """What a reader should know before using the results, a sentence each; none where there is nothing."""
+    found = study.configurations
+    said = [f"{name}: {sentence}." for name, c in found.items() for sentence in _of_configuration(c)]
+    best = best_of(found)
+    if best is None or found[best].catalogue is not None or found[best].choice is not None or not study.single:
+        return said
+    k = found[best].first.certificate
+    if k.reached < 2:
+        which = "only one start led to this optimum" if k.reached else "no start led to this optimum itself"
+        but = f", though none below {k.least:.4g} N²m²s" if k.least else ""
+        said.append(f"{best}: {which}; more starts, or another seed, may find a better one{but}.")
+    return said
+
+
+def _of_configuration(c: Configuration) -> list[str]:
+    single = len(c.tasks) == 1
+    idle = [label for label in c.mounted if all(label in m.idle for m in c.tasks.values())]
+    why = "it does nothing in this design" if single else "it does nothing in any task"
+    said = [f"the {placed(label)} is {c.first.idle[label]}: {why}" for label in idle]
+    said += ["the search was interrupted, so that fewer starts were made than asked for"] * c.interrupted
+    said += [f"no choice of the catalogue could be solved: {c.not_bought}"] * bool(c.not_bought)
+    for task, m in c.tasks.items():
+        where = "" if single else f"in task {task} "
+        said += [where + sentence for sentence in _of_motion(m)]
+    return said
+
+
+def _of_motion(m: Moved) -> list[str]:
+    k = m.certificate
+    said = [f"the law of the {placed(label)} is {how}: beyond, it is a guess" for label, how in m.beyond.items()]
+    if not k.mesh.converged:
+        said.append(f"the tolerance of the mesh was not met; the error between its nodes is {k.mesh.error:.1e}")
+    differs = 0.0 if m.scenarios else m.mujoco.E1 / m.E1 - 1
+    if abs(differs) > AGREES:
+        said.append(f"MuJoCo finds an E1 that is {100 * differs:+.1f} % away from the planned one")
+    if k.violation > OVER:
+        said.append(f"a limit is exceeded between the nodes by {100 * k.violation:.0f} % of its scale")
+    if k.second_order == "violated":
+        said.append("the result is no local optimum: a condition of second order is violated")
+    if (twin := m.calibrated) is not None:
+        differs = twin.engine.E1 / m.E1 - 1
+        if abs(differs) > FAR:
+            said.append(f"in the calibrated twin E1 is {100 * differs:+.0f} % away from the planned one")
+        if twin.saturated:
+            said.append("in the calibrated twin a controller reaches its limit")
+        if twin.tracking_error_rad > FOLLOWED:
+            said.append(f"in the calibrated twin the motion is missed by up to {twin.tracking_error_rad:.2f} rad")
+    return said
