@@ -13,6 +13,7 @@ from msgspec import Meta, field
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import SpringBounds
+from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.design_form import DesignForm
 from rrr_oc.errors import UserError
@@ -89,12 +90,12 @@ class Choices:
     """What a catalogue offers for a design.
 
     Attributes:
-        design: The design.
+        design: The design, of one task or of several.
         of_spring: For each of its springs the distinct choices within the task's bounds.
         combinations: Number of combinations before equivalent hardware is merged.
     """
 
-    design: CoDesign
+    design: CoDesign | SetDesign
     of_spring: list[list[Choice]]
     combinations: int
 
@@ -144,9 +145,10 @@ class Choices:
         return np.round(self.bounds[spring][0][kinds[spring], column], 9)
 
 
-def choices_of(design: CoDesign, catalogue: Catalogue) -> Choices:
+def choices_of(design: CoDesign | SetDesign, catalogue: Catalogue) -> Choices:
     """What a catalogue offers within the task's bounds; raises `UserError` where it has nothing for a spring."""
-    offers = [_distinct(spring, _inside(design, spring, catalogue)) for spring in design.springs]
+    one = design.first if isinstance(design, SetDesign) else design
+    offers = [_distinct(spring, _inside(one, spring, catalogue)) for spring in design.springs]
     return Choices(design, [kinds for kinds, _ in offers], int(np.prod([count for _, count in offers], dtype=int)))
 
 

@@ -18,6 +18,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import Optimum, transcribed
 from rrr_oc.codesign.search.multistart import continue_from
 from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure
 from rrr_oc.parallel import once_per_process, ordered
@@ -60,14 +61,14 @@ class CatalogueResult:
     """The best of a catalogue.
 
     Attributes:
-        design: The problem with the best hardware held and the rest free.
+        design: The problem with the best hardware held and the rest free; of several tasks the joint one.
         optimum: Its optimum.
         hardware: Hardware to buy, in SI units.
         coverage: How much of the catalogue was searched.
         runners_up: Costs and hardware of the best choices on the fine mesh.
     """
 
-    design: CoDesign
+    design: CoDesign | SetDesign
     optimum: Optimum
     hardware: dict[str, float]
     coverage: Coverage
@@ -155,7 +156,7 @@ def _part(kinds: Kinds, of: Part, solution: tuple[float, np.ndarray, np.ndarray]
 
 def _solve(
     key: str,
-    design: CoDesign,
+    design: CoDesign | SetDesign,
     options: SearchOptions,
     first: np.ndarray,
     near: np.ndarray,
@@ -172,13 +173,14 @@ def _solve(
 
 
 def search_catalogue(
-    design: CoDesign,
+    design: CoDesign | SetDesign,
     start: Solution,
     catalogue: Catalogue,
     options: SearchOptions | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> CatalogueResult:
-    """The best purchasable hardware near the continuous optimum `start`, everything else optimised anew for each choice.
+    """The best purchasable hardware near the continuous optimum `start`, everything else optimised anew for each choice. Of several tasks
+    that share the springs, the joint problem is solved for each.
 
     Args:
         progress: Called with the number of problems solved so far.

@@ -38,13 +38,13 @@ from rrr_oc.codesign.optimum import (
     restored,
     sample_motion,
 )
-from rrr_oc.codesign.purchasable import search_catalogue
+from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
 from rrr_oc.codesign.task import PHASES, PRESETS, Task
-from rrr_oc.codesign.task_sets.set_search import SetResult, front, solve_chosen, solve_set
+from rrr_oc.codesign.task_sets.set_search import SetResult, front, joint_optimum, solve_bought, solve_chosen, solve_set
 from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_tasks, with_uncertainty
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, repaired
@@ -253,8 +253,6 @@ def _check_combined(request: Request, tasks: TaskSet) -> None:
         raise UserError(f"--front is {request.front}; it needs a set of tasks, and {request.task} is a task")
     if request.front and worst:
         raise UserError(f"--front needs a set whose objective is 'sum'; that of {tasks.name!r} is {tasks.objective!r}")
-    if request.catalogue is not None and several:
-        raise UserError(f"--catalogue is {request.catalogue!r}; for a set of tasks only 'none' is allowed")
     if request.price is None:
         return
     if not (np.isfinite(request.price) and request.price >= 0):
@@ -315,7 +313,12 @@ def _results(
         return
     starred = f"{name}*"
     try:
-        bought = _once(study, starred, partial(_buy, study, starred, design.first))
+        buy = (
+            partial(_buy, study, starred, design.first)
+            if study.single
+            else partial(_buy_shared, study, starred, design, solved)
+        )
+        bought = _once(study, starred, buy)
     except SolverFailure as failure:
         study.listener.show(f"{starred}: no choice of the catalogue could be solved: {failure}")
         yield name, msgspec.structs.replace(solved, not_bought=str(failure))
@@ -459,10 +462,38 @@ def _buy(study: Study, name: str, design: CoDesign) -> Configuration:
     assert study.shop is not None
     with study.listener.count(name) as count:
         bought = search_catalogue(design, start, study.shop, study.options, lambda done: count(done, "problems solved"))
+    assert isinstance(bought.design, CoDesign)
     result = SetResult.of_one(SetDesign(study.tasks, (bought.design,)), bought.optimum)
-    gap = bought.optimum.cost / start.cost - 1
+    return _as_bought(_described(study, name, result, began, design), bought, bought.optimum.cost / start.cost - 1)
+
+
+def _buy_shared(study: Study, name: str, design: SetDesign, made: Configuration) -> Configuration:
+    """A starred design of several tasks, from what is made for them: the joint problem with hardware of the catalogue."""
+    began, options = time.perf_counter(), study.options
+    parameters, files = design.first.model.theta(made.parameters), files_of(name.rstrip("*"), len(design.designs))
+    pairs = zip(design.held(parameters), files, strict=True)
+    motions = [restored(one, options, read_npz(kept_motion(study, file))).guess() for one, file in pairs]
+    start = joint_optimum(design, design.guess(motions, parameters), options)
+    if start is None:
+        raise SolverFailure("the springs to be made led to no optimum on the first mesh", 0, 0.0, "")
+    few = replace(options, refinement=replace(options.refinement, rounds=0))  # meshes are refined task by task
+    assert study.shop is not None
+    with study.listener.count(name) as count:
+        bought = search_catalogue(design, start.solution, study.shop, few, lambda done: count(done, "problems solved"))
+    assert isinstance(bought.design, SetDesign)
+    found = _described(study, name, solve_bought(bought.design, bought.optimum, options), began)
+    tasks = {
+        task: msgspec.structs.replace(moved, alone=own.alone, with_first=own.with_first, springs_alone=own.springs_alone)
+        for (task, moved), own in zip(found.tasks.items(), made.tasks.values(), strict=True)
+    }
+    found = msgspec.structs.replace(found, tasks=tasks, alone=made.alone, with_first=made.with_first)
+    return _as_bought(found, bought, found.cost / made.cost - 1)
+
+
+def _as_bought(found: Configuration, bought: CatalogueResult, gap: float) -> Configuration:
+    """An entry with how its hardware was searched, and the relative cost of buying it instead of making it."""
     catalogue = data(bought.coverage) | {"gap": gap, "runners_up": bought.runners_up}
-    return typed(data(_described(study, name, result, began, design)) | {"catalogue": catalogue}, Configuration)
+    return typed(data(found) | {"catalogue": catalogue}, Configuration)
 
 
 def _search(study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None]) -> SearchResult:
@@ -536,7 +567,8 @@ def _described(study: Study, name: str, result: SetResult, began: float, compare
         own = design.designs[t].hardware(result.alone[t].solution.parameters)
         others = {"alone": result.alone[t].cost, "with_first": result.first[t].cost, "springs_alone": own}
         tasks[study.tasks.tasks[t].name] = moved | others
-    points = front(result, study.options, study.request.front) if study.request.front and design.sprung else []
+    leaning = study.request.front and design.sprung and not name.endswith("*")
+    points = front(result, study.options, study.request.front) if leaning else []
     found = {
         "cost": result.total,
         "alone": design.total([o.cost for o in result.alone]),

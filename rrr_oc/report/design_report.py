@@ -98,8 +98,7 @@ def _certificates(study: DesignFile) -> Iterator[Part]:
         yield Part(f"Certificate of {name}", points=tuple(say.certificate(study, c)), of=name)
         if not study.single:
             yield Part(said=("Of each motion, its springs held:",), table=motions_table(c), note=_notes(QUALITY), of=name)
-            continue
-        if c.first.certificate.active:
+        if study.single and c.first.certificate.active:
             bounds = tuple(say.bound(one.sentence) for one in c.first.certificate.active)
             yield Part(said=("What limits it, the most costly bound first:",), points=bounds, of=name)
         if c.not_bought:
@@ -214,7 +213,7 @@ def hardware_table(study: DesignFile) -> Table:
     shown: dict[str, dict[str, float]] = {}
     for name, c in study.configurations.items():
         shown[name] = c.springs
-        if not study.single and c.springs:
+        if not study.single and c.springs and c.catalogue is None:
             shown[f"{name}, {study.tasks[0].name} alone"] = c.first.springs_alone
     used = {n for springs in shown.values() for n in springs}
     names = [n for n in SPRINGS if n in used] + sorted(used - set(SPRINGS))

@@ -223,10 +223,11 @@ def of_set(c: Configuration) -> list[str]:
     if c.change is not None:
         fell = f"fell by {c.change:.1e} (relative)" if c.change else "fell no further"
         again = f"Springs and motions were solved once more on the refined meshes, and the objective {fell}."
+    began = f"{near} of {len(c.starts)} starts ended within 1 % of the best on the coarse mesh."
+    if not c.starts:
+        began = "The springs were chosen by their price; the search began at the stiff arm alone." if c.choice else _origin(c)
     return [
-        f"{near} of {len(c.starts)} starts ended within 1 % of the best on the coarse mesh."
-        if c.starts
-        else "The springs were chosen by their price; the search began at the stiff arm alone.",
+        began,
         again,
         f"No springs can bring the set below {c.alone:.3f}, the objective of the springs tuned to each task alone, if those optima are "
         "the best ones.",

@@ -16,6 +16,8 @@ from rrr_oc.codesign.search.multistart import SearchResult, continue_from, solve
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
+from rrr_oc.codesign.task_sets.set_search import joint_optimum
+from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.optimal_control.solver import SolverFailure
@@ -270,3 +272,27 @@ def test_a_wrong_catalogue_file_is_explained(tmp_path):
         file.write_bytes(content)
         with pytest.raises(UserError):
             load_catalogue(file)
+
+
+def test_the_best_of_a_catalogue_for_two_tasks_is_that_of_all_joint_problems():
+    """Each choice held in turn; the catalogue's choice for both tasks is not that for either alone by accident of the search."""
+    tasks = TaskSet("two", (TASK, replace(TASK, name="light", payload=1.0)), np.ones(2))
+    design = SetDesign(tasks, tuple(CoDesign(task, spring_bounds(task, "PEA")) for task in tasks.tasks))
+    motions = [solve_multistart(one, OPTIONS).best.solution for one in design.designs]
+    guess = design.guess([s.guess() for s in motions], motions[0].parameters)
+    start = joint_optimum(design, guess, OPTIONS)
+    assert start is not None
+    lists, names, free = ((4.0, 9.0, 13.0), (0.3, 1.1)), ("k_p2", "k_p3"), ("q_eq2", "q_eq3")
+    bought = search_catalogue(
+        design, start.solution, Catalogue("tiny", {"PEA": dict(zip(("joint2", "joint3"), lists, strict=True))}), OPTIONS
+    )
+    costs = {}
+    for values in itertools.product(*lists):
+        held = design.with_fixed(dict(zip(names, values, strict=True)), free)
+        found = joint_optimum(held, start.solution.guess(), OPTIONS)
+        assert found is not None
+        costs[values] = found.cost
+    best = min(costs, key=lambda values: costs[values])
+    assert tuple(bought.hardware[name] for name in names) == best
+    assert bought.optimum.cost == pytest.approx(costs[best], rel=1e-4)  # IPOPT's barrier on the same mesh
+    assert bought.optimum.cost >= start.cost * (1 - 1e-6)

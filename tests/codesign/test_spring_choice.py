@@ -10,6 +10,7 @@ import pytest
 from commands import rrr_oc
 
 from rrr_oc.codesign import study as steps
+from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.multistart import solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -18,6 +19,7 @@ from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.task_sets.spring_choice import GAIN, _Search, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, load_task_set
 from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.schema import read_json
 
 OPTIONS = SearchOptions(
     starts=1, coarse=6, fine=10, widths=(0.01,), refinement=Refinement(1e-2, rounds=1), kept=1, within=0.0, motions=0
@@ -116,6 +118,28 @@ def test_a_price_is_reported_and_its_design_simulated(monkeypatch, tmp_path):
     for report in ("report.md", "report.html"):
         assert f"At a price of 200 N²m²s a spring, {points[best]['count']} of 2 springs are best" in (out / report).read_text()
     assert (out / "choice.png").stat().st_size > 5000
+
+
+def test_a_task_alone_may_have_a_price(monkeypatch, tmp_path):
+    """So dear that one spring of two is left, as the points at the price say; the report says where it comes from."""
+    out, given = tmp_path / "out", ["--configurations", "PEA", "--starts", "1", "--motions", "0", "--tolerance", "1e-2"]
+    assert (
+        rrr_oc(monkeypatch, "design", "paper", *given, "--intervals", "8", "--jobs", "1", "--price", "60", "--out", str(out))
+        == 0
+    )
+    study = read_json(out / "summary.json", DesignFile)
+    c, (asked,) = study.configurations["PEA"], study.tasks
+    assert c.choice is not None
+    best = c.choice.points[c.choice.chosen]
+    assert best.priced == min(p.priced for p in c.choice.points)
+    assert c.mounted == best.mounted
+    moved = c.tasks[asked.name]
+    assert pytest.approx(moved.E1, rel=1e-2) == moved.mujoco.E1  # on a coarse mesh
+    assert c.published_springs is None or c.published_springs > 0
+    with np.load(out / "PEA.npz") as m:
+        parts = [np.trapezoid(m["tau_load"][:, k] ** 2, m["t"][k]).sum() for k in (m["phase"] == 0, m["phase"] == 1)]
+    assert sum(parts) == pytest.approx(moved.E1, rel=1e-3)
+    assert "Found from the choice of springs by their price." in (out / "report.md").read_text()
 
 
 BAD = {

@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from commands import rrr_oc
+from own_arm import OWN, own_task
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.codesign import study as steps
+from rrr_oc.codesign.design_file import DesignFile
 from rrr_oc.codesign.design_problem import CoDesign, Scenario
 from rrr_oc.codesign.optimum import sample_motion
 from rrr_oc.codesign.search.multistart import solve_multistart
@@ -27,6 +29,7 @@ from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.robot.robot import load_robot
+from rrr_oc.schema import read_json
 from validation import task_sets as other_way
 
 OPTIONS = SearchOptions(
@@ -246,6 +249,14 @@ def with_other(folder: Path, **changes) -> str:
 
 
 SPRING = {"effect": "parallel_spring", "joint": "joint2", "stiffness_Nm_per_rad": [0, 1], "equilibrium_deg": [0, 90]}
+
+
+def other_shop(folder: Path) -> str:
+    content = {"format": "rrr_oc-catalogue/1", "parallel_springs_Nm_per_rad": {"joint2": [5.0]}}
+    (folder / "shop.json").write_text(json.dumps(content))
+    return str(folder / "shop.json")
+
+
 BAD = {
     "no tasks": (lambda f: [set_file(f, tasks=[])], "tasks: found []; a list with at least one entry is required"),
     "unknown key": (lambda f: [set_file(f, weights=[1])], "unknown key 'weights'; allowed are format, tasks, base, name"),
@@ -280,9 +291,10 @@ BAD = {
     ),
     "model": (lambda f: [set_file(f, uncertain={"model": ["x"]})], "uncertain.model: x needs --model and --repaired"),
     "format": (lambda f: [set_file(f, format="rrr_oc-tasks/2")], "format: found 'rrr_oc-tasks/2'; allowed is 'rrr_oc-tasks/1'"),
-    "catalogue": (
-        lambda f: [set_file(f), "--catalogue", "prototype"],
-        "--catalogue is 'prototype'; for a set of tasks only 'none'",
+    "catalogue": (lambda f: [set_file(f), "--catalogue", "gone.json"], "no catalogue at 'gone.json'"),
+    "catalogue without springs of these joints": (
+        lambda f: [set_file(f), "--configurations", "PEA", "--catalogue", other_shop(f)],
+        "has no parallel spring for joint3",
     ),
     "front of a task": (lambda f: ["paper", "--front", "2"], "--front is 2; it needs a set of tasks, and paper is a task"),
     "front of the worst": (
@@ -380,3 +392,26 @@ def test_the_springs_of_a_set_are_read_again(out):
     springs = saved_springs(out / "summary.json", "PEA", PAPER)
     found = json.loads((out / "summary.json").read_text())["configurations"]["PEA"]["parameters"]
     assert {PAPER.model().label(effect): theta for effect, theta in springs.mounted} == found
+
+
+def test_springs_for_a_set_can_be_bought(monkeypatch, tmp_path):
+    """An arm with one spring and two tasks: the starred design has a spring of the catalogue, and is compared with what is made."""
+    own_task(tmp_path)
+    content = {"format": "rrr_oc-tasks/1", "base": "task.json", "tasks": [{"name": "a"}, {"name": "b", "payload_kg": 0.5}]}
+    (tmp_path / "set.json").write_text(json.dumps(content))
+    shop = {"format": "rrr_oc-catalogue/1", "parallel_springs_Nm_per_rad": {"j2": [5.0, 8.0]}}
+    (tmp_path / "shop.json").write_text(json.dumps(shop))
+    out, given = tmp_path / "out", [*OWN, "--configurations", "PEA", "--catalogue", str(tmp_path / "shop.json")]
+    assert rrr_oc(monkeypatch, "design", str(tmp_path / "set.json"), *given, "--out", str(out)) == 0
+    found = read_json(out / "summary.json", DesignFile).configurations
+    made, bought = found["PEA"], found["PEA*"]
+    assert bought.springs["k_p2"] in (5.0, 8.0)
+    assert bought.catalogue is not None
+    assert (bought.catalogue.combinations, bought.catalogue.left) == (2, 0)
+    assert bought.catalogue.gap == pytest.approx(bought.cost / made.cost - 1)
+    assert bought.cost >= made.cost * (1 - 1e-2)  # the meshes' tolerance
+    assert bought.cost == pytest.approx(sum(m.cost for m in bought.tasks.values()))
+    for task, moved in bought.tasks.items():
+        assert moved.alone == made.tasks[task].alone
+        assert pytest.approx(moved.E1, rel=1e-2) == moved.mujoco.E1
+    assert "To buy for PEA*: a spring of" in (out / "report.html").read_text()

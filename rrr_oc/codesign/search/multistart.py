@@ -9,6 +9,7 @@ import numpy as np
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import (
     Optimum,
+    Solvable,
     attached,
     distinct,
     follow_to_fine_mesh,
@@ -223,7 +224,7 @@ def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> 
     return options.starts, None
 
 
-def continue_from(starts: list[tuple[CoDesign, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:
+def continue_from(starts: Sequence[tuple[Solvable, Guess]], options: SearchOptions) -> list[tuple[int, Optimum]]:
     """Optima near given starts, each of a problem of its own, on the fine mesh; the cheapest one is refined.
 
     Returns:

@@ -188,6 +188,12 @@ def solve_chosen(design: SetDesign, start: Guess, options: SearchOptions) -> Set
     return _compared(design, best, alone, _with_first(design, best, alone, options), options, ())
 
 
+def solve_bought(design: SetDesign, joint: Optimum, options: SearchOptions) -> SetResult:
+    """The result of a joint optimum with hardware of a catalogue, on refined meshes; compared with itself alone."""
+    parameters, motions, change = _refined(design, joint, options)
+    return SetResult(design, parameters, motions, motions, motions, (), change)
+
+
 def _with_first(design: SetDesign, joint: Optimum, alone: Sequence[Optimum], options: SearchOptions) -> list[Optimum]:
     """The best motion of each task with the springs of the first task alone."""
     starts = [[o.solution.guess(), m] for o, m in zip(alone, _motions(design, joint), strict=True)]

@@ -277,6 +277,14 @@ class SetDesign:
         """The same tasks with other springs."""
         return replace(self, designs=tuple(replace(design, springs=springs) for design in self.designs))
 
+    def with_fixed(self, hardware: Mapping[str, float], keep_free: Sequence[str] = ()) -> "SetDesign":
+        """The same tasks with springs fixed to hardware, except the names in `keep_free`."""
+        return replace(self, designs=tuple(design.with_fixed(hardware, keep_free) for design in self.designs))
+
+    def hardware(self, parameters: np.ndarray) -> dict[str, float]:
+        """The springs of a solution by a designer's names, see `CoDesign.hardware`."""
+        return self.first.hardware(parameters)
+
     def held(self, parameters: np.ndarray) -> list[CoDesign]:
         """The problem of each task alone with the springs held (np,)."""
         return [design.with_fixed(design.hardware(parameters)) for design in self.designs]
