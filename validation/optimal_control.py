@@ -18,7 +18,7 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -34,7 +34,7 @@ from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Bounded, Guess, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import Refinement, mesh_error, refine
 from rrr_oc.optimal_control.scheme import Scheme, scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, solve
@@ -90,17 +90,16 @@ class Case:
 def _phase(rates: ca.Function, start: Sequence[float], end: Sequence[float], duration: tuple[float, float], **bounds) -> Phase:
     """A phase without bounds but those given, scales 1."""
     nx, nu = rates.size1_in(0), rates.size1_in(1)
-    states, controls = tuple(f"x{i}" for i in range(nx)), tuple(f"u{i}" for i in range(nu))
-    free = {
-        "x_lower": np.full(nx, -np.inf),
-        "x_upper": np.full(nx, np.inf),
-        "u_lower": np.full(nu, -np.inf),
-        "u_upper": np.full(nu, np.inf),
-        "x_scale": np.ones(nx),
-        "u_scale": np.ones(nu),
-    }
-    ends = {"start": np.array(start, float), "end": np.array(end, float)}
-    return Phase("motion", rates, states, controls, duration=duration, **ends, **(free | bounds))
+    parts = {}
+    for kind, names in (
+        ("x", [f"x{i}" for i in range(nx)]),
+        ("u", [f"u{i}" for i in range(nu)]),
+        ("path", bounds.pop("paths", ())),
+    ):
+        far = np.full(len(names), np.inf)
+        own = {key.removeprefix(f"{kind}_"): bounds[key] for key in bounds if key.startswith(f"{kind}_")}
+        parts[kind] = replace(Bounded(tuple(names), -far, far, np.ones(len(names))), **own)
+    return Phase("motion", rates, start=np.array(start, float), end=np.array(end, float), duration=duration, **parts)
 
 
 def _rates(nx: int, law: Callable, parameters: int = 0) -> ca.Function:
@@ -118,7 +117,7 @@ def _straight(phase: Phase, duration: float, control: float = 0.0) -> Guess:
             PhaseGuess(
                 duration,
                 lambda s: start[:, None] + (end - start)[:, None] * s,
-                lambda s: np.full((len(phase.controls), len(s)), control),
+                lambda s: np.full((len(phase.u), len(s)), control),
             ),
         ),
         np.zeros(0),

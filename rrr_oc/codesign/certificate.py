@@ -244,13 +244,13 @@ def reintegrate(solution: Solution, tolerance: float = 1e-10) -> dict[str, float
     """
     worst, costs = 0.0, np.zeros(len(solution.problem.groups))
     for i, phase in enumerate(solution.problem.phases):
-        nodes, nx = solution.values[solution.transcription.blocks[i].nodes], len(phase.states)
+        nodes, nx = solution.values[solution.transcription.blocks[i].nodes], len(phase.x)
         edges = np.r_[0, np.cumsum(solution.transcription.mesh[i])] * solution.durations[i]
         y = np.r_[nodes[:, 0], np.zeros(costs.size)]
         for k, span in enumerate(pairwise(edges)):
             rates = _rates_in_interval(solution, i, k, span)
             y = solve_ivp(rates, span, y, method="DOP853", rtol=tolerance, atol=tolerance).y[:, -1]
-        worst = max(worst, float((np.abs(y[:nx] - nodes[:, -1]) / phase.x_scale).max()))
+        worst = max(worst, float((np.abs(y[:nx] - nodes[:, -1]) / phase.x.scale).max()))
         costs += y[nx:]
     return {"state": worst, "cost": abs(solution.problem.cost(costs) - solution.cost) / abs(solution.cost)}
 
@@ -263,7 +263,7 @@ def _rates_in_interval(solution: Solution, i: int, k: int, span: tuple[float, fl
 
     def rates(t: float, y: np.ndarray) -> np.ndarray:
         weights = scheme.at(np.array([(t - start) / (end - start)]))[0][0]
-        f, cost_rates, _ = phase.rates(y[: len(phase.states)], controls @ weights, p, d)
+        f, cost_rates, _ = phase.rates(y[: len(phase.x)], controls @ weights, p, d)
         return np.r_[np.array(f).ravel(), np.array(cost_rates).ravel()]
 
     return rates

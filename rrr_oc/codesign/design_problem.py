@@ -13,7 +13,7 @@ from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Guess, Link, Phase, Problem
+from rrr_oc.optimal_control.problem import Bounded, Guess, Link, Phase, Problem
 from rrr_oc.robot.drives import Actuators
 
 COSTS = ("load", "motor", "energy")
@@ -176,27 +176,31 @@ class CoDesign:
         return Phase(
             name=PHASES[index],
             rates=self._rates(index),
-            states=(
-                *(f"{kind} of {j}" for kind in ("angle", "speed") for j in task.joints),
-                *springs,
-                *(f"speed of the drive of {task.joints[row]}" for row in own),
+            x=Bounded(
+                (
+                    *(f"{kind} of {j}" for kind in ("angle", "speed") for j in task.joints),
+                    *springs,
+                    *(f"speed of the drive of {task.joints[row]}" for row in own),
+                ),
+                np.r_[task.lower, -of_links, -free, -task.speed[own]],
+                np.r_[task.upper, of_links, free, task.speed[own]],
+                np.r_[np.ones(2 * m), np.full(e, torque), np.ones(e)],
             ),
-            controls=tuple(f"acceleration of {'the drive of ' * (i in own)}{j}" for i, j in enumerate(task.joints)),
-            x_lower=np.r_[task.lower, -of_links, -free, -task.speed[own]],
-            x_upper=np.r_[task.upper, of_links, free, task.speed[own]],
-            u_lower=-task.acceleration,
-            u_upper=task.acceleration,
+            u=Bounded(
+                tuple(f"acceleration of {'the drive of ' * (i in own)}{j}" for i, j in enumerate(task.joints)),
+                -task.acceleration,
+                task.acceleration,
+                np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed),
+            ),
             start=start,
             end=end,
             duration=task.duration,
-            x_scale=np.r_[np.ones(2 * m), np.full(e, torque), np.ones(e)],
-            u_scale=np.where(np.isfinite(task.acceleration), task.acceleration, 2 * speed),
-            paths=(
-                *[torque_path(task.joints[i]) for i in limited] * len(self.scenarios),
-                *([FLOOR] if floor else []),
+            path=Bounded(
+                (*[torque_path(task.joints[i]) for i in limited] * len(self.scenarios), *([FLOOR] if floor else [])),
+                np.r_[-np.ones(bounded), np.full(floor, task.floor)],
+                np.r_[np.ones(bounded), np.full(floor, np.inf)],
+                np.ones(bounded + floor),
             ),
-            path_lower=np.r_[-np.ones(bounded), np.full(floor, task.floor)],
-            path_upper=np.r_[np.ones(bounded), np.full(floor, np.inf)],
             costs=tuple(range(len(self.scenarios))),
             boundary=self._held_by_springs(index, torque) if e else None,
             boundaries=tuple(springs),

@@ -41,7 +41,7 @@ class Interval:
 @lru_cache(maxsize=256)
 def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, compiled: bool) -> Interval:
     """The functions of an interval of a phase with n_p parameters and n_d data. The 256 used last are kept, by the phase's identity."""
-    nx, nu = len(phase.states), len(phase.controls)
+    nx, nu = len(phase.x), len(phase.u)
     p, T, h, d = ca.SX.sym("p", n_p), ca.SX.sym("T"), ca.SX.sym("h"), ca.SX.sym("d", n_d)
     x0, x1, X, U = ca.SX.sym("x0", nx), ca.SX.sym("x1", nx), ca.SX.sym("X", nx, len(s.inner)), ca.SX.sym("U", nu, s.d)
     stages = [*([x0] if s.shares_first else []), *ca.horzsplit(X), *([x1] if s.shares_last else [])]
@@ -52,7 +52,7 @@ def interval_functions(phase: Phase, s: Scheme, n_p: int, n_d: int, compiled: bo
     if not s.shares_last:
         defects.append(x1 - x0 - step * (F @ ca.DM(s.b)))
     cost = step * sum(float(b) * r[1] for b, r in zip(s.b, rates, strict=True))
-    rows = ca.vertcat(*[defect / phase.x_scale for defect in defects], *[r[2] for r in rates])
+    rows = ca.vertcat(*[defect / phase.x.scale for defect in defects], *[r[2] for r in rates])
     z = ca.vertcat(p, T, x0, x1, ca.vec(X), ca.vec(U))
     slopes = ca.jacobian(rows, z)
     gradient, hessian, hessian_at = _by_stages(phase, s, n_p, n_d)
@@ -70,10 +70,10 @@ def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int):
     """Gradients of an interval's costs and Hessian of its Lagrangian, from those of one stage at y = (p, T, x, u).
 
     Stage j's share of the Lagrangian, but for terms linear in z, is T (σ·l − ν·f) + μ·path, where l are the cost rates,
-    σ = h b_j lam_f, ν = h Σ_i A_ij λ_i / x_scale (and b_j times the step's multipliers), and λ_i and μ multiply
+    σ = h b_j lam_f, ν = h Σ_i A_ij λ_i / (scale of x) (and b_j times the step's multipliers), and λ_i and μ multiply
     the stage's defects and paths.
     """
-    nx, nu, ng, nc, d = len(phase.states), len(phase.controls), len(phase.paths), phase.rates.numel_out(1), s.d
+    nx, nu, ng, nc, d = len(phase.x), len(phase.u), len(phase.path), phase.rates.numel_out(1), s.d
     y, data = ca.SX.sym("y", n_p + 1 + nx + nu), ca.SX.sym("d", n_d)
     sigma, weight, nu_f, mu = ca.SX.sym("sigma", nc), ca.SX.sym("weight"), ca.SX.sym("nu", nx), ca.SX.sym("mu", ng)
     p, T, x, u = ca.vertsplit(y, [0, n_p, n_p + 1, n_p + 1 + nx, y.numel()])
@@ -97,7 +97,7 @@ def _by_stages(phase: Phase, s: Scheme, n_p: int, n_d: int):
     z, h, c = ca.MX.sym("z", nz), ca.MX.sym("h"), ca.MX.sym("d", n_d)
     lam_f, lam_g = ca.MX.sym("lam_f", nc), ca.MX.sym("lam_g", nx * n_defects + ng * d)
     weights = np.vstack([s.A[int(s.shares_first) :], *([] if s.shares_last else [s.b])])  # (n_defects, d)
-    nu_all = ca.reshape(lam_g[: nx * n_defects], nx, n_defects) @ ca.DM(weights) * h / phase.x_scale
+    nu_all = ca.reshape(lam_g[: nx * n_defects], nx, n_defects) @ ca.DM(weights) * h / phase.x.scale
     mu_all = ca.reshape(lam_g[nx * n_defects :], ng, d)
     ys = [multiplied(scipy.sparse.coo_array(place), z) for place in places]
     transposed = scipy.sparse.coo_array(np.hstack([place.T for place in places]))

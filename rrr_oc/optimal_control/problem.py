@@ -10,6 +10,31 @@ from rrr_oc.errors import UserError
 
 
 @dataclass(frozen=True, eq=False)
+class Bounded:
+    """Quantities with bounds along a phase.
+
+    Attributes:
+        names: Their names, for messages (n).
+        lower, upper: Their bounds (n,).
+        scale: Typical magnitudes, by which the solver's variables are scaled (n,).
+    """
+
+    names: tuple[str, ...] = ()
+    lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    scale: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def check(self, where: str, kind: str) -> None:
+        """Raise `UserError` for wrong shapes, crossed bounds and scales that are not above 0; messages begin with `where`."""
+        _check_bounds(where, kind, self.names, self.lower, self.upper)
+        if np.shape(self.scale) != (len(self),) or not np.all(np.asarray(self.scale) > 0):
+            raise UserError(f"{where}{kind} scales must be {len(self)} numbers above 0, got {self.scale}")
+
+
+@dataclass(frozen=True, eq=False)
 class Phase:
     """One phase of motion, whose time starts at 0.
 
@@ -17,14 +42,14 @@ class Phase:
         name: Name for messages.
         rates: casadi Function (x, u, p, d) -> (dx/dt (nx,), cost rates (nc,), path (ng,)): states, controls, the problem's
             parameters and its data.
+        x: The states (nx).
+        u: The controls (nu).
+        start, end: States at both ends (nx,); NaN leaves a state free there.
+        duration: Bounds of the duration [s]; equal bounds fix it.
+        path: What `rates` returns beside rates (ng).
         data: Indices of the problem's data that `rates` takes; None for all.
         costs: For each cost rate, the index of the problem's cost that its integral adds to.
         weight: Factor on the cost rates [1].
-        states, controls, paths: Their names, for messages.
-        x_lower, x_upper (nx,), u_lower, u_upper (nu,), path_lower, path_upper (ng,): Bounds along the phase.
-        start, end: States at both ends (nx,); NaN leaves a state free there.
-        duration: Bounds of the duration [s]; equal bounds fix it.
-        x_scale (nx,), u_scale (nu,): Typical magnitudes, by which the solver's variables are scaled.
         boundary: casadi Function (x, p, d) -> what is 0 at both ends, or None. It takes the data of the phase.
         boundaries: Names of these conditions.
 
@@ -33,20 +58,12 @@ class Phase:
 
     name: str
     rates: ca.Function
-    states: tuple[str, ...]
-    controls: tuple[str, ...]
-    x_lower: np.ndarray
-    x_upper: np.ndarray
-    u_lower: np.ndarray
-    u_upper: np.ndarray
+    x: Bounded
+    u: Bounded
     start: np.ndarray
     end: np.ndarray
     duration: tuple[float, float]
-    x_scale: np.ndarray
-    u_scale: np.ndarray
-    paths: tuple[str, ...] = ()
-    path_lower: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    path_upper: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    path: Bounded = field(default_factory=Bounded)
     data: np.ndarray | None = None
     costs: tuple[int, ...] = (0,)
     weight: float = 1.0
@@ -54,18 +71,15 @@ class Phase:
     boundaries: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        nx, ng, where = len(self.states), len(self.paths), f"phase {self.name!r}: "
-        for kind, names in (("x", self.states), ("u", self.controls), ("path", self.paths)):
-            _check_bounds(where, kind, names, getattr(self, f"{kind}_lower"), getattr(self, f"{kind}_upper"))
+        nx, ng, where = len(self.x), len(self.path), f"phase {self.name!r}: "
+        for kind in ("x", "u", "path"):
+            getattr(self, kind).check(where, kind)
         for name, values in (("start", self.start), ("end", self.end)):
             if np.shape(values) != (nx,):
                 raise UserError(f"{where}{name} has shape {np.shape(values)}, not ({nx},)")
-            for i in np.flatnonzero((values < self.x_lower) | (values > self.x_upper)):
-                outside = f"outside {self.x_lower[i]:g} … {self.x_upper[i]:g}"
-                raise UserError(f"{where}{name} of {self.states[i]} is {values[i]:g}, {outside}")
-        for name, scale, size in (("x_scale", self.x_scale, nx), ("u_scale", self.u_scale, len(self.controls))):
-            if np.shape(scale) != (size,) or not np.all(np.asarray(scale) > 0):
-                raise UserError(f"{where}{name} must be {size} numbers above 0, got {scale}")
+            for i in np.flatnonzero((values < self.x.lower) | (values > self.x.upper)):
+                outside = f"outside {self.x.lower[i]:g} … {self.x.upper[i]:g}"
+                raise UserError(f"{where}{name} of {self.x.names[i]} is {values[i]:g}, {outside}")
         found = tuple(self.rates.numel_out(i) for i in range(self.rates.n_out()))
         if found != (nx, len(self.costs), ng):
             raise UserError(f"{where}rates returns sizes {found}, not (dx/dt {nx}, cost rate {len(self.costs)}, path {ng})")
@@ -158,9 +172,9 @@ class Problem:
             if not 0 <= i < len(self.phases):
                 raise UserError(f"a link names phase {i}; there are {len(self.phases)}, from 0")
             for state in link.states:
-                if not 0 <= state < len(self.phases[i].states):
+                if not 0 <= state < len(self.phases[i].x):
                     raise UserError(
-                        f"a link names state {state} of phase {self.phases[i].name!r}, which has {len(self.phases[i].states)}"
+                        f"a link names state {state} of phase {self.phases[i].name!r}, which has {len(self.phases[i].x)}"
                     )
 
 

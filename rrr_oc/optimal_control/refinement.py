@@ -46,18 +46,15 @@ def mesh_error(solution: Solution) -> MeshError:
         f, cost, path = solution.rates(i, x, u)
         h = solution.transcription.mesh[i] * solution.durations[i]
         defect = np.einsum("xnk,k,n->xn", np.abs(dx - f), weights, h)
-        magnitude = phase.x_scale + np.abs(solution.values[block.nodes]).max(axis=1)
+        magnitude = phase.x.scale + np.abs(solution.values[block.nodes]).max(axis=1)
         coarse = solution.rates(i, solution.values[block.stage_x], solution.controls(i))[1]
         fine = np.einsum("cnk,k,n->cn", cost, weights, h)
         quadrature = np.abs(fine - np.einsum("cdn,d,n->cn", coarse, solution.transcription.scheme.b, h)) * phase.weight / scale
         intervals.append(np.maximum((defect / magnitude[:, None]).max(axis=0), quadrature.max(axis=0)))
         np.add.at(fine_total, list(phase.costs), phase.weight * fine.sum(axis=1))
-        for value, lower, upper, size in (
-            (x, phase.x_lower, phase.x_upper, phase.x_scale),
-            (u, phase.u_lower, phase.u_upper, phase.u_scale),
-            (path, phase.path_lower, phase.path_upper, np.ones(len(phase.paths))),
-        ):
-            excess = np.maximum(lower[:, None, None] - value, value - upper[:, None, None]) / size[:, None, None]
+        for value, of in ((x, phase.x), (u, phase.u), (path, phase.path)):
+            lower, upper, size = (part[:, None, None] for part in (of.lower, of.upper, of.scale))
+            excess = np.maximum(lower - value, value - upper) / size
             violation = max(violation, float(excess.max(initial=0.0)))
             if value is x:
                 excesses.append(excess.max(axis=(0, 2), initial=0.0))
@@ -148,8 +145,8 @@ def _slowed(solution: Solution) -> list[np.ndarray]:
     for phase, block, fractions in zip(
         solution.problem.phases, solution.transcription.blocks, solution.transcription.mesh, strict=True
     ):
-        u, scale = solution.values[block.controls], phase.u_scale[:, None, None]
-        gap = np.minimum(u - phase.u_lower[:, None, None], phase.u_upper[:, None, None] - u) / scale
+        u, scale = solution.values[block.controls], phase.u.scale[:, None, None]
+        gap = np.minimum(u - phase.u.lower[:, None, None], phase.u.upper[:, None, None] - u) / scale
         change = np.where(gap.min(axis=1) < NEAR, gap.max(axis=1), 0.0).max(axis=0)
         result.append(change * fractions**2)
     return result

@@ -72,7 +72,7 @@ class Transcription:
         blocks, n_p, row = [], len(self.problem.parameters), 0
         w, s = n_p, self.scheme
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
-            nx, nu, N = len(phase.states), len(phase.controls), len(fractions)
+            nx, nu, N = len(phase.x), len(phase.u), len(fractions)
             duration, w = w, w + 1
 
             def take(*shape: int) -> np.ndarray:
@@ -121,9 +121,9 @@ class Transcription:
         scale = np.ones(self.size)
         scale[: len(self.problem.parameters)] = self.problem.p_scale
         for phase, block in zip(self.problem.phases, self.blocks, strict=True):
-            scale[block.nodes] = phase.x_scale[:, None]
-            scale[block.stage_x] = phase.x_scale[:, None, None]
-            scale[block.controls] = phase.u_scale[:, None, None]
+            scale[block.nodes] = phase.x.scale[:, None]
+            scale[block.stage_x] = phase.x.scale[:, None, None]
+            scale[block.controls] = phase.u.scale[:, None, None]
         return scale
 
     @cached_property
@@ -134,7 +134,7 @@ class Transcription:
         lower[:n_p], upper[:n_p] = self.problem.p_lower, self.problem.p_upper
         for phase, block in zip(self.problem.phases, self.blocks, strict=True):
             lower[block.duration], upper[block.duration] = phase.duration
-            for side, x, u in ((lower, phase.x_lower, phase.u_lower), (upper, phase.x_upper, phase.u_upper)):
+            for side, x, u in ((lower, phase.x.lower, phase.u.lower), (upper, phase.x.upper, phase.u.upper)):
                 side[block.nodes] = x[:, None]
                 side[block.stage_x] = x[:, None, None]
                 side[block.controls] = u[:, None, None]
@@ -148,8 +148,8 @@ class Transcription:
         """Bounds of the constraints, phase by phase, then the design's, those of the links, of the phases' boundaries, and of the costs."""
         sides = [], []
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
-            first, paths = self._defects(phase), len(phase.paths)
-            for side, bound, none in zip(sides, (phase.path_lower, phase.path_upper), (-np.inf, np.inf), strict=True):
+            first, paths = self._defects(phase), len(phase.path)
+            for side, bound, none in zip(sides, (phase.path.lower, phase.path.upper), (-np.inf, np.inf), strict=True):
                 rows = np.repeat(np.r_[np.zeros(first), np.tile(bound, self.scheme.d)][:, None], len(fractions), axis=1)
                 if self.scheme.shares_first:  # the node's constraint stands once, with the interval before it
                     rows[first : first + paths, 1:] = none
@@ -190,12 +190,12 @@ class Transcription:
             if row < block.rows.stop:
                 interval, local = divmod(row - block.rows.start, self._interval(phase).rows)
                 path = local - self._defects(phase)
-                motion = f"the motion of {phase.states[local % len(phase.states)]}"
-                name = motion if path < 0 else phase.paths[path % len(phase.paths)]
+                motion = f"the motion of {phase.x.names[local % len(phase.x)]}"
+                name = motion if path < 0 else phase.path.names[path % len(phase.path)]
                 return f"{name} at {np.cumsum(fractions)[interval]:.0%} of phase {phase.name!r}"
         phases, links = self.problem.phases, self.problem.links
         ends = [
-            f"{phases[link.before].states[i]} from {phases[link.before].name!r} to {phases[link.after].name!r}"
+            f"{phases[link.before].x.names[i]} from {phases[link.before].name!r} to {phases[link.after].name!r}"
             for link in links
             for i in link.states
         ]
@@ -209,11 +209,11 @@ class Transcription:
         found = []
         for phase, block, fractions in zip(self.problem.phases, self.blocks, self.mesh, strict=True):
             rows = np.arange(block.rows.start, block.rows.stop).reshape(len(fractions), -1)[:, self._defects(phase) :]
-            found += [(name, rows[:, i :: len(phase.paths)].ravel()) for i, name in enumerate(phase.paths)]
+            found += [(name, rows[:, i :: len(phase.path)].ravel()) for i, name in enumerate(phase.path.names)]
         return found
 
     def _defects(self, phase: Phase) -> int:
-        return len(phase.states) * self.scheme.defects
+        return len(phase.x) * self.scheme.defects
 
     def _interval(self, phase: Phase) -> Interval:
         d = self.problem.data.size if phase.data is None else len(phase.data)

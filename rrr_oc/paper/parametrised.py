@@ -164,7 +164,7 @@ class RestrictedDesign:
                     rows += [value[j] / scale[j] + narrowed, -value[j] / scale[j] + narrowed]
                     highest += [upper[j] / scale[j], -lower[j] / scale[j]]
         flat = ca.vec(values)
-        low, high = (np.tile(b, count) for b in (phase.path_lower, phase.path_upper))
+        low, high = (np.tile(b, count) for b in (phase.path.lower, phase.path.upper))
         above, below = np.flatnonzero(np.isfinite(high)).tolist(), np.flatnonzero(np.isfinite(low)).tolist()
         rows += [flat[k] for k in above] + [-flat[k] for k in below]
         return cost, ca.vertcat(*rows), np.concatenate([highest, high[above], -low[below]])

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from phases import changed, unbounded
 from scipy.sparse import csc_array
 from test_design_problem import TASK, design_of, solved, trapezoid
 
@@ -129,9 +130,9 @@ def limits_moved(row: int, kind: str, unit: float) -> Callable[[float], Callable
         def move(p: Problem) -> Problem:
             phases = []
             for phase in p.phases:
-                step = h * unit * np.eye(len(phase.states if kind == "x" else phase.controls))[row]
-                upper = {f"{kind}_upper": getattr(phase, f"{kind}_upper") + step}
-                phases.append(replace(phase, **upper, **({"u_lower": phase.u_lower - step} if kind == "u" else {})))
+                step = h * unit * np.eye(len(getattr(phase, kind)))[row]
+                upper = {f"{kind}_upper": getattr(phase, kind).upper + step}
+                phases.append(changed(phase, **upper, **({"u_lower": phase.u.lower - step} if kind == "u" else {})))
             return replace(p, phases=tuple(phases))
 
         return move
@@ -218,21 +219,14 @@ def test_how_often_an_optimum_was_reached_is_said():
 def valley(potential: Callable, lower: float = -2.0, upper: float = 2.0, place: float = 1.0) -> Problem:
     """min over p of ∫ (V(p) + u² + c x²) dt with x' = u from 0 to 0 in 1 s: at a stationary p the motion is x = u = 0."""
     x, u, p, d = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p"), ca.SX.sym("d", 0)
-    far = np.full(1, np.inf)
     phase = Phase(
         name="motion",
         rates=ca.Function("rates", [x, u, p, d], [u, potential(p) + u**2 + place * x**2, ca.SX(0, 1)]),
-        states=("place",),
-        controls=("push",),
-        x_lower=-far,
-        x_upper=far,
-        u_lower=-far,
-        u_upper=far,
+        x=unbounded(("place",)),
+        u=unbounded(("push",)),
         start=np.zeros(1),
         end=np.zeros(1),
         duration=(1.0, 1.0),
-        x_scale=np.ones(1),
-        u_scale=np.ones(1),
     )
     return Problem((phase,), ("p",), np.full(1, lower), np.full(1, upper), np.ones(1))
 
@@ -334,21 +328,14 @@ def oscillator() -> tuple[Problem, Guess]:
     """Rayleigh's, from (−5, −5), free at its end after 2.5."""
     x, u, p, d = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("d", 0)
     rates = ca.vertcat(x[1], -x[0] + x[1] * (1.4 - 0.14 * x[1] ** 2) + 4 * u)
-    far, far1 = np.full(2, np.inf), np.full(1, np.inf)
     phase = Phase(
         name="motion",
         rates=ca.Function("rates", [x, u, p, d], [rates, ca.sumsqr(x[0]) + u**2, ca.SX(0, 1)]),
-        states=("place", "speed"),
-        controls=("push",),
-        x_lower=-far,
-        x_upper=far,
-        u_lower=-far1,
-        u_upper=far1,
+        x=unbounded(("place", "speed")),
+        u=unbounded(("push",)),
         start=np.full(2, -5.0),
         end=np.full(2, np.nan),
         duration=(2.5, 2.5),
-        x_scale=np.ones(2),
-        u_scale=np.ones(1),
     )
     still = PhaseGuess(2.5, lambda s: -5 + 0 * np.vstack([s, s]), lambda s: np.zeros((1, len(s))))
     return Problem((phase,)), Guess((still,), np.zeros(0))

@@ -203,7 +203,7 @@ def test_limits_and_ends_are_kept(optima, name):
     _, solution = optima[name]
     for i, (block, phase) in enumerate(zip(solution.transcription.blocks, solution.problem.phases, strict=True)):
         x, u = solution.values[block.stage_x], solution.controls(i)
-        for value, low, high in ((x, phase.x_lower, phase.x_upper), (u, phase.u_lower, phase.u_upper)):
+        for value, low, high in ((x, phase.x.lower, phase.x.upper), (u, phase.u.lower, phase.u.upper)):
             flat = value.reshape(len(value), -1)
             assert np.all(flat >= low[:, None] - 1e-6)
             assert np.all(flat <= high[:, None] + 1e-6)
@@ -422,5 +422,5 @@ def test_without_speed_and_acceleration_limits_it_still_solves(tmp_path):
     content |= {"robot": "arm.urdf", "limits": {"joint2": content["limits"]["joint2"], "joint3": {"range_deg": [-180, 0]}}}
     (tmp_path / "task.json").write_text(json.dumps(content))
     design = CoDesign(load_task(tmp_path / "task.json"), ())
-    assert np.all(np.isfinite(design.problem.phases[0].u_scale))
+    assert np.all(np.isfinite(design.problem.phases[0].u.scale))
     assert solved(design, 12).cost < 564  # less limited than the paper's SA, 563.2

@@ -6,9 +6,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from phases import changed, unbounded
 from scipy.integrate import solve_ivp
 
-from rrr_oc.optimal_control.problem import Guess, Link, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Bounded, Guess, Link, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import MeshError, Refinement, mesh_error, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure, solve
@@ -24,24 +25,12 @@ def phase(law, start, end, duration, data: int = 0, parameters: int = 0, **bound
     nx = len(start)
     x, u, p, d = ca.SX.sym("x", nx), ca.SX.sym("u"), ca.SX.sym("p", parameters), ca.SX.sym("d", data)
     dx, cost, paths = law(x, u, p, d)
-    free: dict[str, Any] = {
-        "x_lower": np.full(nx, -np.inf),
-        "x_upper": np.full(nx, np.inf),
-        "u_lower": np.full(1, -np.inf),
-        "u_upper": np.full(1, np.inf),
-    }
-    return Phase(
-        name="motion",
-        rates=ca.Function("rates", [x, u, p, d], [ca.vertcat(*dx), cost, ca.vertcat(*paths)]),
-        states=("place", "speed", "third")[:nx],
-        controls=("push",),
-        start=np.array(start, float),
-        end=np.array(end, float),
-        duration=duration,
-        x_scale=np.ones(nx),
-        u_scale=np.ones(1),
-        **(free | bounds),
-    )
+    rates = ca.Function("rates", [x, u, p, d], [ca.vertcat(*dx), cost, ca.vertcat(*paths)])
+    of_path = {key: bounds.pop(key) for key in list(bounds) if key.startswith("path")}
+    path = Bounded(of_path["paths"], of_path["path_lower"], of_path["path_upper"], np.ones(len(paths))) if paths else Bounded()
+    states = unbounded(("place", "speed", "third")[:nx])
+    free = Phase("motion", rates, states, unbounded(("push",)), np.array(start, float), np.array(end, float), duration, path)
+    return changed(free, **bounds)
 
 
 def guess(ph: Phase, duration: float, parameters=()) -> Guess:
@@ -286,7 +275,7 @@ def test_an_unfinished_solve_raises_or_is_handed_out():
 def test_a_warm_start_takes_fewer_iterations():
     ph = rayleigh()[0].phases[0]
     problem = replace(
-        rayleigh()[0], phases=(replace(ph, u_lower=np.full(1, -1.0), u_upper=np.full(1, 1.0)),)
+        rayleigh()[0], phases=(changed(ph, u_lower=np.full(1, -1.0), u_upper=np.full(1, 1.0)),)
     )  # bounds that bind
     solver = Solver(Transcription(problem, scheme(), uniform_mesh(problem, 20)))
     cold = solver.solve(guess(ph, 2.5))

@@ -7,10 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from phases import changed
 from scipy.interpolate import BPoly
 
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.problem import Guess, Link, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Bounded, Guess, Link, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import solve
@@ -112,25 +113,21 @@ def phase(name: str, nx: int, nu: int, ng: int, seed: int, **changes) -> Phase:
     x, u, p, d = ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", 2), ca.SX.sym("d", 1)
     a, b, c = (ca.DM(m) @ ca.vertcat(x, u, p, d) for m in mix)
     y = ca.sin(a) + 0.3 * b * c + 0.1 * b**3
+
+    def named(kind: str, count: int) -> tuple[str, ...]:
+        return tuple(f"{name} {kind}{i}" for i in range(count))
+
     values: dict[str, Any] = {
         "name": name,
         "rates": ca.Function("rates", [x, u, p, d], [y[:nx], y[nx], y[nx + 1 :]]),
-        "states": tuple(f"{name} x{i}" for i in range(nx)),
-        "controls": tuple(f"{name} u{i}" for i in range(nu)),
-        "x_lower": np.full(nx, -3.0),
-        "x_upper": np.full(nx, 4.0),
-        "u_lower": np.full(nu, -5.0),
-        "u_upper": np.full(nu, 6.0),
+        "x": Bounded(named("x", nx), np.full(nx, -3.0), np.full(nx, 4.0), np.linspace(0.5, 2.0, nx)),
+        "u": Bounded(named("u", nu), np.full(nu, -5.0), np.full(nu, 6.0), np.linspace(3.0, 4.0, nu)),
+        "path": Bounded(named("g", ng), np.full(ng, -1.0), np.linspace(1.0, 2.0, ng), np.ones(ng)),
         "start": np.r_[0.5, np.full(nx - 1, np.nan)],
         "end": np.r_[np.full(nx - 1, np.nan), -0.5],
         "duration": (0.5, 2.0),
-        "x_scale": np.linspace(0.5, 2.0, nx),
-        "u_scale": np.linspace(3.0, 4.0, nu),
-        "paths": tuple(f"{name} g{i}" for i in range(ng)),
-        "path_lower": np.full(ng, -1.0),
-        "path_upper": np.linspace(1.0, 2.0, ng),
     }
-    return Phase(**(values | changes))
+    return changed(Phase(**values), **changes)
 
 
 @pytest.fixture(scope="module")
@@ -191,16 +188,16 @@ def test_program_is_what_a_plain_loop_says(problem, method):
                 if method.c[i] == 0:
                     np.testing.assert_array_equal(x, x0)
                     continue
-                rows.append((x - x0 - h * sum(a * r[0] for a, r in zip(method.A[i], rates, strict=True))) / ph.x_scale)
+                rows.append((x - x0 - h * sum(a * r[0] for a, r in zip(method.A[i], rates, strict=True))) / ph.x.scale)
                 assert method.c[i] < 1 or np.array_equal(x, x1)
             if method.c[-1] < 1:
-                rows.append((x1 - x0 - h * sum(b * r[0] for b, r in zip(method.b, rates, strict=True))) / ph.x_scale)
+                rows.append((x1 - x0 - h * sum(b * r[0] for b, r in zip(method.b, rates, strict=True))) / ph.x.scale)
             rows += [r[2] for r in rates]
     rows.append(np.array([p[0] * p[1] ** 2 - 0.9, np.exp(p[0]) - 3, p[0] - p[1]]))
     go, back = (value[block.nodes] for block in t.blocks)
     rows += [
-        (go[:2, -1] - back[:2, 0]) / problem.phases[0].x_scale,
-        (back[1:2, -1] - go[1:2, 0]) / problem.phases[1].x_scale[1:2],
+        (go[:2, -1] - back[:2, 0]) / problem.phases[0].x.scale,
+        (back[1:2, -1] - go[1:2, 0]) / problem.phases[1].x.scale[1:2],
     ]
     f, g = t.functions["nlp"](w, d)
     assert float(f) == pytest.approx(cost / problem.cost_scale, rel=1e-12)  # rounding of some hundred additions
@@ -327,7 +324,7 @@ def test_row_names_are_found_by_disturbing_rows(problem, method):
     assert names[-3:] == ["go x0 from 'go' to 'back'", "go x1 from 'go' to 'back'", "back x1 from 'back' to 'go'"]
     np.testing.assert_array_equal(np.array(t.row_bounds)[:, -6:], [[-np.inf] * 3 + [0] * 3, [0] * 6])
     for index, ph in enumerate(problem.phases):
-        for output, words in ((0, [f"the motion of {s} " for s in ph.states]), (2, [f"{g} " for g in ph.paths])):
+        for output, words in ((0, [f"the motion of {s} " for s in ph.x.names]), (2, [f"{g} " for g in ph.path.names])):
             for row, name in enumerate(words):
                 moved = np.array(Transcription(shifted(index, output, row), method, MESH).functions["nlp"](w, d)[1]).ravel()
                 expected = [n.startswith(name) and n.endswith(f"of phase {ph.name!r}") for n in names]
@@ -342,7 +339,7 @@ def test_path_constraints_stand_once_at_every_point(problem, method):
     for ph, fractions in zip(problem.phases, MESH, strict=True):
         N = len(fractions)
         points = method.d * N - (N - 1 if method.c[0] == 0 else 0)
-        for name, low, high in zip(ph.paths, ph.path_lower, ph.path_upper, strict=True):
+        for name, low, high in zip(ph.path.names, ph.path.lower, ph.path.upper, strict=True):
             rows = np.array([r for r in range(lower.size) if t.row_name(r).startswith(name)])
             bounded = rows[np.isfinite(lower[rows])]
             assert bounded.size == points
@@ -368,6 +365,7 @@ def test_uniform_mesh(problem):
         ({"u_upper": np.array([-6.0])}, "bounds of go u0 are crossed"),
         ({"path_lower": np.array([9.0])}, "bounds of go g0 are crossed"),
         ({"u_lower": np.zeros(2)}, r"u bounds have shapes \(2,\), \(1,\), not \(1,\)"),
+        ({"x_scale": np.zeros(2)}, "x scales must be 2 numbers above 0"),
         ({"duration": (2.0, 1.0)}, "durations"),
         ({"duration": (0.0, 1.0)}, "durations"),
         ({"duration": (1.0, np.inf)}, "durations"),
@@ -399,9 +397,9 @@ def test_the_greatest_of_a_group_is_minimised_and_groups_are_added(groups, speed
     x, u, p, d = (ca.SX.sym(name, size) for name, size in (("x", 1), ("u", 1), ("p", 0), ("d", 0)))
     rates = ca.Function("rates", [x, u, p, d], [u, ca.vertcat((u - 1) ** 2, (u + 1) ** 2 / 4), ca.SX(0, 1)])
     free, one = np.array([np.nan]), np.ones(1)
-    bounds = {"x_lower": -9 * one, "x_upper": 9 * one, "u_lower": -9 * one, "u_upper": 9 * one, "x_scale": one, "u_scale": one}
+    x, u = (Bounded((name,), -9 * one, 9 * one, one) for name in "xu")
     ends = {"start": np.zeros(1), "end": free, "duration": (1.0, 1.0), "costs": (0, 1)}
-    only = Phase(name="go", rates=rates, states=("x",), controls=("u",), **bounds, **ends)
+    only = Phase(name="go", rates=rates, x=x, u=u, **ends)
     guess = Guess((PhaseGuess(1.0, lambda s: np.zeros((1, s.size)), lambda s: np.zeros((1, s.size))),), np.zeros(0))
     found = solve(Problem((only,), groups=groups), guess, intervals=4)
     assert found.cost == pytest.approx(cost, rel=1e-6)

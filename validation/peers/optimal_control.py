@@ -76,7 +76,7 @@ class Known:
         """(x, u) -> (dx/dt, cost rate) of each phase, with the problem's data in it."""
         found = []
         for phase in self.problem.phases:
-            x, u = ca.SX.sym("x", len(phase.states)), ca.SX.sym("u", len(phase.controls))
+            x, u = ca.SX.sym("x", len(phase.x)), ca.SX.sym("u", len(phase.u))
             data = self.problem.data if phase.data is None else self.problem.data[phase.data]
             found.append(ca.Function("law", [x, u], list(phase.rates.call([x, u, ca.SX(0, 1), data])[:2])))
         return tuple(found)
@@ -140,7 +140,7 @@ def stiff() -> Known:
 
 
 def _line(phase: Phase) -> PhaseGuess:
-    start, end, nu = phase.start, phase.end, len(phase.controls)
+    start, end, nu = phase.start, phase.end, len(phase.u)
     return PhaseGuess(FIRST, lambda s: start[:, None] + (end - start)[:, None] * s, lambda s: np.zeros((nu, len(s))))
 
 
@@ -219,7 +219,7 @@ def opti(method: str) -> Callable[[Known, int], Solved]:
 
 
 def _by_hand(model: Any, phase: Phase, guess: PhaseGuess, law: ca.Function, s: np.ndarray, method: str) -> Any:
-    nx, nu, n = len(phase.states), len(phase.controls), len(s) - 1
+    nx, nu, n = len(phase.x), len(phase.u), len(s) - 1
     x, u = model.variable(nx, n + 1), model.variable(nu, n + 1)
     fixed = phase.duration[0] == phase.duration[1]
     T = phase.duration[0] if fixed else model.variable()
@@ -228,8 +228,8 @@ def _by_hand(model: Any, phase: Phase, guess: PhaseGuess, law: ca.Function, s: n
         model.set_initial(T, guess.duration)
     model.set_initial(x, guess.states(s))
     model.set_initial(u, guess.controls(s))
-    _bound(model, x, phase.x_lower, phase.x_upper)
-    _bound(model, u, phase.u_lower, phase.u_upper)
+    _bound(model, x, phase.x.lower, phase.x.upper)
+    _bound(model, u, phase.u.lower, phase.u.upper)
     for at, values in ((0, phase.start), (n, phase.end)):
         for i in np.flatnonzero(np.isfinite(values)).tolist():
             model.subject_to(x[i, at] == values[i])
@@ -241,7 +241,7 @@ def _by_hand(model: Any, phase: Phase, guess: PhaseGuess, law: ca.Function, s: n
         return h / 2 * ca.sum2(g[:, :-1] + g[:, 1:])
     middle = model.variable(nu, n)
     model.set_initial(middle, guess.controls((s[:-1] + s[1:]) / 2))
-    _bound(model, middle, phase.u_lower, phase.u_upper)
+    _bound(model, middle, phase.u.lower, phase.u.upper)
     f_middle, g_middle = law.map(n)((first[0] + last[0]) / 2 + h / 8 * (first[1] - last[1]), middle)
     model.subject_to(ca.vec(last[0] - first[0] - h / 6 * (first[1] + 4 * f_middle + last[1])) == 0)
     return h / 6 * ca.sum2(g[:, :-1] + 4 * g_middle + g[:, 1:])
@@ -279,20 +279,20 @@ def _dymos_phase(phase: Phase, guess: PhaseGuess, law: ca.Function, intervals: i
     import openmdao.api as om
 
     began = processor_time()
-    nx, nu = len(phase.states), len(phase.controls)
+    nx, nu = len(phase.x), len(phase.u)
     # dymos makes the component itself, with the number of nodes
     system = _component(om.ExplicitComponent, law, nx, nu)
     made = dm.Phase(ode_class=system, transcription=dm.GaussLobatto(num_segments=intervals, order=order, compressed=True))
     fixed = phase.duration[0] == phase.duration[1]
     made.set_time_options(fix_initial=True, **({"fix_duration": True} if fixed else {"duration_bounds": phase.duration}))
     for i in range(nx):
-        bounds = {k: float(v[i]) for k, v in (("lower", phase.x_lower), ("upper", phase.x_upper)) if np.isfinite(v[i])}
+        bounds = {k: float(v[i]) for k, v in (("lower", phase.x.lower), ("upper", phase.x.upper)) if np.isfinite(v[i])}
         ends = {"fix_initial": True, "fix_final": bool(np.isfinite(phase.end[i]))}
         made.add_state(f"x{i}", rate_source=f"dx{i}", targets=[f"x{i}"], **ends, **bounds)
     if not least_time:
         made.add_state("cost", rate_source="rate", fix_initial=True)
     for i in range(nu):
-        bounds = {k: float(v[i]) for k, v in (("lower", phase.u_lower), ("upper", phase.u_upper)) if np.isfinite(v[i])}
+        bounds = {k: float(v[i]) for k, v in (("lower", phase.u.lower), ("upper", phase.u.upper)) if np.isfinite(v[i])}
         made.add_control(f"u{i}", targets=[f"u{i}"], continuity=True, rate_continuity=False, **bounds)
     made.add_objective("time" if least_time else "cost", loc="final")
     problem = om.Problem(reports=False)
@@ -367,8 +367,8 @@ def _opty_phase(phase: Phase, guess: PhaseGuess, law: Any, intervals: int, least
 
     began = processor_time()
     t, h, nodes = sm.Symbol("t"), sm.Symbol("h"), intervals + 1
-    x = [sm.Function(f"x{i}")(t) for i in range(len(phase.states))]
-    u = [sm.Function(f"u{i}")(t) for i in range(len(phase.controls))]
+    x = [sm.Function(f"x{i}")(t) for i in range(len(phase.x))]
+    u = [sm.Function(f"u{i}")(t) for i in range(len(phase.u))]
     rates, rate = law(x, u)
     equations = sm.Matrix([s.diff(t) - r for s, r in zip(x, rates, strict=True)])
     fixed = phase.duration[0] == phase.duration[1]
@@ -377,8 +377,8 @@ def _opty_phase(phase: Phase, guess: PhaseGuess, law: Any, intervals: int, least
     goal, slope = create_objective_function(total, x, u, free, nodes, 1.0, "midpoint", time_symbol=t)
     ends = [s.func(0 * step) - v for s, v in zip(x, phase.start, strict=True) if np.isfinite(v)]
     ends += [s.func(intervals * step) - v for s, v in zip(x, phase.end, strict=True) if np.isfinite(v)]
-    bounds = {s: (a, b) for s, a, b in zip(x, phase.x_lower, phase.x_upper, strict=True) if np.isfinite([a, b]).any()}
-    bounds |= {s: (a, b) for s, a, b in zip(u, phase.u_lower, phase.u_upper, strict=True) if np.isfinite([a, b]).any()}
+    bounds = {s: (a, b) for s, a, b in zip(x, phase.x.lower, phase.x.upper, strict=True) if np.isfinite([a, b]).any()}
+    bounds |= {s: (a, b) for s, a, b in zip(u, phase.u.lower, phase.u.upper, strict=True) if np.isfinite([a, b]).any()}
     if not fixed:
         bounds[h] = (phase.duration[0] / intervals, phase.duration[1] / intervals)
     problem: Any = Collocated(

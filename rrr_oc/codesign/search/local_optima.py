@@ -75,7 +75,7 @@ def same_optimum(a: Solution, b: Solution) -> bool:
     if not _same_springs(a, b):
         return False
     s = np.linspace(0, 1, 41)
-    m = len(a.problem.phases[0].controls)  # the first states are the angles
+    m = len(a.problem.phases[0].u)  # the first states are the angles
     return all(np.abs(a.at(i, s)[0][:m] - b.at(i, s)[0][:m]).max() < 0.03 for i in range(len(a.durations)))
 
 
