@@ -318,11 +318,6 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         """Whether there are springs and none of them does anything in any task."""
         return bool(self.mounted) and all(set(moved.idle) == set(self.mounted) for moved in self.tasks.values())
 
-    @property
-    def transferred(self) -> bool:
-        """Whether the motions were tracked in a calibrated model."""
-        return all(moved.calibrated is not None for moved in self.tasks.values())
-
 
 class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a joint; null where there is none.
