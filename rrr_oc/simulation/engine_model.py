@@ -27,6 +27,7 @@ Start = Literal["continue", "reference"]
 
 K_P = 572.96  # Nm/rad, the prototype's P-controllers: 10 Nm a degree
 LEAST_ARMATURE = 0.01  # of the link's inertia, of a drive before an elastic gear; with less, the twist is too fast for the step
+STIFFEST = 500.0  # [rad/s] of a joint under its controller; RK4 at 1 ms follows it down to a third of the inertia, doubled to 0.6 of it
 INERTIA_FLOOR = 1e-12  # kg m²; MuJoCo refuses a body without rotational inertia, so a point mass gets this much
 
 if mujoco.get_mju_user_warning() is None:  # else MuJoCo writes MUJOCO_LOG.TXT into the working directory, from every thread
@@ -94,17 +95,21 @@ class Controller:
         return np.clip(torque, -self.limit[:, None], self.limit[:, None])
 
 
-def controller(model: Model, k_p: float | np.ndarray = K_P, damping_ratio: float = 1.0) -> Controller:
+def controller(model: Model, k_p: float | np.ndarray | None = None, damping_ratio: float = 1.0) -> Controller:
     """The paper's P-controllers with a derivative gain, limited to the robot's efforts.
 
     The paper's gain k_p acts on an arm that its gears damp (the authors' calibrated joints have 40 and 23 Nm s/rad). Without
     friction and with k_p alone every disturbance would oscillate undamped, so k_d = 2 ζ sqrt(k_p I) replaces the gears'
     damping; it acts on the error of speed and costs no torque on the reference. I is each joint's inertia at q = 0 with the
     other joints free and no payload (`RigidBody.free_inertia`), so that no joint is stiffer than the step can follow.
+
+    Args:
+        k_p: [Nm/rad], scalar or (n,); None: the paper's, or less where a joint's inertia is so small that it would swing faster than
+            `STIFFEST`.
     """
     n = model.robot.n
-    gain = np.broadcast_to(np.asarray(k_p, float), (n,)).copy()
     inertia = model.body.free_inertia(model.robot.inertial)
+    gain = np.minimum(K_P, STIFFEST**2 * inertia) if k_p is None else np.broadcast_to(np.asarray(k_p, float), (n,)).copy()
     return Controller(gain, 2 * damping_ratio * np.sqrt(gain * inertia), model.robot.effort.copy())
 
 

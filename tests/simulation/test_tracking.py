@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from chains import arm, link
 from mujoco import rollout
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
@@ -21,7 +22,7 @@ from rrr_oc.model import metrics
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
 from rrr_oc.simulation import generated_c as native
-from rrr_oc.simulation.engine_model import Controller, Settings, controller, twin
+from rrr_oc.simulation.engine_model import K_P, Controller, Settings, controller, twin
 from rrr_oc.simulation.tracking import Reference, track
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -462,6 +463,23 @@ def test_torque_limits():
     result = track(model, reference(model, theta), theta, control)
     assert result.saturated.tolist() == [False, True, True]
     assert all(np.all(np.abs(p.tau_motor) <= control.limit[:, None]) for p in result.phases)
+
+
+def test_a_gripper_of_a_few_grams_is_held(tmp_path):
+    """The prototype's gain on a link of 5 g would swing at 10^4 rad/s, which no step of 1 ms follows."""
+    light = link("l3", 0.005, (1e-6, 1e-6, 1e-6), xyz="0.01 0 0")
+    text = arm(3).replace(link("l3"), light)
+    assert text != arm(3)
+    (tmp_path / "arm.urdf").write_text(text)
+    robot = load_robot(tmp_path / "arm.urdf")
+    model, t = Model(robot, robot.tool), np.linspace(0, 1, 11)
+    pose, still = np.array([[0.3], [-0.5], [0.4]]) + np.zeros((3, 11)), np.zeros((3, 11))
+    hold = np.asarray(model.inverse(pose, still, still, 0, [], [])[0])
+    result = track(model, [Reference(t, pose, still, still, 0 * t, name="hold", feed_forward=hold)])
+    assert result.tracking_error < 1e-6  # at rest under the torques that hold it; rounding grows where it diverges
+    assert result.control.k_p[0] == K_P
+    assert result.control.k_p[2] < K_P
+    assert np.all(np.sqrt(result.control.k_p / model.body.free_inertia(robot.inertial)) <= 500 * (1 + 1e-12))
 
 
 @pytest.mark.parametrize(("damping_ratio", "rings"), [(0.0, True), (1.0, False)])
