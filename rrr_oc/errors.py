@@ -24,6 +24,8 @@ STATUSES = {
 # Characters that move a terminal's cursor, colour or hide what follows, or turn the direction of writing; lines and tabs are none
 _CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 
+_ENDLESS = re.compile(r"\S{1000,}")  # longer than the paths that there are
+
 
 def printable(text: str) -> str:
     """A text for a terminal: control characters, as names in files may have them, as \\u and their code."""
@@ -31,7 +33,13 @@ def printable(text: str) -> str:
 
 
 class UserError(Exception):
-    """Input that cannot be used: says what was found and what is allowed. The command line exits with status 2."""
+    """Input that cannot be used: says what was found and what is allowed. The command line exits with status 2.
+
+    Words beyond any name or path, as damaged files have them, are told without their middle.
+    """
+
+    def __init__(self, said: str) -> None:
+        super().__init__(_ENDLESS.sub(lambda word: f"{word[0][:100]}…{word[0][-50:]}", str(said)))
 
 
 def entry_point(command: Callable[[], Any]) -> Callable[[], None]:

@@ -109,3 +109,13 @@ def test_files_and_presets(tmp_path):
     path.write_bytes(b'{"one": "\xff"}')
     with pytest.raises(UserError, match="byte 0xff; text in UTF-8"):
         read_json(path, Outer)
+
+
+def test_a_word_without_end_is_told_without_its_middle():
+    """A sentence stays one that people read, whatever a damaged file holds; paths, which may be long, are told in full."""
+    said = str(UserError(f"found {'ä' * 5000}; a number is required"))
+    assert len(said) < 250
+    assert said.startswith("found ää")
+    assert said.endswith("ä; a number is required")
+    path = "/".join(["folder"] * 100)
+    assert str(UserError(f"{path}: cannot be read")) == f"{path}: cannot be read"

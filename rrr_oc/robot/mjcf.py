@@ -8,6 +8,7 @@ ties to others. A joint that is no hinge keeps MuJoCo's word for its type."""
 # (mujoco's wheel has no stubs)
 
 import itertools
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -65,7 +66,22 @@ def compiled(path: Path) -> mujoco.MjModel:
         _drop_looks(spec)
         return spec.compile()
     except (ValueError, FileNotFoundError) as error:
-        raise UserError(f"{path}: MuJoCo refuses it: {str(error).strip()}") from None
+        raise UserError(f"{path}: {_not_xml(path) or f'MuJoCo refuses it: {refusal(error)}'}") from None
+
+
+def _not_xml(path: Path) -> str | None:
+    """Why a file is no XML, which MuJoCo tells by a number; None where it is."""
+    try:
+        ElementTree.parse(path)
+    except (ElementTree.ParseError, OSError, LookupError, ValueError) as error:
+        return f"not well-formed XML: {error}"
+    return None
+
+
+def refusal(error: Exception) -> str:
+    """What MuJoCo says of a model, of one or two lines, as a part of a sentence."""
+    lines = [re.sub(r"\b(XML )?Error: ", "", line).strip() for line in str(error).splitlines()]
+    return ", ".join(line for line in lines if line)
 
 
 def _drop_looks(spec: mujoco.MjSpec) -> None:

@@ -61,7 +61,7 @@ class Robot:
         axes: Joint axes in the joints' frames, unit length, shape (n, 3).
         inertial: Dynamic parameters of the links in the joints' frames, shape (10, n): mass [kg], first moment [kg m] (3),
             rotational inertia about the frame's origin xx, xy, yy, xz, yz, zz [kg m²] (Pinocchio's order).
-        lower, upper: Joint ranges [rad], shape (n,).
+        lower, upper: Joint ranges [rad], infinite where the file says none or one angle alone, shape (n,).
         velocity: Speed limits [rad/s], shape (n,).
         effort: Torque limits [Nm], infinite where the file says none or 0, shape (n,).
         tool: Origin of the last link's tool frame: a link fixed to it with a usual name such as tool0, else the last link fixed
@@ -159,7 +159,7 @@ def load_robot(
         _check_masses(name, model, masses)
         _check_inertial(name, model, parameters)
     frames = {f.name: (f.parentJoint - 1, f.placement.homogeneous) for f in model.frames if f.type == pin.FrameType.BODY}
-    last = model.njoints - 2
+    last, ranges = model.njoints - 2, model.lowerPositionLimit < model.upperPositionLimit
     robot = Robot(
         name=name,
         joints=tuple(model.names)[1:],
@@ -167,8 +167,8 @@ def load_robot(
         placements=np.array([model.jointPlacements[i].homogeneous for i in range(1, model.njoints)]),
         axes=np.array([_axis(model.joints[i]) for i in range(1, model.njoints)]),
         inertial=parameters,
-        lower=_with_infinities(model.lowerPositionLimit),
-        upper=_with_infinities(model.upperPositionLimit),
+        lower=np.where(ranges, _with_infinities(model.lowerPositionLimit), -np.inf),
+        upper=np.where(ranges, _with_infinities(model.upperPositionLimit), np.inf),
         velocity=_with_infinities(model.upperVelocityLimit),
         effort=np.where(model.upperEffortLimit > 0, _with_infinities(model.upperEffortLimit), np.inf),
         tool=ToolPoint(last, frames[_tool_link(frames, last)][1][:3, 3]),
@@ -328,8 +328,9 @@ def _parse(name: str, elements: Elements, joints: Sequence[str] | None) -> pin.M
         kind = joint.get("type")
         turns, mimic, tied = kind in ("fixed", *TURNS), joint.find("mimic"), joint.find("tied")
         if not turns:
+            found = "has no type" if kind is None else f"is {kind}"
             raise UserError(
-                f"robot {name!r}: joint {joint.get('name')!r} is {kind}; allowed are revolute, continuous and fixed"
+                f"robot {name!r}: joint {joint.get('name')!r} {found}; allowed are revolute, continuous and fixed"
                 f"{'' if joints else ', and any type of joints that are not listed'}"
             )
         if mimic is not None or tied is not None:

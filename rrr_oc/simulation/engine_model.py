@@ -17,6 +17,7 @@ from rrr_oc.effects import Body, BodyChange, ExportTwin, MovesLink, NativeTwin
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
+from rrr_oc.robot.mjcf import refusal
 from rrr_oc.robot.robot import Robot, ToolPoint
 from rrr_oc.simulation import generated_c
 from rrr_oc.simulation.generated_c import PAYLOAD, EffectLibrary
@@ -198,7 +199,7 @@ def twin(
     try:
         mj = _compiled(spec, robot)
     except ValueError as error:
-        raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {str(error).strip()}") from None
+        raise UserError(f"MuJoCo refuses robot {model.robot.name!r}: {refusal(error)}") from None
     engine = Twin(model, theta, widths, mj, library, body.payload)
     engine.set_payload(0.0)
     return engine

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from chains import random_chain
+from chains import arm, random_chain
 
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.errors import UserError
@@ -300,6 +300,14 @@ def test_any_number_of_joints(joints, tmp_path):
     result = excite(everything(rig), replace(QUICK, starts=1, draws=4, iterations=15))
     assert result.solved.min() < result.drawn.min()
     assert max(rig.excess(result.motion.q, result.motion.dq, result.motion.ddq).values()) <= 0
+
+
+def test_joints_without_a_range_move(tmp_path):
+    """Files with the range 0 to 0 give none; taken at their word no joint would move."""
+    (tmp_path / "arm.urdf").write_text(arm(2).replace('lower="-2" upper="2"', 'lower="0" upper="0"'))
+    robot = load_robot(tmp_path / "arm.urdf")
+    limits = robot_limits(robot, acceleration=5.0)
+    assert limits.moving.tolist() == [0, 1]
 
 
 def test_same_seed_same_motion(rig, found):

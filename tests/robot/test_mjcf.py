@@ -155,6 +155,25 @@ def test_what_is_no_arm_is_named(tmp_path, change, told):
     assert told in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            (' pos="0.01 0.02 0.2"', ' pos="0.01"'),
+            "refuses it: attribute 'pos' does not have enough data, Element 'inertial', line 12",
+        ),
+        (("  </worldbody>", ""), "not well-formed XML: mismatched tag: line 31"),
+        (('"gone.stl"/>', '"gone.stl">'), "not well-formed XML: mismatched tag: line 4"),
+    ],
+)
+def test_what_mujoco_says_is_told_in_one_line(tmp_path, change, told):
+    assert change[0] in ARM
+    with pytest.raises(UserError) as error:
+        load_robot(_written(tmp_path, ARM.replace(*change)))
+    assert told in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
 def test_a_gripper_is_held_still_where_its_joints_are_not_listed(tmp_path):
     joints = ("shoulder", "elbow", "wrist")
     text = ARM.replace(TIP, FINGERS).replace("</mujoco>", LOOP.format("left", "right"))

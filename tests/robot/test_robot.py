@@ -156,6 +156,9 @@ def test_limits_that_are_missing_are_said_of_joints_that_do_not_move_too(load):
     text = head + '<limit effort="5" velocity="0"/>' + tail
     notes = load(text, joints=["j1", "j2"]).notes
     assert [note.partition(":")[0] for note in notes] == ["the URDF gives no range of j3", "the URDF gives no speed of j3"]
+    whole = load(text)
+    assert (whole.lower[2], whole.upper[2]) == (-np.inf, np.inf)
+    assert (whole.lower[1], whole.upper[1]) == (-2, 2)
     endless = text.replace('type="revolute"', 'type="continuous"').replace("type='revolute'", "type='continuous'")
     (speed,) = load(endless).notes
     assert speed.startswith("the URDF gives no speed of j3")
@@ -214,6 +217,7 @@ BRANCH = [link("base", 0), link("l1"), link("l2"), link("l3"), joint("j1", "base
         (arm(3, {1: "floating"}), "joint 'j1' is floating"),
         (arm(3, {1: "planar"}), "joint 'j1' is planar"),
         (arm(3, {1: "revolut"}), "joint 'j1' is revolut;"),
+        (arm(1).replace(' type="revolute"', ""), "joint 'j1' has no type; allowed are revolute"),
         (
             robot(*BRANCH, joint("j3", "l1", "l3")),
             "no serial chain: joint 'j3' is attached to 'j1'; branches are not supported",

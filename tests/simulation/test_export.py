@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from chains import arm
 
 from rrr_oc import cli
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term, nominal_term
@@ -50,6 +51,14 @@ def test_a_locked_joint_is_fixed_and_its_link_is_part_of_the_one_before(tmp_path
     again = load_robot(tmp_path / "arm.urdf")
     assert again.joints == ("joint1", "joint2")
     np.testing.assert_allclose(again.inertial, robot.inertial, rtol=1e-9, atol=1e-10)
+
+
+def test_joints_without_a_range_have_none_in_mjcf(tmp_path):
+    """The range 0 to 0 in a URDF says none; MuJoCo refuses it."""
+    (tmp_path / "arm.urdf").write_text(arm(2).replace('lower="-2" upper="2"', 'lower="0" upper="0"', 1))
+    robot = load_robot(tmp_path / "arm.urdf")
+    made = mjcf(Model(robot, robot.tool), np.zeros(0))
+    assert mujoco.MjModel.from_xml_string(made.text).jnt_limited.tolist() == [0, 1]
 
 
 def test_mjcf_needs_the_torques_of_pinocchio_and_of_the_springs_laws():
