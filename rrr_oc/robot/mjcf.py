@@ -9,6 +9,7 @@ ties to others. A joint that is no hinge keeps MuJoCo's word for its type."""
 
 import itertools
 import re
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -64,9 +65,16 @@ def compiled(path: Path) -> mujoco.MjModel:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         _drop_looks(spec)
-        return spec.compile()
+        return built(spec)
     except (ValueError, FileNotFoundError) as error:
         raise UserError(f"{path}: {_not_xml(path) or f'MuJoCo refuses it: {refusal(error)}'}") from None
+
+
+def built(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """A spec compiled, without MuJoCo's warnings of inertia near singular: what no body has is refused by the readers of robots."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Inertia matrix is too close to singular")
+        return spec.compile()
 
 
 def _not_xml(path: Path) -> str | None:

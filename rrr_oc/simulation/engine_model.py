@@ -17,7 +17,7 @@ from rrr_oc.effects import Body, BodyChange, ExportTwin, MovesLink, NativeTwin
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
-from rrr_oc.robot.mjcf import refusal
+from rrr_oc.robot.mjcf import built, refusal
 from rrr_oc.robot.robot import Robot, ToolPoint
 from rrr_oc.simulation import generated_c
 from rrr_oc.simulation.generated_c import PAYLOAD, EffectLibrary
@@ -304,14 +304,14 @@ def _compiled(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjModel:
     Recordings determine only some combinations of inertial parameters; the others are arbitrary and affect no motion.
     """
     try:
-        return spec.compile()
+        return built(spec)
     except ValueError as error:
         if "inertia" not in str(error):
             raise
     links = [(link, _principal(parameters)[2]) for link, parameters in zip(robot.links, robot.inertial.T, strict=True)]
     for link, moments in links:
         spec.body(link).inertia = np.full(3, max(np.mean(moments), INERTIA_FLOOR))
-    mj = spec.compile()
+    mj = built(spec)
     for link, moments in links:
         mj.body(link).inertia[:] = moments
     return mj

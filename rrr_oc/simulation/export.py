@@ -16,7 +16,7 @@ from rrr_oc.effects import Clutched, Effect, ExportTwin, LinkSpring, NativeTwin,
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre
-from rrr_oc.robot.mjcf import refusal
+from rrr_oc.robot.mjcf import built, refusal
 from rrr_oc.robot.robot import Robot
 from rrr_oc.robot.urdf import posed
 from rrr_oc.simulation.engine_model import Settings, assembled, controller
@@ -57,12 +57,12 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     _draw(spec, robot, model.tool.position)
     left_out += without_form(model, generated)
     try:
-        spec.compile()
+        built(spec)
     except ValueError as error:
         if "inertia" not in str(error):
             raise UserError(f"MuJoCo refuses robot {robot.name!r}: {refusal(error)}") from None
         spec.compiler.balanceinertia = True
-        spec.compile()
+        built(spec)
         left_out.append(
             "moments of inertia that no body can have, of parameters that recordings do not determine: made possible"
         )

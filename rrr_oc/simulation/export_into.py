@@ -19,7 +19,7 @@ from rrr_oc.effects import Body, Delay, ExportTwin, MotionShift, MovesLink
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.inertial_parameters import about_centre, is_possible, of_pseudo_inertia, pseudo_inertia
-from rrr_oc.robot.mjcf import compiled
+from rrr_oc.robot.mjcf import built, compiled
 from rrr_oc.robot.robot import Robot, load_robot
 from rrr_oc.simulation.engine_model import INERTIA_FLOOR, Settings, assembled, controller
 from rrr_oc.simulation.export import Exported, as_in_a_file, without_form
@@ -76,7 +76,7 @@ def check_into(place: Path, model: Model, theta: np.ndarray, payload: float = 0.
     model, theta, _ = _that_fit(*as_in_a_file(model, theta))
     spec, body, _ = assembled(model, theta, controller(model), Settings(effects="native"), ExportTwin)
     spec.body(PAYLOAD).mass = payload + body.payload
-    wanted, found = spec.compile(), compiled(place)
+    wanted, found = built(spec), compiled(place)
     elements = [
         ("dof", model.robot.joints, ("damping", "dampingpoly", "frictionloss", "armature")),
         ("tendon", [t.name for t in spec.tendons], ("stiffness", "lengthspring", "damping", "frictionloss", "limited")),
@@ -221,7 +221,7 @@ def _add_payload(holder: Element, mj: mujoco.MjModel, robot: Robot, joint: int, 
 
 def _add_elements(root: Element, spec: mujoco.MjSpec) -> None:
     """Springs as fixed tendons, and motors without input; what defaults of the file could change is written out."""
-    mj = spec.compile()
+    mj = built(spec)
     for tendon in spec.tendons:
         lengths = tendon.springlength if tendon.springlength[0] != tendon.springlength[1] else tendon.springlength[:1]
         fixed = ElementTree.SubElement(_part(root, "tendon"), "fixed", name=tendon.name, stiffness=_text(tendon.stiffness[0]))

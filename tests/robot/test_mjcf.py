@@ -174,6 +174,13 @@ def test_what_mujoco_says_is_told_in_one_line(tmp_path, change, told):
     assert len(str(error.value).splitlines()) == 1
 
 
+def test_a_warning_of_mujoco_does_not_come_beside_the_sentence(tmp_path):
+    """Of a body so far away that its inertia is nearly singular; pytest makes an error of a warning."""
+    assert 'pos="0 0 0.4" quat' in ARM
+    with pytest.raises(UserError, match="'elbow'"):
+        load_robot(_written(tmp_path, ARM.replace('pos="0 0 0.4" quat', 'pos="0 0 4e8" quat')))
+
+
 def test_a_gripper_is_held_still_where_its_joints_are_not_listed(tmp_path):
     joints = ("shoulder", "elbow", "wrist")
     text = ARM.replace(TIP, FINGERS).replace("</mujoco>", LOOP.format("left", "right"))
