@@ -45,6 +45,19 @@ Payload = Annotated[float, Meta(ge=0, le=HEAVIEST, extra={"spellings": ("payload
 Position = Annotated[Vector, Meta(extra={"spellings": ("position", "position_m")})]
 
 
+class _AsInFiles(reprlib.Repr):
+    """What was found, shortened, with the words that JSON has."""
+
+    def repr_NoneType(self, x: None, level: int) -> str:
+        return "null"
+
+    def repr_bool(self, x: bool, level: int) -> str:
+        return "true" if x else "false"
+
+
+_FOUND = _AsInFiles()
+
+
 class Schema(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """An object of a JSON file; a key without a default is required, any other key is refused.
 
@@ -190,7 +203,7 @@ def _within(where: str | Path, data: T, largest: float) -> T:
             raise UserError(f"{where}: found {ascii(value)[:60]}; a text without halves of characters is required")
         finite = largest <= abs(value) <= sys.float_info.max
         wanted = f"magnitudes up to {largest:g} are allowed" if finite else "a finite number is required"
-        raise UserError(f"{_place(where, path)}: found {reprlib.repr(value)}; {wanted}")
+        raise UserError(f"{_place(where, path)}: found {_FOUND.repr(value)}; {wanted}")
     return data
 
 
@@ -232,7 +245,7 @@ def _fault(path: str, data: Any, schema: Any) -> tuple[str, str]:
         except msgspec.ValidationError as error:  # from `__post_init__`; what begins with a key belongs to that key
             key, colon, rest = str(error).partition(": ")
             return (f"{path}.{key}", rest) if colon and key.split("[")[0] in fields else (path, str(error))
-    return path, f"found {reprlib.repr(data)}; {_allowed(schema, meta)}"
+    return path, f"found {_FOUND.repr(data)}; {_allowed(schema, meta)}"
 
 
 def _is_structure(schema: Any) -> bool:

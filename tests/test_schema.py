@@ -42,9 +42,14 @@ GOOD = {"name": "x"}
         ({"one": {}}, "f: one: key 'name' is missing; required are name"),
         ({"one": {"name": " "}}, "f: one.name: found ' '; a text is required"),
         ({"one": {"name": "a\n"}}, "f: one.name: found 'a\\n'; a text is required"),
-        ({"one": {**GOOD, "kind": True}}, "f: one.kind: found True; allowed are 'a', 'b'"),
+        ({"one": {**GOOD, "kind": True}}, "f: one.kind: found true; allowed are 'a', 'b'"),
         ({"one": {**GOOD, "size": -1}}, "f: one.size: found -1; a finite number of 0 or more is required"),
-        ({"one": {**GOOD, "size": True}}, "f: one.size: found True; a finite number of 0 or more is required"),
+        ({"one": {**GOOD, "size": None}}, "f: one.size: found null; a finite number of 0 or more is required"),
+        (
+            {"one": {**GOOD, "size": [None, {}, False]}},
+            "f: one.size: found [null, {}, false]; a finite number of 0 or more is required",
+        ),
+        ({"one": {**GOOD, "size": True}}, "f: one.size: found true; a finite number of 0 or more is required"),
         ({"one": {**GOOD, "point": [1, 2]}}, "f: one.point: found [1, 2]; a list of 3 numbers is required"),
         (
             {"one": {**GOOD, "point": [1, 2, "z"]}},

@@ -384,7 +384,7 @@ WRONG = {
     "one joint twice": ("BPEA", 2, {"joints": ["joint2", "joint2"]}, "two different joints"),
     "joint missing": ("PEA", 0, {"joint": None}, "joint"),
     "joints missing": ("BPEA", 2, {"joints": None}, "joints"),
-    "joints no list": ("SA", 2, {"joints": False}, r"springs\[2\].joints: found False; a list of 2 entries is required"),
+    "joints no list": ("SA", 2, {"joints": False}, r"springs\[2\].joints: found false; a list of 2 entries is required"),
     "joint no text": ("SA", 0, {"joint": 5}, r"springs\[0\].joint: found 5; a text is required"),
     "bound no number": ("SA", 0, {"equilibrium_deg": ["-inf", "inf"]}, r"equilibrium_deg\[0\]: found '-inf'; a finite number"),
     "misspelt effect": ("PEA", 0, {"effect": "paralel_spring"}, "paralel_spring"),

@@ -402,7 +402,7 @@ def test_what_is_wrong_with_a_csv_file(write, text, parts):
         ({"joints": []}, ["joints: found []", "at least one"]),
         ({"torque": "Torque"}, ["torque: found 'Torque'", "'motor', 'load', 'current'"]),
         ({"torque": "current"}, ["actuators", "torque_constant", "joint1, joint2, joint3"]),
-        ({"inertial": True}, ["inertial: found True", "'nominal', 'identify'"]),
+        ({"inertial": True}, ["inertial: found true", "'nominal', 'identify'"]),
         ({"gravity": [0, 0]}, ["gravity: found [0, 0]", "3 numbers"]),
         ({"gravity": [0, 0, "g"]}, ["gravity[2]: found 'g'"]),
         ({"tool": {"link": "hand", "position": [0, 0, 0]}}, ["no link 'hand'", "link3"]),
