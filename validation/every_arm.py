@@ -4,8 +4,9 @@
     python validation/every_arm.py arms --out results/every_arm
 
 Robot files (URDF, MJCF) are searched below the folder, in the order of their paths. Of each, the arm is the chain that `rrr-oc init` takes: all
-joints of a serial chain, else the longest chain from the base, of several of the same length the one that the file has first. Chains with fewer
-than two joints are no arm, and one whose joints sit and weigh as those of an earlier file is not tried again. At most `--most` are tried.
+joints of a serial chain, else the longest chain from the base, of several of the same length the one that the file has first; fingers at its
+end whose links the file gives no mass are left out. Chains with fewer than two joints are no arm, and one whose joints sit and weigh as those
+of an earlier file is not tried again. At most `--most` are tried.
 
 Each arm goes through these steps in a process of its own, with a limit of time for all of them:
 
@@ -109,7 +110,7 @@ def arms(folder: Path, most: int) -> list[Arm]:
             continue
         seen.add(key)
         name = file.stem if file.stem not in {arm.name for arm in found} else f"{file.parent.parent.name}_{file.stem}"
-        found.append(Arm(name, file, None if whole(file) else joints))
+        found.append(Arm(name, file, None if whole(file) and load_robot(file, inertial=False).joints == joints else joints))
     return found[:most]
 
 
@@ -123,15 +124,18 @@ def whole(file: Path) -> bool:
 
 
 def chain_of(file: Path) -> tuple[str, ...] | None:
-    """The joints of a file's arm; None where it is no robot file, or its joints cannot be read."""
+    """The joints of a file's arm up to the last one that moves a mass; None where it is no robot file, or its joints cannot be read."""
     try:
-        if whole(file):
-            return load_robot(file, inertial=False).joints
-        joints = arm_of(file) or first_longest(file)
+        joints = load_robot(file, inertial=False).joints if whole(file) else arm_of(file) or first_longest(file)
         load_robot(file, joints, inertial=False)
     except UserError:
         return None
-    return joints
+    while joints:
+        try:
+            return load_robot(file, joints).joints
+        except UserError:
+            joints = joints[:-1]
+    return None
 
 
 def first_longest(file: Path) -> tuple[str, ...]:

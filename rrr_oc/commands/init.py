@@ -1,5 +1,6 @@
 """`rrr-oc init`: the files that a user writes, begun for an arm."""
 
+import itertools
 import json
 import shlex
 from collections.abc import Iterator, Sequence
@@ -244,23 +245,30 @@ class Ends:
 
 def _write_task(path: Path, name: str, robot: Robot) -> tuple[str, ...]:
     """Write a task whose ends are in reach, and return its moving joints; raises `UserError` where none is found."""
-    moved = _moved(robot)
     said = "no two ends of a task were found"
-    for ends in _ends(moved):
-        write_text(path, _task(name, moved, ends))
-        try:
-            load_task(path)
-            return tuple(robot.joints[j] for j in moved.joints)
-        except UserError as error:
-            said = str(error)
+    for moved in _ways_to_move(robot):
+        for ends in _ends(moved):
+            write_text(path, _task(name, moved, ends))
+            try:
+                load_task(path)
+                return tuple(robot.joints[j] for j in moved.joints)
+            except UserError as error:
+                said = str(error)
     path.unlink(missing_ok=True)
     raise UserError(said)
 
 
-def _moved(robot: Robot) -> Moved:
-    """The joints that lift, their limits, where the others stand, and a tool that the last joint moves if the file has none."""
-    locked = np.degrees([resting_angle(low, high) for low, high in zip(robot.lower, robot.upper, strict=True)])
-    joints, tool = _lifting(robot, np.radians(locked)), None
+def _ways_to_move(robot: Robot) -> Iterator[Moved]:
+    """The joints that lift; where these do not move the tool, as those that turn a stretched arm about itself, any other two."""
+    locked = np.array([resting_angle(low, high) for low, high in zip(robot.lower, robot.upper, strict=True)])
+    yield _moved(robot, locked, _lifting(robot, locked))
+    for joints in itertools.combinations(range(robot.n), 2):
+        yield _moved(robot, locked, joints)
+
+
+def _moved(robot: Robot, q: np.ndarray, joints: tuple[int, ...]) -> Moved:
+    """Some joints that move, their limits, where the others stand, of q [rad], and a tool that the last joint moves if the file has none."""
+    locked, tool = np.degrees(q), None
     if (
         robot.n - 1 in joints
         and robot.tool.joint == robot.n - 1

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from chains import joint, link, robot
 
 from rrr_oc.cli import main
 from rrr_oc.codesign.springs import spring_bounds
@@ -167,6 +168,21 @@ def test_an_arm_without_a_tool_frame_holds_the_payload_beyond_its_last_joint(tmp
     made = write_example(arm, tmp_path / "set", ["joint 2"])
     assert made.moving == ("joint 2",)
     np.testing.assert_allclose(load_task(tmp_path / "set" / "task.json").tool.position, [0.4, 0, 0])
+
+
+def test_joints_that_turn_a_stretched_arm_about_itself_do_not_make_its_task(tmp_path):
+    """As a humanoid's arm, whose shoulder sits askew and whose elbow and wrist roll: the joints that are level move no tool."""
+    axes = ("0 0 1", "0 -0.9 0.4", "1 0 0", "1 0 0")
+    names = ["base", *(f"l{i}" for i in range(1, 5))]
+    joints = [joint(f"j{i + 1}", names[i], names[i + 1], axis=axis) for i, axis in enumerate(axes)]
+    (tmp_path / "arm.urdf").write_text(robot(link("base", 0), *map(link, names[1:]), *joints))
+    made = write_example(tmp_path / "arm.urdf", tmp_path / "made")
+    assert made.no_task == ""
+    assert set(made.moving) & {"j1", "j2"}
+    task = load_task(tmp_path / "made" / "task.json")
+    body = rigid_body(task.robot)
+    ends = [np.array(body.tool_position(task.full(q), task.tool.position)).ravel() for q in (task.start, task.release)]
+    assert np.linalg.norm(ends[1] - ends[0]) > 0.1
 
 
 def test_an_arm_whose_limits_are_0_gets_as_far_as_the_first_solve(tmp_path):
