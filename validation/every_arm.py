@@ -8,7 +8,7 @@ joints of a serial chain, else the longest chain from the base, of several of th
 end whose links the file gives no mass are left out. Chains with fewer than two joints are no arm, and one whose joints sit and weigh as those
 of an earlier file is not tried again. At most `--most` are tried.
 
-Each arm goes through these steps in a process of its own, with a limit of time for all of them:
+Each arm goes through these steps in a process of its own, with a limit of processor time for all of them:
 
     init          a task and a recording set are begun
     design        one configuration, PEA, two starts on a coarse mesh
@@ -25,6 +25,7 @@ import contextlib
 import io
 import json
 import multiprocessing
+import resource
 import shutil
 import sys
 import time
@@ -265,8 +266,9 @@ def designed(folder: Path) -> None:
     command("design", str(folder / "task.json"), *DESIGN, "--out", str(folder / "design"), "--json")
 
 
-def tried(arm: Arm, work: Path, result: Path) -> None:
-    """One arm through all steps; the result is written before each step as if that did not end."""
+def tried(arm: Arm, work: Path, result: Path, seconds: int) -> None:
+    """One arm through all steps; the result is written before each step as if that did not end, since the limit of time ends the process."""
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     folder = work / arm.name
     shutil.rmtree(folder, ignore_errors=True)
     chosen = [] if arm.joints is None else ["--joints", ",".join(arm.joints)]
@@ -313,7 +315,7 @@ def main(
     folder: Annotated[Path, typer.Argument(help="folder below which robot files are searched")],
     out: Annotated[Path, typer.Option(help="folder of the results")],
     most: Annotated[int, typer.Option(help="arms at most")] = 60,
-    seconds: Annotated[float, typer.Option(help="limit of time of an arm \\[s]")] = 240.0,
+    seconds: Annotated[int, typer.Option(help="limit of processor time of an arm \\[s]")] = 240,
     only: Annotated[str | None, typer.Option(help="comma-separated names of arms")] = None,
     again: Annotated[bool, typer.Option("--again", help="try those anew that failed")] = False,
 ) -> None:
@@ -326,12 +328,9 @@ def main(
         known = json.loads(result.read_text()) if result.is_file() else None
         if known is None or (again and known["failed"]):
             out.mkdir(parents=True, exist_ok=True)
-            process = multiprocessing.get_context("spawn").Process(target=tried, args=(arm, out / "work", result))
+            process = multiprocessing.get_context("spawn").Process(target=tried, args=(arm, out / "work", result, seconds))
             process.start()
-            process.join(seconds)
-            if process.is_alive():
-                process.kill()
-                process.join()
+            process.join()
             if not result.is_file():
                 raise Failed(f"{arm.name}: its process ended before it began, with exit status {process.exitcode}")
             known = json.loads(result.read_text())
