@@ -32,7 +32,7 @@ def allowed_configurations() -> str:
 
 def offered(task: Task) -> tuple[str, ...]:
     """The configurations whose springs a task offers, those of the fewest kinds first."""
-    kinds = {entry.get("effect") for entry in task.springs}
+    kinds = {kind.name for kind, _ in _entries(task)}
     return tuple(name for name, needed in configurations().items() if kinds.issuperset(needed))
 
 
@@ -60,10 +60,9 @@ def holding(task: Task, asked: Sequence[str] | None, names: Sequence[str], liste
 
 def _sprung(task: Task, configuration: str) -> set[str]:
     """The joints on which the springs of a configuration act; one between drive and link takes no load from the drive."""
-    kinds = {kind.name: kind for kind in design_forms().values()}
-    names = [kind for kind in configurations().get(configuration, ()) if not kinds[kind].moves_link]
-    entries = [entry for entry in task.springs if entry.get("effect") in names]
-    return {str(joint) for entry in entries for joint in (entry.get("joints") or [entry.get("joint")])}
+    kinds = configurations().get(configuration, ())
+    entries = [(kind, given) for kind, given in _entries(task) if kind.name in kinds and not kind.moves_link]
+    return {joint for kind, given in entries for joint in _joints(kind, given)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,18 +108,10 @@ def spring_bounds(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
 
 def _bounded(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     """The same, mounted by default where the task leaves that open."""
-    every, known = configurations(), {kind.name: kind for kind in design_forms().values()}
-    kinds = every.get(configuration)
+    kinds = configurations().get(configuration)
     if kinds is None:
         raise UserError(f"unknown configuration {configuration!r}; it is {allowed_configurations()}")
-    springs = []
-    for i, entry in enumerate(task.springs):
-        if entry.get("effect") not in [*known]:
-            raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
-        kind = known[entry["effect"]]
-        given = validated(f"task {task.name!r}", entry, spring_schema(kind), f".springs[{i}]")
-        if kind.name in kinds:
-            springs.append(_spring(task, kind, given))
+    springs = [_spring(task, kind, given) for kind, given in _entries(task) if kind.name in kinds]
     places = [(s.effect.name, s.effect.joints) for s in springs]
     for spring in springs:
         if places.count((spring.effect.name, spring.effect.joints)) > 1:
@@ -130,6 +121,22 @@ def _bounded(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
     if missing:
         raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
     return tuple(springs)
+
+
+def _entries(task: Task) -> list[tuple[type[DesignSpring], Any]]:
+    """The kind of each spring in a task, and its entry as `spring_schema` has it; raises `UserError` for one that is wrong."""
+    known, entries = {kind.name: kind for kind in design_forms().values()}, []
+    for i, entry in enumerate(task.springs):
+        if entry.get("effect") not in [*known]:
+            raise UserError(f"task {task.name!r}: a spring's effect is {' or '.join(known)}, got {entry.get('effect')!r}")
+        kind = known[entry["effect"]]
+        entries.append((kind, validated(f"task {task.name!r}", entry, spring_schema(kind), f".springs[{i}]")))
+    return entries
+
+
+def _joints(kind: type[DesignSpring], given: Any) -> tuple[str, ...]:
+    """The joints that the entry of a spring names."""
+    return given.joints if kind.placement == "pair" else (given.joint,)
 
 
 def arrangements(task: Task, configuration: str) -> list[tuple[SpringBounds, ...]]:
@@ -279,7 +286,7 @@ def spring_schema(kind: type[DesignSpring]) -> Any:
 
 def _spring(task: Task, kind: type[DesignSpring], given: Any) -> SpringBounds:
     where, form = f"task {task.name!r}: {kind.name}", kind.design
-    names = given.joints if kind.placement == "pair" else (given.joint,)
+    names = _joints(kind, given)
     if len(set(names)) < len(names):
         raise UserError(f"{where}: joints: found {', '.join(names)}; two different joints are required")
     locked = [joint for joint in names if task.robot.index(joint) not in task.moving]

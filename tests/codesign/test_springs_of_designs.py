@@ -23,7 +23,7 @@ from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import beyond_known, describe_simulation, idle_springs, profiles, sample_motion
 from rrr_oc.codesign.search.multistart import SearchResult, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
-from rrr_oc.codesign.springs import arrangements, configurations, offered, spring_bounds
+from rrr_oc.codesign.springs import arrangements, configurations, holding, offered, spring_bounds
 from rrr_oc.codesign.study import Request, prepared
 from rrr_oc.codesign.task import load_task
 from rrr_oc.commands.moving.sources import designed
@@ -610,3 +610,21 @@ def test_a_diagnosis_does_not_look_for_them(tmp_path):
         (tmp_path / "priors.toml").write_text(f"[{name}]\nprobability = 0.5\n")
         with pytest.raises(UserError, match=name):
             load_priors(tmp_path / "priors.toml")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"effect": {}}, "a spring's effect is parallel_spring or .*, got {}"),
+        ({"effect": ["parallel_spring"]}, "a spring's effect is parallel_spring or "),
+        ({"joint": 5}, r"springs\[0\].joint: found 5"),
+        ({"joint": None}, r"springs\[0\].joint: found null"),
+    ],
+)
+def test_a_spring_that_is_no_entry_is_refused_wherever_it_is_read_first(wrong, said):
+    """Which configurations are offered, and which of them hold the arm, is asked before springs are made of the entries."""
+    task = replace(PAPER, springs=({**PEA[0], **wrong}, PEA[1]))
+    weak = replace(task, torque=np.full(task.torque.shape, 1.0))  # no joint holds the arm, so that springs are asked for
+    for ask in (lambda: offered(task), lambda: holding(weak, None, ("SA", "PEA"), Output(quiet=True))):
+        with pytest.raises(UserError, match=said):
+            ask()
