@@ -379,7 +379,7 @@ def _check_axis(name: str, joint: ElementTree.Element) -> None:
         element = joint.find("axis")
         text = "" if element is None else element.get("xyz")
         raise UserError(
-            f"robot {name!r}: joint {joint.get('name')!r} has the axis {text!r}; three numbers, not all 0, are required"
+            f"robot {name!r}: joint {joint.get('name')!r} has the axis {text!r}; three numbers, not all 0 or beside it, are required"
         ) from None
 
 

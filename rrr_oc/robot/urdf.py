@@ -14,6 +14,7 @@ from rrr_oc.schema import decimal
 # (pin's wheel has no stubs)
 
 LARGEST = 1e6  # magnitude of a mass, length or moment of inertia [SI]; ten times that, and dynamics still have no meaning
+SHORTEST = 1e-9  # of an axis, whose length is of no meaning; the square of 1e-170 is 0
 DEEPEST = 100  # elements within each other; doubled, nothing changes for real files
 _COORDINATES = {"xyz": 3, "rpy": 3}
 # Numbers of the elements that are used: how many each attribute holds
@@ -147,8 +148,8 @@ def axis(joint: ElementTree.Element) -> np.ndarray:
     """A joint's axis, of unit length, (3,); raises `ValueError` where it is none."""
     element = joint.find("axis")
     given = numbers(element, "xyz", (1.0, 0.0, 0.0))
-    if given.shape != (3,) or not np.all(np.isfinite(given)) or not np.any(given):
-        raise ValueError("an axis needs three numbers, not all 0")
+    if given.shape != (3,) or not SHORTEST <= np.max(np.abs(given)) <= LARGEST:  # NaN is neither
+        raise ValueError("an axis needs three numbers, one of them of a magnitude that can be squared")
     return given / np.linalg.norm(given)
 
 

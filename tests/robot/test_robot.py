@@ -226,6 +226,7 @@ BRANCH = [link("base", 0), link("l1"), link("l2"), link("l3"), joint("j1", "base
         (robot(link("base", 0), link("l1"), joint("j1", "base", "l1", inside="")), "joint 'j1' has no <limit>"),
         (arm(2).replace('velocity="3"/>', 'velocity="3"/><mimic joint="j2"/>', 1), "joint 'j1' mimics another"),
         (arm(2).replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 0"/>', 1), "has the axis '0 0 0'; three numbers"),
+        (arm(2).replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 1e-300 0"/>', 1), "has the axis '0 1e-300 0'; three numbers"),
         (
             arm(2).replace('velocity="3"', 'velocity="fast"', 1),
             "line 13: joint 'j1' has <limit velocity='fast'>; a finite number with a decimal point is required",
