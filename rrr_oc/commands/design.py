@@ -17,7 +17,7 @@ from rrr_oc.codesign.study import Request, Study, prepared
 from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.task_set import SETS
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Workers, check_apart, command_line
+from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line
 from rrr_oc.errors import printable
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
@@ -39,9 +39,9 @@ def design(
         str | None,
         typer.Option(help=f"comma-separated, each {allowed_configurations()}; default: all whose springs the task offers"),
     ] = None,
-    starts: Annotated[int, typer.Option(min=1, help="starts a configuration, half from CMA-ES, half from Sobol points")] = 20,
+    starts: Annotated[int, typer.Option(min=1, max=MOST, help="a configuration, half from CMA-ES, half Sobol points")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
-    motions: Annotated[int, typer.Option(min=0, help="proposed motions of each phase, for springs that starts led to")] = 48,
+    motions: Annotated[int, typer.Option(min=0, max=MOST, help="proposed for each phase, for springs that starts led to")] = 48,
     cost: Annotated[
         str, typer.Option(help=f"of {', '.join(COSTS)}: load torque squared, motor torque squared, or electrical energy")
     ] = "load",
@@ -53,14 +53,15 @@ def design(
         bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")
     ] = False,
     front: Annotated[
-        int, typer.Option(min=0, help="of a set of tasks: optima between that of the set and that of its first task")
+        int, typer.Option(min=0, max=MOST, help="of a set of tasks: optima between that of the set and that of its first task")
     ] = 0,
     price: Annotated[
         float | None,
         typer.Option(help="of a spring, in the unit of the cost: only springs that are worth it are used"),
     ] = None,
     intervals: Annotated[
-        int, typer.Option(min=8, help="of a phase on the first fine mesh; fewer are faster, and the tolerance refines them")
+        int,
+        typer.Option(min=8, max=MOST, help="of a phase on the first fine mesh, which the tolerance refines; fewer are faster"),
     ] = 40,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,

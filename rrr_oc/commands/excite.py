@@ -10,7 +10,7 @@ from rich.table import Table
 
 from rrr_oc import parallel
 from rrr_oc.commands.output import Json, Output, Quiet
-from rrr_oc.commands.shared import Jobs, Joints, Workers, check_apart, check_payload, named
+from rrr_oc.commands.shared import MOST, Jobs, Joints, Workers, check_apart, check_payload, named
 from rrr_oc.effects import plain_effects
 from rrr_oc.errors import UserError
 from rrr_oc.excitation.design import Excitation, Search
@@ -43,7 +43,7 @@ def excite(
     ] = None,
     floor: Annotated[float | None, typer.Option(help="height that the tool stays above \\[m]; default: no floor")] = None,
     payload: Annotated[float, typer.Option(help="held at the tool \\[kg]")] = 0.0,
-    starts: Annotated[int, typer.Option(min=1, help="random starts of the search")] = 3,
+    starts: Annotated[int, typer.Option(min=1, max=MOST, help="random starts of the search")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="of the random starts")] = 0,
     jobs: Jobs = -1,
     workers: Workers = parallel.LOCAL,

@@ -23,6 +23,7 @@ from rrr_oc.storage import resolved
 Model = Annotated[Path, typer.Argument(help="model.json that calibrate or diagnose wrote")]
 Dataset = Annotated[Path, typer.Argument(help="a recording set: a folder with recordings.json and CSV files")]
 
+MOST = 100_000  # of what is counted, as starts and intervals; a hundred times that takes all memory
 Jobs = Annotated[int, typer.Option(help="processes on this machine; -1: one a core")]
 Workers = Annotated[str, typer.Option(help="local, or the address of a Dask scheduler, as tcp://host:8786")]
 

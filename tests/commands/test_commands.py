@@ -15,6 +15,7 @@ from recorded import Plant, as_set, record
 from rrr_oc import cli
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.model_file import save_model
+from rrr_oc.commands import COMMANDS, load
 from rrr_oc.commands.output import Output
 from rrr_oc.effects import CATALOGUE
 from rrr_oc.excitation.information import information, model_sensitivity
@@ -34,6 +35,14 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     with pytest.raises(SystemExit) as ended:
         cli.main()
     return int(ended.value.code or 0)
+
+
+def test_all_that_is_counted_has_an_upper_end():
+    """Counts size arrays: one that is typed with zeros too many would take all memory. A seed counts nothing, and -1 processes are all."""
+    options = [(name, p) for name in COMMANDS for p in getattr(load(name), "params", []) if hasattr(p, "type_descriptor")]
+    counts = [(name, p) for name, p in options if p.type_descriptor.annotation is int and p.name not in ("seed", "jobs")]
+    assert {"starts", "intervals", "motions", "front", "harmonics"} <= {p.name for _, p in counts}
+    assert [(name, p.name) for name, p in counts if p.max is None] == []
 
 
 def table(path: Path) -> dict[str, np.ndarray]:
@@ -191,6 +200,10 @@ MISTAKES = {
     "no speed": (["excite", "rrr", "--speed", "-1", "--out", "{1}/m.csv"], "--speed is -1 rad/s; above 0 is required"),
     "no acceleration": (["excite", "rrr", "--acceleration", "nan", "--out", "{1}/m.csv"], "--acceleration is nan rad/s²"),
     "no time": (["excite", "rrr", "--duration", "0", "--out", "{1}/m.csv"], "duration must be above 0"),
+    "days": (
+        ["excite", "rrr", "--duration", "1e9", "--out", "{1}/m.csv"],
+        "more than 1000000 samples of 0.01 s; at most 10000 s are allowed",
+    ),
     "few harmonics": (["excite", "rrr", "--harmonics", "2", "--out", "{1}/m.csv"], "harmonics must be 3 or more"),
     "payload": (["excite", "rrr", "--payload", "-1", "--out", "{1}/m.csv"], "--payload is -1 kg; 0 to 10000 kg are allowed"),
     "heavy payload": (["excite", "rrr", "--payload", "1e8", "--out", "{1}/m.csv"], "--payload is 1e+08 kg"),
