@@ -37,12 +37,14 @@ NEW = partial(Path.touch, exist_ok=False)  # makes a file that must not be there
 
 
 def resolved(path: Path) -> Path:
-    """Where a path leads, with links followed; raises `UserError` where they lead in a circle."""
+    """Where a path leads, with links followed; raises `UserError` where they lead in a circle, or no file can have the name."""
     try:
         path.stat()
     except OSError as error:
         if error.errno == errno.ELOOP:  # for which Python's own error depends on its version
             raise UserError(f"{path}: is, or lies behind, a link that leads in a circle") from None
+    except ValueError as error:  # as of a null byte
+        raise UserError(f"{path}: is no name of a file: {error}") from None
     return path.resolve()
 
 

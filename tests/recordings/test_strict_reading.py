@@ -287,6 +287,17 @@ def test_progress_on_a_terminal_takes_names_literally():
     assert "\x1b[31m\\u009b" not in written
 
 
+def test_a_name_that_no_file_can_have_is_refused(tmp_path):
+    """Wherever a path is looked at first; with a null byte the system is not asked, and Python's error is another one."""
+    path = tmp_path / "a\0b"
+    for use in (check_file, check_folder, lambda at: check_apart([], [at]), lambda at: check_apart([at], [])):
+        with pytest.raises(UserError, match=r"is no name of a file|cannot be written"):
+            use(path)
+    for read in (read_regular, load_model, read_table, load_priors, load_robot, load_recordings):
+        with pytest.raises(UserError):
+            read(path)
+
+
 def test_links_in_a_circle_are_refused(recordings, tmp_path):
     """Before a computation as well as after it, at the name itself and behind it; Python's own error depends on its version."""
     (tmp_path / "circle").symlink_to("circle")
