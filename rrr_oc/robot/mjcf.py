@@ -67,7 +67,7 @@ def compiled(path: Path) -> mujoco.MjModel:
         _drop_looks(spec)
         return built(spec)
     except (ValueError, FileNotFoundError) as error:
-        raise UserError(f"{path}: {_not_xml(path) or f'MuJoCo refuses it: {refusal(error)}'}") from None
+        raise UserError(f"{path}: {_not_xml(path, str(error)) or f'MuJoCo refuses it: {refusal(error)}'}") from None
 
 
 def built(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -77,13 +77,13 @@ def built(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
 
 
-def _not_xml(path: Path) -> str | None:
-    """Why a file is no XML, which MuJoCo tells by a number; None where it is."""
+def _not_xml(path: Path, said: str) -> str | None:
+    """Why a file is no XML, or none that MuJoCo reads, which it tells by a number; None where it is."""
     try:
         ElementTree.parse(path)
     except (ElementTree.ParseError, OSError, LookupError, ValueError) as error:
         return f"not well-formed XML: {error}"
-    return None
+    return "XML in UTF-8 is required; MuJoCo reads no other encoding" if "XML_ERROR" in said else None
 
 
 def refusal(error: Exception) -> str:

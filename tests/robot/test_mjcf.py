@@ -181,6 +181,12 @@ def test_a_warning_of_mujoco_does_not_come_beside_the_sentence(tmp_path):
         load_robot(_written(tmp_path, ARM.replace('pos="0 0 0.4" quat', 'pos="0 0 4e8" quat')))
 
 
+def test_an_encoding_that_mujoco_does_not_read_is_told(tmp_path):
+    (tmp_path / "arm.xml").write_bytes(f"<?xml version='1.0' encoding='utf-16'?>{ARM}".encode("utf-16"))
+    with pytest.raises(UserError, match=r"arm\.xml: XML in UTF-8 is required; MuJoCo reads no other encoding"):
+        load_robot(tmp_path / "arm.xml")
+
+
 def test_a_gripper_is_held_still_where_its_joints_are_not_listed(tmp_path):
     joints = ("shoulder", "elbow", "wrist")
     text = ARM.replace(TIP, FINGERS).replace("</mujoco>", LOOP.format("left", "right"))
