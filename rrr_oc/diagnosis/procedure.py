@@ -33,6 +33,7 @@ from rrr_oc.diagnosis.files.stages import (
 from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
+from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.structures.neighbours import Kind, kind
@@ -100,7 +101,10 @@ class Diagnosis:
     def verdict(self) -> str:
         """One of "missing_physics", "nothing_missing" and "cannot_tell"."""
         if not self.findings:
-            if self.undecided:
+            part = any(
+                f.fall and f.fall.low > MATTERS for f in self.small
+            )  # matters, but may be a part of what no law explains
+            if self.undecided or part:
                 return "cannot_tell"
             held = any(abs(mean) > FAR * max(float(self.model.noise[j]), spread) for j, mean, spread in self.idle)
             return "cannot_tell" if held or max(self.above_noise, default=0.0) > FAR else "nothing_missing"

@@ -71,10 +71,18 @@ def _undecided(found: Mapping[str, Any]) -> str:
         f"Something is missing on {listed(names)}, where the error is far beyond the noise, and these recordings do not decide what: "
         "nothing that would explain it holds on recordings left out of the search."
     )
-    moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if still else ""
-    return " ".join(
-        [missed if names else moved or "Something is missing, and these recordings do not decide what.", *idle(found)]
-    )
+    parts = parts_of_unexplained(found)
+    only_still = still and not parts
+    moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if only_still else ""
+    said = missed if names else moved or "Something is missing, and these recordings do not decide what."
+    return " ".join([said, *parts, *idle(found)])
+
+
+def parts_of_unexplained(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on effects that matter but explain less than what stays unexplained; none where there are none."""
+    some = [e for e in found.get("small", ()) if e["lowers_error"]["interval"] and e["lowers_error"]["interval"][0] > MATTERS]
+    what = listed([placed(e) for e in some])
+    return [f"What was found explains less than what stays unexplained, and may be a part of it: {what}."] if some else []
 
 
 def _gain_held_out(found: Mapping[str, Any]) -> str:

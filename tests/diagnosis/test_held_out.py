@@ -12,7 +12,7 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
-from rrr_oc.diagnosis.findings import Finding
+from rrr_oc.diagnosis.findings import Fall, Finding
 from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals, ranges
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares, stable
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
@@ -145,6 +145,12 @@ def test_the_page_says_for_which_recordings_nothing_could_be_foretold(diagnosis,
     twins = [replace(r, group=r.group if r.file == "1.csv" else "same") for r in diagnosis.recordings.recordings]
     shared = replace(diagnosis, model=one, recordings=replace(diagnosis.recordings, recordings=tuple(twins)))
     assert write_diagnosis(shared, tmp_path)["alone"] == ["1.csv"]
+
+
+@pytest.mark.parametrize(("low", "verdict"), [(0.01, "nothing_missing"), (0.03, "cannot_tell")])
+def test_what_matters_but_may_be_a_part_of_what_no_law_explains_is_not_nothing(diagnosis, low, verdict):
+    one = replace(finding(ParallelSpring((0,))), fall=Fall(0, 0.1, low, 0.2, needed=0.29))
+    assert replace(diagnosis, small=(one,)).verdict == verdict
 
 
 def test_the_verdict_is_a_sentence(diagnosis):

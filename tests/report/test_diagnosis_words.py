@@ -367,6 +367,12 @@ def test_what_stays_unexplained_and_what_to_record_next_are_always_said():
     assert sentence(undecided).startswith(
         "Nothing is missing on the joints that move, and these recordings do not tell of the others. B never moved"
     )
+    size = {"joint": "a", "share": 0.1, "interval": [0.05, 0.15], "needed": 0.29}
+    part = undecided | {"small": [entry("stribeck", "a", 0.99, lowers_error=size)]}
+    assert sentence(part).startswith(
+        "Something is missing, and these recordings do not decide what. What was found explains less than what stays unexplained, and "
+        "may be a part of it: stribeck of a. B never moved"
+    )
     missed = {"joint": "a", "significant": True, "where": []}
     assert sentence(undecided | {"mismatch": [missed]}).startswith("Something is missing on a, where the error is far")
     assert remaining(idle)[-1].endswith(": 2.00 % on a.")
