@@ -477,7 +477,7 @@ def _table() -> str:
 
 LONG_ONES = (
     "rrr_oc.codesign.study.solve_multistart",
-    "rrr_oc.codesign.task_sets.set_study.solve_set",
+    "rrr_oc.codesign.study.solve_set",
     "rrr_oc.commands.diagnose.diagnose_recordings",
     "rrr_oc.commands.evaluate.evaluate_inverse",
     "rrr_oc.commands.evaluate.evaluate_simulated",
