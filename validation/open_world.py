@@ -9,7 +9,6 @@ Any other claim at 95 % is false. What should be said is an unexplained torque o
 that is done is not done again.
 """
 
-import json
 import sys
 import time
 import traceback
@@ -35,6 +34,7 @@ from rrr_oc.parallel import unordered, workers
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import Made, write_json, write_text
+from studies.concealed_physics import how_named, place, read
 
 LEAST = 1.0  # times the noise, from which a hidden effect must not be passed over in silence
 SAID = {
@@ -48,23 +48,10 @@ SAID = {
 console = Console()
 
 
-def read(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
 def hidden(truth: Mapping[str, Any]) -> bool:
     """Whether a case has one effect, which the catalogue could lack, strong enough to be seen."""
     effects = truth["effects"]
     return len(effects) == 1 and effects[0]["in_catalogue"] and (effects[0]["ratio"]["requested"] or 0.0) >= LEAST
-
-
-def place(joint: Any) -> tuple[str, ...]:
-    """A joint, a list of two or null, to compare by."""
-    return () if joint is None else tuple(sorted([joint] if isinstance(joint, str) else joint))
-
-
-def key(entry: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
-    return entry["effect"], place(entry["joint"])
 
 
 def diagnosed(folder: Path, sealed: Path, out: Path) -> dict[str, Any]:
@@ -88,10 +75,8 @@ def diagnosed(folder: Path, sealed: Path, out: Path) -> dict[str, Any]:
 def said(truth: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> tuple[str, list[str]]:
     """Which of `SAID` a diagnosis says, the worst that applies, and its false claims."""
     (effect,) = truth["effects"]
-    classes = effect.get("equal_effects") or {}
-    same = [key(e) for kind in ("equal", "within_noise") for e in classes.get(kind, [])]
     claims = diagnosis["effects"]
-    wrong = [e for e in claims if not any(key(x) in same for x in (e, *e.get("rivals", [])))]
+    wrong = [e for e in claims if not any(how_named(effect, x) for x in (e, *e["rivals"]))]
     if wrong:
         return "false", [" ".join((e["effect"], *place(e["joint"]))) for e in wrong]
     joints = place(effect["joint"])

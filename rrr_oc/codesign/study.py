@@ -47,7 +47,14 @@ from rrr_oc.codesign.task import PHASES, PRESETS, Task
 from rrr_oc.codesign.task_sets.set_search import SetResult, front, joint_optimum, solve_bought, solve_chosen, solve_set
 from rrr_oc.codesign.task_sets.spring_choice import SpringFront, chosen, spring_front
 from rrr_oc.codesign.task_sets.task_set import SetDesign, TaskSet, load_tasks, with_uncertainty
-from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, repaired
+from rrr_oc.codesign.transfer import (
+    check_transfer,
+    describe_transfer,
+    of_all_joints,
+    repaired,
+    uncalibrated,
+    unknown_joints,
+)
 from rrr_oc.effects import Clutched
 from rrr_oc.errors import UserError
 from rrr_oc.kept import Listener, kept_motion, once, save, taken
@@ -129,7 +136,7 @@ class Twin:
     def of(cls, path: str | Path, task: Task, drives: Actuators | None, listener: Listener) -> "Twin":
         """The model of a file on a task's robot; raises `UserError` where it is of another."""
         model = load_model(path)
-        unknown = tuple(joint for joint in task.robot.joints if joint not in model.joints)
+        unknown = unknown_joints(task, model)
         try:
             whole = of_all_joints(task, model)
         except UserError as error:
@@ -137,11 +144,6 @@ class Twin:
         if unknown:
             listener.show(uncalibrated(unknown))
         return cls(whole, drives, unknown)
-
-
-def uncalibrated(joints: Sequence[str]) -> str:
-    """A sentence on joints that a calibrated model says nothing of."""
-    return f"the model says nothing of {', '.join(joints)}: links as the task has them, without friction and rotor inertia"
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,16 @@ def _other_joints(task: Task, calibrated: CalibratedModel) -> UserError:
     )
 
 
+def unknown_joints(task: Task, calibrated: CalibratedModel) -> tuple[str, ...]:
+    """Joints of a task's robot of which a model says nothing."""
+    return tuple(joint for joint in task.robot.joints if joint not in calibrated.joints)
+
+
+def uncalibrated(joints: Sequence[str]) -> str:
+    """A sentence on joints that a calibrated model says nothing of."""
+    return f"the model says nothing of {', '.join(joints)}: links as the task has them, without friction and rotor inertia"
+
+
 def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
     """A model of some joints of a task's robot as one of all of them: the others have no friction, and links as the task has them.
 
@@ -83,9 +93,8 @@ def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
             )
     moved = [t.effect.name for t in calibrated.terms if t.effect.alters == "position"]
     if moved and at[calibrated.tool.joint] != task.tool.joint:
-        raise UserError(
-            f"the model's {moved[0]} is of a payload on {own.joints[-1]}; the task's is carried by {robot.joints[-1]}"
-        )
+        carrier, other = own.joints[calibrated.tool.joint], robot.joints[task.tool.joint]
+        raise UserError(f"the model's {moved[0]} is of a payload on {carrier}; the task's is carried by {other}")
     terms = tuple(replace(t, effect=t.effect.renumbered(at)) for t in calibrated.terms)
     noise, nrmse = np.full((2, robot.n), np.nan)
     noise[at], nrmse[at] = calibrated.noise, calibrated.nrmse

@@ -9,10 +9,9 @@ import typer
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.springs import SavedSprings, saved_springs
-from rrr_oc.codesign.study import uncalibrated
 from rrr_oc.codesign.task import Task, load_task
 from rrr_oc.codesign.trajectory import FORMATS, sampled, saved_motion
-from rrr_oc.codesign.transfer import of_all_joints
+from rrr_oc.codesign.transfer import of_all_joints, uncalibrated, unknown_joints
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import check_apart, check_payload
 from rrr_oc.effects import OfEach
@@ -158,8 +157,9 @@ def _recorded(
 
 def _arm(found: CalibratedModel | None, task: Task | None, springs: SavedSprings) -> tuple[Model, np.ndarray, list[str]]:
     """The calibrated arm, or the task's, with springs; its parameters, and what is not in it, one sentence each."""
-    unknown = () if task is None or found is None else tuple(j for j in task.robot.joints if j not in found.joints)
-    found = found if task is None or found is None else of_all_joints(task, found)
+    unknown: tuple[str, ...] = ()
+    if task is not None and found is not None:
+        unknown, found = unknown_joints(task, found), of_all_joints(task, found)
     terms = () if found is None else found.terms
     left_out = [f"{t.effect.name}: only some recordings have it" for t in terms if t.recordings != "all"]
     each = [t for t in terms if isinstance(t.effect, OfEach) and t.effect.each]

@@ -101,9 +101,8 @@ class Diagnosis:
     def verdict(self) -> str:
         """One of "missing_physics", "nothing_missing" and "cannot_tell"."""
         if not self.findings:
-            part = any(
-                f.fall and f.fall.low > MATTERS for f in self.small
-            )  # matters, but may be a part of what no law explains
+            # what matters and is no claim may be a part of what no law explains
+            part = any(f.fall and f.fall.low > MATTERS for f in self.small)
             if self.undecided or part:
                 return "cannot_tell"
             held = any(abs(mean) > FAR * max(float(self.model.noise[j]), spread) for j, mean, spread in self.idle)

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Moved, Priced, Quantity
-from rrr_oc.codesign.study import uncalibrated
+from rrr_oc.codesign.transfer import uncalibrated
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.words import joint_words, listed, words
 from rrr_oc.model.metrics import decrease

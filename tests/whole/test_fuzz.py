@@ -33,48 +33,11 @@ from rrr_oc.recordings.springs import springs_schema
 from rrr_oc.recordings.writer import save_recordings
 from rrr_oc.robot.drives import Drive, load_actuators
 from rrr_oc.robot.robot import load_robot
+from validation.fuzz_inputs import CELLS, HEADER, TEXTS, VALUES, places
 
 LONG = settings.get_current_profile_name() == "long"
-NUMBERS = [0, -1, 1e-300, -1e-9, 5e-324, 1e9, 1e10, 1e300, -1e300, 10**400, float("inf"), float("nan"), 3, 0.5]
-TEXTS = [
-    "",
-    " ",
-    "joint1",
-    "joint2",
-    "elbow",
-    "link3",
-    "rrr",
-    "all",
-    "0.csv",
-    "below",
-    "../0.csv",
-    "/dev/zero",
-    "\x1b[2J",
-    "٣",
-    "\ud800",
-]
 NAMES = ["payload", "payload_kg", "comment", "joint1", "x", "\x00"]
-HOSTILE = st.sampled_from([None, True, False, [], {}, [[]], [None], {"": None}, [[[[[[]]]]]], *NUMBERS, *TEXTS]).map(deepcopy)
-CELLS = [
-    "nan",
-    "",
-    "inf",
-    "1_0",
-    "٣",
-    "1e400",
-    "-1e300",
-    "1e12",
-    "0",
-    "x",
-    '"1"',
-    "1;2",
-    "#",
-    "\0",
-    "1,1",
-    "\n",
-    "true",
-    "1e-320",
-]
+HOSTILE = st.sampled_from(VALUES).map(deepcopy)
 
 
 def of(schema: Any) -> st.SearchStrategy:
@@ -105,12 +68,6 @@ def of(schema: Any) -> st.SearchStrategy:
         return st.fixed_dictionaries(needed, optional={f.encode_name: of(f.type) for f in fields if not f.required})
     plain = {float: st.floats(-10, 10), int: st.integers(-3, 3), str: st.sampled_from(TEXTS), bool: st.booleans()}
     return plain.get(schema, st.none() if schema is types.NoneType else HOSTILE)
-
-
-def places(data: Any, path: tuple = ()) -> list[tuple]:
-    """The paths to all values inside plain data."""
-    inside = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    return [path, *(place for key, value in inside for place in places(value, (*path, key)))]
 
 
 @st.composite
@@ -182,18 +139,6 @@ def check_set(found: Any) -> None:
         assert np.all((r.payload >= 0) & (r.payload <= 1e4))
         assert all(np.isfinite(value) for _, theta in r.springs for value in theta.values())
         assert all(theta.get("stiffness", 0) >= 0 for _, theta in r.springs)
-
-
-HEADER = {
-    "format": "rrr_oc-recordings/1", "robot": "rrr", "joints": ["joint1", "joint2", "joint3"], "gravity": [0.0, 0.0, -9.81],
-    "tool": {"link": "link3", "position": [0.3, 0.0, 0.0]}, "actuators": {"joint2": {"torque_constant": 12.34}},
-    "recordings": [
-        {"file": "0.csv", "payload": 5.0, "springs": {
-            "pea": {"joint2": {"stiffness_Nm_per_rad": 13.7, "equilibrium_rad": 1.9, "active": "below"}},
-            "bpea": {"stiffness_Nm_per_rad": 11.0, "equilibrium_rad": -1.2, "radius1_m": 0.015, "radius2_m": 0.036, "radius3_m": 0.014,
-                     "joints": ["joint2", "joint3"]}}},
-    ],
-}  # fmt: skip
 
 
 @fuzzed(80)
