@@ -67,11 +67,9 @@ def _undecided(found: Mapping[str, Any]) -> str:
     """The verdict where something is missing and nothing is claimed: on joints with an error, on joints that never moved, or on both."""
     still = {e["joint"] for e in found.get("idle", ())}
     names = [joint_words(m["joint"]) for m in found["mismatch"] if m["significant"] and m["joint"] not in still]
-    missed = (
-        f"Something is missing on {listed(names)}, where the error is far beyond the noise, and these recordings do not decide what: "
-        "nothing that would explain it holds on recordings left out of the search."
-    )
     parts = parts_of_unexplained(found)
+    none = "" if parts else ": nothing that would explain it holds on recordings left out of the search"
+    missed = f"Something is missing on {listed(names)}, where the error is far beyond the noise, and these recordings do not decide what{none}."
     only_still = still and not parts
     moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if only_still else ""
     said = missed if names else moved or "Something is missing, and these recordings do not decide what."
