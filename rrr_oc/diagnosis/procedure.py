@@ -1,7 +1,6 @@
 """Diagnosis of a recording set: the plain model, the most probable structure, and one check of the whole on held-out recordings."""
 
 import itertools
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from time import perf_counter
@@ -36,7 +35,6 @@ from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse,
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch
 from rrr_oc.diagnosis.signatures import trials, view
-from rrr_oc.diagnosis.structures.neighbours import Kind, kind
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
 from rrr_oc.effects import Trial
@@ -44,9 +42,8 @@ from rrr_oc.effects.priors import Priors
 from rrr_oc.errors import noted
 from rrr_oc.kept import Kept
 from rrr_oc.progress import Progress, Step
-from rrr_oc.recordings.recording import Recording, RecordingSet
+from rrr_oc.recordings.recording import RecordingSet
 
-OFTEN = 0.5  # share of the searches on parts of the recordings that must find an effect
 CHECK = "held-out check"  # the last stage of the procedure
 
 
@@ -62,7 +59,7 @@ class Diagnosis:
         links: Links that are far from the URDF's in `model`.
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         possible: What may be present but is not claimed.
-        refuted: What all recordings together make probable, but not most of them, or what raises the error.
+        refuted: What is as sure, but raises the error on data that it was not fitted to.
         shares: Contribution of each finding, and of what is small, on held-out recordings.
         calibration: NRMSE of each joint with the plain and the extended model on all recordings, two of (n,).
         held_out: The same on recordings that took part in no fit and no selection.
@@ -164,14 +161,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
     search, at = _searched(fitter, every, begin, stages)
     findings, possible = found(search, at)
-    parts = [p.recording for p in fitter.data.prepared]
     searched = repeated(search, begin, stages)
-    most, unstable = stable(findings, parts, searched)
-    if unstable:
-        gone = [f.term for f in unstable]
-        at, search = search.without(at, gone), search.within(most, gone)
-        at = search.run(at.fitted)
-        findings, possible = found(search, at)
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
     complete = search.completed(at)
     findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
@@ -196,7 +186,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         whole,
         fitter,
         (begin, final, closest),
-        (findings, undecided, small, possible, [*unstable, *worse]),
+        (findings, undecided, small, possible, worse),
         (way, checks, folds),
     )
 
@@ -241,34 +231,6 @@ def ready(
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)
     return whole, Fitter(data, plain_std(data), seen, families, priors), every, replace(model, robot=nominal.robot)
-
-
-def stable(
-    findings: Sequence[Finding], parts: Sequence[Recording], folds: Sequence[Fold]
-) -> tuple[dict[Kind, int], list[Finding]]:
-    """Kinds of effects that the searches on parts of the recordings find often, with how many of each, and findings that they do not.
-
-    Stability selection (Meinshausen & Bühlmann 2010). Only folds count whose rest has the effect: no other can tell.
-
-    Args:
-        findings: Most important first.
-        parts: What the folds hold out by number: the recordings, or blocks of the only one.
-    """
-    out = []
-    for i, f in enumerate(findings):
-        again = []
-        for fold in folds:
-            rest = [r for k, r in enumerate(parts) if k not in fold.held and f.term.holds_for(r)]
-            before = sum(f.met_by(g.term) and any(map(g.term.holds_for, rest)) for g in findings[:i])
-            if rest:
-                again.append(sum(f.met_by(t) and any(map(t.holds_for, rest)) for t in fold.extra) > before)
-        if again and np.mean(again) < OFTEN:
-            out.append(f)
-    kept = Counter(kind(f.term.effect) for f in findings if f not in out)
-    counts = [Counter(kind(t.effect) for t in fold.extra) for fold in folds]
-    often = (int(np.ceil(OFTEN * len(folds))) or 1) - 1
-    kinds = sorted(set().union(kept, *counts))
-    return {one: max(kept[one], sorted((c[one] for c in counts), reverse=True)[often]) for one in kinds}, out
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:

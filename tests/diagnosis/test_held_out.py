@@ -14,13 +14,12 @@ from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Fall, Finding
 from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals, ranges
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, stable
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
-from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import extrapolated, sentence
 
@@ -179,61 +178,6 @@ def test_a_twin_that_diverges_on_a_recording_gives_no_mean():
     bad = {"joint1": {s: {"nrmse": None, "rmse": None} for s in SIGNALS}}
     assert _means([{"a.csv": good, "b.csv": good}], ["joint1"])["joint1"]["q"] == pytest.approx(0.1)
     assert _means([{"a.csv": good}, {"b.csv": bad}], ["joint1"]) == {"why_not": "it diverges while it follows b.csv"}
-
-
-def searched(k: int, effects, before=0.3, after=0.2, n=2) -> Fold:
-    """A fold that holds out recording k and in which a search finds effects."""
-    plain = SimpleNamespace(terms=())
-    model = SimpleNamespace(terms=tuple(Term(effect, ()) for effect in effects))
-    return fold(k, (plain, model), (np.full((1, n), before), np.full((1, n), after)))
-
-
-def parts(*groups: str) -> list[SimpleNamespace]:
-    """Recordings of these groups."""
-    return [SimpleNamespace(springs=(), file=g, group=g) for g in groups]
-
-
-@pytest.mark.parametrize(
-    ("found", "confirmed"), [((1, 1, 1, 1), True), ((1, 0, 1, 0), True), ((0, 1, 0, 0), False), ((2, 0, 0, 0), False)]
-)
-def test_an_effect_is_stable_that_half_of_the_searches_find(found, confirmed):
-    spring = ParallelSpring((0,))
-    folds = [searched(k, [spring] * f) for k, f in enumerate(found)]
-    most, out = stable([finding(spring)], parts(*"abcd"), folds)
-    assert (out == []) == confirmed
-    assert most == {("parallel_spring", (0,)): int(confirmed)}
-
-
-def test_of_effects_of_one_kind_as_many_are_stable_as_half_of_the_searches_find():
-    ripples = [finding(TorqueRipple((0,))) for _ in range(2)]
-    folds = [searched(k, [TorqueRipple((0,))] * f) for k, f in enumerate((2, 1, 1, 0))]
-    most, out = stable(ripples, parts(*"abcd"), folds)
-    assert out == ripples[1:]
-    assert most == {("torque_ripple", (0,)): 1}
-
-
-def test_what_most_searches_find_is_sought_again():
-    most, out = stable([finding(ParallelSpring((0,)))], parts(*"abc"), [searched(k, [Backlash((0,))]) for k in range(3)])
-    assert most == {("backlash", (0,)): 1}
-    assert len(out) == 1
-
-
-def test_what_may_be_in_its_place_stands_for_an_effect_that_is_sought_again():
-    folds = [searched(k, [Backlash((0,))]) for k in range(2)]
-    one = finding(ParallelSpring((0,)))
-    assert stable([one], parts("a", "b"), folds)[1] == [one]
-    other = replace(one, rivals=(("backlash", (0,)),))
-    assert stable([other], parts("a", "b"), folds)[1] == []
-
-
-def test_an_effect_of_one_recording_only_is_judged_by_the_others_searches():
-    """Without the one recording it cannot be found."""
-    spring = ParallelSpring((0,))
-    one = finding(spring)
-    one = replace(one, term=replace(one.term, recordings=(), groups=("b",)))
-    folds = [searched(k, [] if k == 1 else [spring], after=0.9) for k in range(3)]
-    assert stable([one], parts(*"abc"), folds)[1] == []
-    assert stable([one], parts(*"abc"), [searched(k, []) for k in range(3)])[1] == [one]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """The neighbours of a structure, with an effect more, fewer or another, and their posterior probabilities as linearity predicts them."""
 
-from collections.abc import Callable, Container, Hashable, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -95,7 +95,6 @@ class Neighbours:
         blocks: What the probabilities are conditional on.
         level: The products.
         exact: The neighbours about the fit of an exact arm; None where it has no other.
-        most: Kinds of effects that are sought, and how many of each; all if None.
         more: Additions that are offered beside the tables: effects at their best shapes.
         least: Share by which an addition must lower the error of a joint.
     """
@@ -105,7 +104,6 @@ class Neighbours:
     blocks: Blocks
     level: Level
     exact: Callable[[], "Neighbours | None"]
-    most: Mapping[Kind, int] | None = None
     more: Structure = ()
     least: float = SOUGHT * MATTERS
 
@@ -128,7 +126,7 @@ class Neighbours:
         if errors of the links are larger than declared, in the linear problem about the fit of such an arm, since predictions are far
         from linear in them.
         """
-        if len(here.structure) >= MOST or (self.most is not None and not self.most):
+        if len(here.structure) >= MOST:
             return []
         own, hyper = here.structure, here.solution.hyper
         every = self._own(own, here) + self._judged(own, self._screen(own, here, None).candidates(), here, None)
@@ -199,7 +197,7 @@ class Neighbours:
         if len(here.structure) >= MOST:
             return []
         own, every = here.structure, self._own(here.structure, here, True)
-        for j in range(self.level.n) if self.most is None else [joints[0] for name, joints in self.most if not name]:
+        for j in range(self.level.n):
             every += self._judged(own, self._screen(own, here, j).candidates(), here, j)
         return _distinct(every)
 
@@ -209,7 +207,7 @@ class Neighbours:
         Args:
             refused: Effects with which fits were worse than predicted.
         """
-        near, start = replace(self, least=0.0, most=None), here.key
+        near, start = replace(self, least=0.0), here.key
         while True:
             best = next((p for p in near.added(here) if not any(frozenset({name}) in refused for name in p.key - start)), here)
             if best.score < here.score + SURE:
@@ -269,12 +267,8 @@ class Neighbours:
         return Screen.of(self.level, self.tables(joint), structure, self.blocks, base.solution)
 
     def _open(self, c: Candidate | Addition, structure: Structure) -> bool:
-        """Whether an effect is new and sought; where it is there, it may say that some groups differ from the rest."""
+        """Whether an effect is new; where it is there, it may say that some groups differ from the rest."""
         effect = c.effect if isinstance(c, Addition) else c.trial.effect
-        if self.most is not None:
-            own = kind(effect)
-            if sum(kind(a.effect) == own for a in structure) >= self.most.get(own, 0):
-                return False
         labels = self.linear.fitter.data.labels
         return effect.placement == "many" or all(
             c.scope is not None and effect.partly > 0 and set(c.scope) < set(a.scope or labels)

@@ -4,7 +4,7 @@ Each fit is a linear problem, in which all neighbours of its structure are predi
 fitted exactly, and the best goes on.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import pairwise
@@ -18,7 +18,7 @@ from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
 from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
-from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Kind, Levels, Neighbours, Predicted, beside, kind, overlapping
+from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Levels, Neighbours, Predicted, beside, overlapping
 from rrr_oc.effects import MovesLink, Trial
 
 FITTED = 2  # neighbours of a structure by one kind of move that are fitted exactly
@@ -53,7 +53,6 @@ class Search:
         fitter: Fits models.
         tables: Signatures of what is sought.
         report: Receives what has just happened and the number of structures that were fitted.
-        most: Kinds of effects that are sought, and how many of each; all if None.
         visited: Log posterior of each structure that was fitted, by its effects.
         predicted: The same of the neighbours of the last one.
         path: The structures that were accepted, one after the other.
@@ -62,7 +61,6 @@ class Search:
     fitter: Fitter
     tables: Tables
     report: Callable[[str, int], None] = lambda *_: None
-    most: Mapping[Kind, int] | None = None
     visited: dict[Key, float] = field(default_factory=dict)
     predicted: dict[Key, float] = field(default_factory=dict)
     path: list[State] = field(default_factory=list)
@@ -92,25 +90,6 @@ class Search:
         while (better := self._better(self.path[-1]) or self._reformed(self.path[-1])) is not None:
             self.path.append(better)
         return self.path[-1]
-
-    def within(self, most: Mapping[Kind, int], out: Sequence[Term]) -> "Search":
-        """The search among some kinds of effects, of each so many; it remembers the structures without those that are `out`."""
-        gone = {kind(t.effect) for t in out}
-
-        def allowed(structure: Key) -> bool:
-            present = [kind(effect) for effect, *_ in structure]
-            return all(present.count(one) <= most.get(one, 0) for one in gone)
-
-        visited, predicted = (
-            {k: score for k, score in known.items() if allowed(k)} for known in (self.visited, self.predicted)
-        )
-        return replace(self, most=most, visited=visited, predicted=predicted, path=[])
-
-    def without(self, at: State, out: Sequence[Term]) -> State:
-        """The structure without some of its effects."""
-        terms = tuple(t for t in at.fitted.model.terms if not any(t is o for o in out))
-        less = self.fitter.fit(replace(at.fitted.model, terms=terms), at.fitted.links, at.fitted.posterior)
-        return self.scored(self.fitter.with_signs(less))
 
     def completed(self, at: State) -> Fitted:
         """The fit of a structure with all further effects that are sure, however small."""
@@ -149,21 +128,18 @@ class Search:
                 self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), fixed=True, steps=NEAR_ENOUGH)
             )
 
-        return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm, self.most)
+        return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm)
 
     @property
     def levels(self) -> Levels:
-        """The linear problems about the first and the last structure that were accepted, and those that gained most between.
-
-        What is sought in them is not restricted.
-        """
+        """The linear problems about the first and the last structure that were accepted, and those that gained most between."""
         gains = [after.score - before.score for before, after in pairwise(self.path)]
         most = sorted(range(1, len(gains)), key=lambda k: -gains[k - 1])[: LEVELS - 2]
         some = [self.path[k].fitted for k in sorted({0, *most, len(self.path) - 1})]
-        keys, free = [key_of(name_of(t) for t in fitted.extra) for fitted in some], replace(self, most=None)
+        keys = [key_of(name_of(t) for t in fitted.extra) for fitted in some]
 
         def make(number: int) -> Neighbours:
-            near = free.neighbours(some[number])
+            near = self.neighbours(some[number])
             return replace(near, tables=lambda joint: self.tables.at(some[number].model, joint))  # none of which is kept
 
         return Levels(keys, make, lambda number, trials: self.tables.of(some[number].model, trials))
