@@ -40,6 +40,11 @@ def test_what_is_said_is_judged_by_what_is_equal_on_the_data(found, what, wrong)
     assert said(truth(equal=[("torque_offset", "joint2")]), found) == (what, wrong)
 
 
+@pytest.mark.parametrize(("more", "what"), [(None, "false"), (0.05, "false"), (0.01, "as good"), (-0.1, "as good")])
+def test_claims_are_as_good_as_the_law_whose_error_they_reach(more, what):
+    assert said(truth(), diagnosis([("backlash", "joint2", ())]), more)[0] == what
+
+
 def test_only_cases_with_one_effect_that_can_be_seen_are_hidden():
     assert hidden(truth())
     assert not hidden(truth(ratio=0.5))
@@ -48,9 +53,18 @@ def test_only_cases_with_one_effect_that_can_be_seen_are_hidden():
 
 
 def test_the_report_counts_cases_and_claims():
+    two = diagnosis([("backlash", "joint2", ()), ("echo", "joint2", ())])
     results = [
-        (truth(), {"case": "a", "seconds": 1.0, "diagnosis": diagnosis([("backlash", "joint2", ()), ("echo", "joint2", ())])}),
-        (truth(), {"case": "b", "seconds": 2.0, "diagnosis": diagnosis(unexplained=["joint2"])}),
+        (
+            truth(),
+            {
+                "case": "a",
+                "seconds": 1.0,
+                "more_error": 0.3,
+                "diagnosis": diagnosis([("backlash", "joint2", ()), ("echo", "joint2", ())]),
+            },
+        ),
+        (truth(), {"case": "b", "seconds": 2.0, "more_error": None, "diagnosis": diagnosis(unexplained=["joint2"])}),
         (truth("stribeck"), {"case": "c", "seconds": 3.0, "crash": "Traceback"}),
     ]
     summary, text = report(results)
