@@ -53,7 +53,6 @@ def test_only_cases_with_one_effect_that_can_be_seen_are_hidden():
 
 
 def test_the_report_counts_cases_and_claims():
-    two = diagnosis([("backlash", "joint2", ()), ("echo", "joint2", ())])
     results = [
         (
             truth(),
