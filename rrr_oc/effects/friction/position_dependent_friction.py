@@ -38,7 +38,7 @@ class PositionDependentFriction(Effect):
     def trials(cls, view):
         for j in range(view.n):
             turn = 2 * np.pi / (view.high[j] - view.low[j])
-            for cycles in (0.5, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2):
+            for cycles in (0.5, 0.75, 1.0, 1.35, 1.8, 2.3, 2.8, 3.5, 4.2):
                 points = tuple({"amplitude": 1.0, "order": cycles * turn, "phase": phase} for phase in (0.0, np.pi / 2))
                 effect = cls((j,))
                 yield Trial(effect, points, width=effect.sign_width(view))

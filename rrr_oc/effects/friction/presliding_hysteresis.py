@@ -43,7 +43,7 @@ class PreslidingHysteresis(WithStates, ExportTwin):
     @classmethod
     def trials(cls, view):
         for j in range(view.n):
-            for share in (0.00001, 0.0015, 0.004, 0.01, 0.025, 0.06):
+            for share in (0.00001, 0.0002, 0.0006, 0.0015, 0.004, 0.01, 0.025, 0.06):
                 trial = cls((j,)).trial(view, stiffness=1 / (share * (view.high[j] - view.low[j])))
                 yield from (trial, replace(trial, width=0.0))
 

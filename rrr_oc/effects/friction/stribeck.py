@@ -33,7 +33,7 @@ class Stribeck(ExportTwin):
 
     @classmethod
     def shapes(cls, view, joints):
-        return [{"velocity": share * view.speed[joints[0]]} for share in (0.04, 0.08, 0.14, 0.22, 0.35)]
+        return [{"velocity": share * view.speed[joints[0]]} for share in (0.04, 0.055, 0.08, 0.1, 0.14, 0.18, 0.24, 0.35)]
 
     def native(self, spec, joints, theta):
         """A passive motor's friction with a kinetic level of 0: bristles, in place of a smoothed sign, which hold the joint at rest."""

@@ -56,7 +56,7 @@ class Backlash(MovesLink):
     @classmethod
     def trials(cls, view):
         for j in range(view.n):
-            for gap in (0.002, 0.006, 0.02, 0.05, 0.11, 0.2):
+            for gap in (0.002, 0.006, 0.011, 0.02, 0.033, 0.05, 0.11, 0.2):
                 dampings = [slowed * float(view.inertia[j]) for slowed in SLOWED]
                 for damping in dampings:
                     yield Trial(cls((j,), True), ({"gap": gap, "damping": damping},), gap)

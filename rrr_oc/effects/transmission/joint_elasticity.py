@@ -11,7 +11,18 @@ from rrr_oc.numerics.oscillator import Oscillator
 from rrr_oc.robot.parameters import Parameter
 
 TIME = 0.002  # [s], damping time of a gear so stiff that its damping does not show
-RINGING = (1e5, 60.0, 36.0, 22.0, 13.0, 8.0)  # [rad/s], resonances of the trials; the first only twists with the load
+RINGING = (
+    1e5,
+    60.0,
+    46.0,
+    36.0,
+    28.0,
+    22.0,
+    17.0,
+    13.0,
+    10.0,
+    8.0,
+)  # [rad/s], resonances of the trials; the first only twists with the load
 DAMPED = 0.3  # damping ratio from which a fit starts; with less it converges to the right resonance only from near by
 LIGHT = 0.01  # least inertia of a link over its largest along a motion: below, the estimate is wrong and would make the link diverge
 FURTHEST = 1.0  # [rad], largest twist; beyond, something else in the model is wrong, and the motion is scaled down
