@@ -59,7 +59,7 @@ class Diagnosis:
         links: Links that are far from the URDF's in `model`.
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         possible: What may be present but is not claimed.
-        refuted: What is as sure, but raises the error on data that it was not fitted to.
+        refuted: What is as sure, but does not lower the error on data that it was not fitted to.
         shares: Contribution of each finding, and of what is small, on held-out recordings.
         calibration: NRMSE of each joint with the plain and the extended model on all recordings, two of (n,).
         held_out: The same on recordings that took part in no fit and no selection.
@@ -167,7 +167,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
     near = search.neighbours(complete)
     findings, rest = sized(near, findings, filtered_noise(fitter.data, complete.model))
-    worse = [f for f in rest if f.fall and f.fall.high <= 0]
+    worse = [f for f in rest if f.fall and f.fall.share <= 0]
     small = [f for f in rest if f not in worse]
     findings, undecided = separated(search, complete, findings, small)
     checks = checked(near, [*findings, *small])

@@ -303,8 +303,8 @@ def not_claimed(found: Mapping[str, Any]) -> list[str]:
         result.append(f"Possible, not claimed (below {100 * CLAIM:.0f} %): {_listed(found['possible'])}.")
     if found.get("not_confirmed"):
         result.append(
-            f"Not confirmed, not claimed: {_listed(found['not_confirmed'])}. All recordings together make it probable, but it raises the "
-            "error of what it was not fitted to."
+            f"Not confirmed, not claimed: {_listed(found['not_confirmed'])}. All recordings together make it probable, but it does "
+            "not lower the error of what it was not fitted to."
         )
     return result
 

@@ -345,13 +345,20 @@ def _renewed(data: Data, found: Posterior, j: int, root: np.ndarray) -> tuple[Jo
     """A joint with its noise estimated from the residual that is left, and σ; as it is where that changes the evidence little."""
     left, old, sigma = _left(data, found, j), found.joints[j], found.hyper.sigma[j]
     new, size = Joint.estimated(data, j, left, _taken(data, found, j, root))
-    logs = [
-        one.log_det - one.count * np.log(s) - 0.5 * np.sum((one.white @ left) ** 2) / s**2
-        for one, s in ((old, sigma), (new, size))
-    ]
-    if logs[1] - logs[0] < SMALL_GAIN:
+    if _likelihood(new, size, left) - _likelihood(old, sigma, left) < SMALL_GAIN:
         return old, sigma
     return new.with_features(data.features[j]), size
+
+
+def _likelihood(one: Joint, sigma: float, left: np.ndarray) -> float:
+    """Logarithm of the likelihood of the noise (M,) of a joint, up to a constant."""
+    return float(one.log_det - one.count * np.log(sigma) - 0.5 * np.sum((one.white @ left) ** 2) / sigma**2)
+
+
+def gain_of_other_noise(data: Data, j: int, one: Joint, sigma: float, discrepancy: float, residual: np.ndarray) -> float:
+    """By how much the log likelihood of a joint's residual (M,) rises, all else being estimated, if its noise is estimated anew."""
+    left = (residual - one.explained(data.features[j], residual, (sigma / discrepancy) ** 2)) * (data.place[j] >= 0)
+    return max(_likelihood(*Joint.estimated(data, j, left), left) - _likelihood(one, sigma, left), 0.0)
 
 
 @dataclass(frozen=True)

@@ -421,7 +421,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         link_findings: Links that are far from the URDF's in the model.
         possible: What is less probable than a claim needs.
-        not_confirmed: What is as sure, but raises the error on data that it was not fitted to.
+        not_confirmed: What is as sure, but does not lower the error on data that it was not fitted to.
         unexplained: Torques that no effect of the catalogue explains.
         idle: Joints that never moved enough to tell anything, with the torque that is left there.
         priors_file: File that was given by `--priors`.

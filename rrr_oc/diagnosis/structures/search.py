@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.calibration.estimator.evidence import Start
+from rrr_oc.calibration.estimator.evidence import Start, gain_of_other_noise
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
@@ -21,6 +21,7 @@ from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, ke
 from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Levels, Neighbours, Predicted, beside, overlapping
 from rrr_oc.effects import MovesLink, Trial
 
+RENEWED = 16  # neighbours by one kind of move whose noise is estimated anew
 FITTED = 2  # neighbours of a structure by one kind of move that are fitted exactly
 NEAR_ENOUGH = 4  # steps of a fit that is only a place to linearise at
 LEVELS = 4  # fits about which structures are predicted on parts of the recordings
@@ -155,12 +156,29 @@ class Search:
         self.predicted.clear()
         exchanged = partial(near.exchanged, score=at.score, waiting=self._waiting)
         for move in (near.removed, near.several_added, exchanged, near.unexplained):
-            every = move(here)
+            every = self._renewed(here, move(here))
             self.predicted |= {p.key: at.score + p.score - here.score for p in every}
             better = self._best(at, here, every)
             if better is not None:
                 return better
         return None
+
+    def _renewed(self, here: Predicted, every: Sequence[Predicted]) -> list[Predicted]:
+        """Neighbours with the noise of those that are most probable estimated anew, the most probable first.
+
+        Products of whitened columns hold for one noise. What explains much of a residual leaves another, in which it explains more.
+        """
+        data, rows = self.fitter.data, np.arange(self.fitter.data.edges[-1])
+
+        def gains(p: Predicted) -> np.ndarray:
+            hyper, joints = p.solution.hyper, p.linear.fitted.posterior.joints
+            left = p.linear.left(p.structure, p.solution.step, rows)
+            every = zip(joints, hyper.sigma, hyper.discrepancy, left, strict=True)
+            return np.array([gain_of_other_noise(data, j, *one) for j, one in enumerate(every)])
+
+        now = gains(here).sum() if every else 0.0
+        some = [replace(p, score=p.score + gains(p).sum() - now) for p in every[:RENEWED]]
+        return sorted([*some, *every[RENEWED:]], key=lambda p: -p.score)
 
     def _best(self, at: State, here: Predicted, every: Sequence[Predicted]) -> State | None:
         """The best of some neighbours that is better than where the search is, fitted exactly.
@@ -185,13 +203,15 @@ class Search:
             gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
             if found.score > (gained if best is None else best.score):
                 best, chosen = found, p
-        if best is None:
-            return None
         for found, p in tried:
             gain = p.score - here.score
-            # far from linear there may be other optima, of the best and of what comes close to it
-            if found.score > best.score - CLOSE and abs(found.score - at.score - gain) > SLACK * gain:
-                best = max(best, self._restarted(found, p), key=lambda state: state.score)
+            # far from linear there may be other optima, of what is best, comes close to it, or was to do so
+            wanted = at.score + LEAST_GAIN if best is None else best.score
+            if max(found.score, at.score + gain) > wanted - CLOSE and abs(found.score - at.score - gain) > SLACK * gain:
+                other = self._restarted(found, p)
+                best = other if other.score > wanted else best
+        if best is None:
+            return None
         self.report(_said(at.fitted, best.fitted), len(self.visited))
         return best
 
