@@ -31,6 +31,8 @@ from rrr_oc.kept import Keeping, known, save
 from rrr_oc.progress import Progress
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
 from rrr_oc.report.diagnosis_words import (
+    SMALL,
+    error,
     extrapolated,
     idle,
     not_claimed,
@@ -116,7 +118,7 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         output.show(table)
     header, body = small(found)
     if body:
-        output.show("Sure, but too small to matter, and so not in the model:")
+        output.show(SMALL)
         table = Table(*header)
         for row in body:
             table.add_row(*row)
@@ -124,11 +126,12 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
     lines = [*undecided(found), *off_links(found), *on_prior(found), *idle(found), *not_claimed(found), *not_made(found)]
     for line in lines:
         output.show(line)
-    errors = Table("joint", "NRMSE held out, before", "after", "after / before, 95 % interval")
+    errors = Table("joint", "plain model", "extended model", "extended / plain, 95 % interval")
+    errors.title = "Error held out, of the torque's standard deviation"
     for joint, b in found["bootstrap"].items():
         interval = b["ratio"]["interval"]
         ratio = "–" if interval is None else f"{shown(interval[0])} … {shown(interval[1])}"
-        errors.add_row(joint_words(joint), shown(b["before"]["value"]), shown(b["after"]["value"]), ratio)
+        errors.add_row(joint_words(joint), *(error(b[k]) for k in ("before", "after")), ratio)
     output.show(errors)
     for line in extrapolated(found):
         output.show(line)

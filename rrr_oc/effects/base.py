@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from rrr_oc.effects.words import default_sentence, listed
+from rrr_oc.effects.words import default_sentence, listed, words
 from rrr_oc.robot.parameters import Parameter
 
 SIDES = {
@@ -210,6 +210,7 @@ class Effect:
         options: Dataclass fields beside the parameters that users choose and reports show, with the values allowed; of a field that
             is a tuple, the values of each element.
         composed: Where parameters are the components of vectors or matrices: shown name to parameters' names, nested.
+        title: What people call it, followed by "of" and its joints; "" for its name with spaces.
         plain: What was found, in a sentence for people: a format with "joints", the parameters' names (`words.Number`) and options;
             "" for one that is made of the name, the joints and the parameters.
         prior: What is believed of it before any recording is seen.
@@ -235,6 +236,7 @@ class Effect:
     moves_link: ClassVar[bool] = False
     options: ClassVar[Mapping[str, tuple[Any, ...]]] = {}
     composed: ClassVar[Mapping[str, Any]] = {}
+    title: ClassVar[str] = ""
     plain: ClassVar[str] = ""
     prior: ClassVar[Prior] = Prior()
 
@@ -333,6 +335,11 @@ class Effect:
     def derived(self, found: Mapping[str, tuple[float, float | None]]) -> Mapping[str, Any]:
         """What follows from parameters (value, standard error) and is told beside them, as `diagnosis.json` has parameters."""
         return {}
+
+    @classmethod
+    def called(cls) -> str:
+        """What people call it."""
+        return cls.title or words(cls.name)
 
     @classmethod
     def sentence(cls, joints: Sequence[str], values: Mapping[str, Any]) -> str:

@@ -72,6 +72,11 @@ def _alone(diagnosis: Diagnosis) -> list[str]:
     return sorted(result)
 
 
+def _began(note: str, recordings: RecordingSet) -> str:
+    """A note as a sentence; the name of a file stays as it is."""
+    return note if note.startswith(tuple(r.file for r in recordings.recordings)) else note[0].upper() + note[1:]
+
+
 def about(recordings: RecordingSet) -> str:
     """The robot and its recordings in a sentence, and notes on how they were read."""
     every, robot = recordings.recordings, recordings.robot
@@ -81,5 +86,5 @@ def about(recordings: RecordingSet) -> str:
         f"Robot {robot.name}, {robot.n} joint{'s' * (robot.n > 1)} ({', '.join(robot.joints)}); {len(every)} "
         f"recording{'s' * (len(every) > 1)} of {seconds:.0f} s together, {carrying or 'none'} with a payload, {sprung or 'none'} with springs; "
         f"{recordings.torque} {'torque ' * (recordings.torque != 'current')}recorded."
-        + "".join(f" {note[0].upper()}{note[1:]}." for note in recordings.notes)
+        + "".join(f" {_began(note, recordings)}." for note in recordings.notes)
     )

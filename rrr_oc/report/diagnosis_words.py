@@ -11,7 +11,7 @@ from typing import Any
 from rrr_oc.diagnosis.findings import LESS_PROBABLE, LINK_ERRORS
 from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
 from rrr_oc.effects import CATALOGUE
-from rrr_oc.effects.words import Number, default_sentence, joint_words, listed, read, rounded, words
+from rrr_oc.effects.words import default_sentence, joint_words, listed, read, rounded, words
 from rrr_oc.model.metrics import WORTHLESS
 
 SURE = 0.999  # probability above which no closer number is shown; nearer to 1, digits that no recordings support
@@ -19,6 +19,10 @@ SURE = 0.999  # probability above which no closer number is shown; nearer to 1, 
 # predicted and the verdict says so; doubled, a model that fits too few recordings passes as complete
 POOR_RATIO, POOR_NRMSE = 3.0, 0.2
 EACH = 3  # joints whose errors the verdict tells one by one; of more it tells the range
+SMALL = (
+    "Almost surely there, yet not in the model, since what it explains is small: the lower end of its interval is below what a claim "
+    f"needs. That is {100 * MATTERS:.0f} %, and more on a joint where much stays unexplained, since it may then be a part of that."
+)
 VERDICTS = {
     "missing_physics": "the calibrated model lacks physics",
     "nothing_missing": "nothing is missing",
@@ -29,7 +33,11 @@ DEGREES = {
     "rad/s": (180 / math.pi, " °/s"),
     "rad/s²": (180 / math.pi, " °/s²"),
 }  # by the file's unit
-OF_LINKS = (("mass", "mass", "kg"), ("centre", "centre of mass at", "m"), ("inertia", "inertia about it", "kg m²"))
+OF_LINKS = (
+    ("mass", "a mass of", "kg"),
+    ("centre", "its centre of mass at", "m"),
+    ("inertia", "an inertia about that of", "kg m²"),
+)
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 
@@ -41,7 +49,8 @@ def sentence(found: Mapping[str, Any]) -> str:
             others = f"Of the other joints nothing is missing. {' '.join(useless)}"
             return others if len(useless) < len(found["bootstrap"]) else f"These recordings tell nothing. {' '.join(useless)}"
         few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
-        return "Nothing is missing: the calibrated model explains these recordings to their noise." + few * bool(poor)
+        nothing = "Nothing that matters" if found.get("small") else "Nothing"
+        return f"{nothing} is missing: the calibrated model explains these recordings to their noise.{few * bool(poor)}"
     if not (found["effects"] or found["unexplained"]):
         return " ".join(undecided(found)) or _undecided(found)
     lacking, gain = listed(_lacking(found)), _gain_held_out(found)
@@ -110,9 +119,8 @@ def _gain_held_out(found: Mapping[str, Any]) -> str:
             f"of the {len(told)} joints that this touches, and at the worst of them from {worst}."
         )
     each = [f"{joint_words(joint)}'s torque goes from {_told_error(a)} to {_told_error(b)}" for joint, (a, b) in better.items()]
-    rest = f"; that of {listed([joint_words(joint) for joint in told if joint not in better])} stays" * (
-        len(better) < len(told)
-    )
+    others = listed([joint_words(joint) for joint in told if joint not in better])
+    rest = f"; that of {others} does not fall" * (len(better) < len(told))
     return f" On {left_out} left out of the fit the error of {listed(each)} of its standard deviation{rest}."
 
 
@@ -131,9 +139,9 @@ def error(entry: Mapping[str, Any]) -> str:
     interval = entry["interval"]
     if entry["value"] is None:
         return "an error that is not known"
-    if interval is None or None in interval:
+    if interval is None or None in interval or interval[0] == interval[1]:
         return _told_error(entry["value"])
-    return f"{Number(entry['value'], '1', (interval[0], interval[1])):%}"
+    return f"{_told_error(entry['value'])} (95 %: {rounded(100 * interval[0])} to {_told_error(interval[1])})"
 
 
 def share(size: Mapping[str, Any]) -> str:
@@ -162,9 +170,10 @@ def place(where: Mapping[str, Any]) -> str:
     """A range in which an error is concentrated, in words."""
     factor, unit = DEGREES.get(where["unit"], (1.0, f" {where['unit']}"))
     low, high = (factor * x for x in where["range"])
-    ends = " to ".join(rounded(x, (high - low) / 10) for x in (low, high))
+    ends = [rounded(x, (high - low) / 10) for x in (low, high)]
+    where_it_is = f"of {rounded(low)}" if ends[0] == ends[1] else f"from {' to '.join(ends)}"
     return (
-        f"{variable(where['variable'])} from {ends}{unit}, with {100 * where['share_of_error']:.0f} % of the error in "
+        f"{variable(where['variable'])} {where_it_is}{unit}, with {100 * where['share_of_error']:.0f} % of the error in "
         f"{100 * where['share_of_time']:.0f} % of the time"
     )
 
@@ -206,6 +215,8 @@ def unexplained(u: Mapping[str, Any]) -> str:
 
 def verdict(found: Mapping[str, Any]) -> str:
     """The verdict's key in words."""
+    if found["verdict"] == "nothing_missing" and found.get("small"):
+        return "nothing that matters is missing"
     return VERDICTS.get(found["verdict"], words(found["verdict"]))
 
 
@@ -230,7 +241,7 @@ def told_apart(found: Mapping[str, Any], names: Sequence[str]) -> str:
     for e in found["effects"]:
         if e["effect"] == names[0] and {r["effect"] for r in e["rivals"]} == set(names[1:]):
             return ", ".join(dict.fromkeys([placed(e), *map(placed, e["rivals"])]))
-    return ", ".join(map(words, names))
+    return ", ".join(map(called, names))
 
 
 def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -239,24 +250,19 @@ def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         "what is missing",
         "recordings",
         "probability",
-        "error held out without it",
-        "with it",
         "lowers the error of",
         "as good",
     ]
-    body = []
-    for e in found["effects"]:
-        without, having = (e["nrmse"][key] for key in ("held_out_before", "held_out_after"))
-        body.append(
-            [
-                placed(e),
-                ", ".join(some_recordings(e)) or e["recordings"],
-                percent(e["probability"]),
-                *("–" if x is None else _told_error(x) for x in (without, having)),
-                lowered(e["lowers_error"]),
-                ", ".join(rivals(e)) or "nothing",
-            ]
-        )
+    body = [
+        [
+            placed(e),
+            ", ".join(some_recordings(e)) or e["recordings"],
+            percent(e["probability"]),
+            lowered(e["lowers_error"]),
+            ", ".join(rivals(e)) or "nothing",
+        ]
+        for e in found["effects"]
+    ]
     return header, body
 
 
@@ -264,7 +270,8 @@ def _unforeseen(found: Mapping[str, Any]) -> str:
     """The joints whose held-out error is far above the error within the fit, with both."""
     inside, outside = (found["nrmse"][key]["before"] for key in ("calibration", "held_out"))
     poor = [j for j in inside if inside[j] and outside[j] and outside[j] > max(POOR_RATIO * inside[j], POOR_NRMSE)]
-    return ", ".join(f"{joint_words(j)}: NRMSE {outside[j]:.2g} against {inside[j]:.2g}" for j in poor)
+    each = [f"{_told_error(outside[j])} against {_told_error(inside[j])} on {joint_words(j)}" for j in poor]
+    return f"an error of {listed(each)}" * bool(each)
 
 
 def _lacking(found: Mapping[str, Any]) -> list[str]:
@@ -324,20 +331,23 @@ def off_links(found: Mapping[str, Any]) -> list[str]:
     result = []
     for one in found.get("link_findings", ()):
         said = [
-            f"a {said} of {_numbers(one[name]['value'])} {unit}, where the robot's description has {_numbers(one[name]['urdf'])} {unit}"
+            f"{said} {_numbers(one[name]['value'])} {unit}, where the robot's description has {_numbers(one[name]['urdf'])} {unit}"
             for name, said, unit in OF_LINKS
             if one.get(name)
         ]
         most = max(one[name]["sigmas"] for name, *_ in OF_LINKS if one.get(name))
         result.append(
-            f"Link {one['link']} fits with {listed(said)}: {most:.0f} times the error that such a description usually has. Either that is "
-            "so, or it takes up what the model lacks."
+            f"The link “{one['link']}” fits with {listed(said)}: {most:.0f} times the error that such a description usually has. Either that "
+            "is so, or it takes up what the model lacks."
         )
     return result
 
 
 def _numbers(value: float | Sequence[float]) -> str:
-    return rounded(value) if isinstance(value, float | int) else f"({', '.join(map(rounded, value))})"
+    if isinstance(value, float | int):
+        return rounded(value)
+    finest = max(map(abs, value)) / 100  # of all components alike
+    return f"({', '.join(rounded(x, finest) for x in value)})"
 
 
 def idle(found: Mapping[str, Any]) -> list[str]:
@@ -389,16 +399,28 @@ def lowered(size: Mapping[str, Any]) -> str:
 
 def rivals(e: Mapping[str, Any]) -> list[str]:
     """What may be there in an effect's place, with its joint where that is another."""
-    named = [words(r["effect"]) if r["joint"] == e["joint"] else placed(r) for r in e["rivals"]]
+    named = [called(r["effect"]) if r["joint"] == e["joint"] else placed(r) for r in e["rivals"]]
     return list(dict.fromkeys(named))
 
 
 def placed(e: Mapping[str, Any]) -> str:
     """An effect and where it is."""
-    kind, where = CATALOGUE.get(e["effect"]), listed([joint_words(joint) for joint in joints_of(e)])
-    if kind is not None and kind.role == "black_box":
+    where = listed([joint_words(joint) for joint in joints_of(e)])
+    if is_black_box(e):
         return f"a torque on {where} that no effect explains"
-    return words(e["effect"]) + f" of {where}" * bool(where)
+    return called(e["effect"]) + f" of {where}" * bool(where)
+
+
+def is_black_box(e: Mapping[str, Any]) -> bool:
+    """Whether it stands for a torque that no law explains."""
+    kind = CATALOGUE.get(e["effect"])
+    return kind is not None and kind.role == "black_box"
+
+
+def called(effect: str) -> str:
+    """What people call an effect of this name; one that is not known, by its name with spaces."""
+    kind = CATALOGUE.get(effect)
+    return words(effect) if kind is None else kind.called()
 
 
 def joints_of(e: Mapping[str, Any]) -> list[str]:

@@ -23,15 +23,17 @@ from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
+from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.codesign.certificate import MeshQuality
 from rrr_oc.diagnosis.held_out import Fold
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.report.design_words import bound, cautions, hardware, verdict
-from rrr_oc.report.diagnosis_report import write_diagnosis
+from rrr_oc.report.diagnosis_report import about, write_diagnosis
 from rrr_oc.report.pages.design_page import write_design_page
 from rrr_oc.report.pages.diagnosis_curves import POINTS, curves, held_out_predictions
+from rrr_oc.report.pages.diagnosis_model import model_numbers
 from rrr_oc.report.pages.diagnosis_page import write_diagnosis_page
 from rrr_oc.report.pages.page import thinned
 from rrr_oc.robot.robot import load_robot
@@ -210,6 +212,27 @@ def test_a_page_holds_the_extremes_of_a_long_recording(diagnosis):
     np.testing.assert_array_equal(np.isin(q, recorded.q[1]), True)
     np.testing.assert_array_equal(np.isin(dq, recorded.dq[1]), True)
     assert found["worst"] == 1
+
+
+def test_the_numbers_of_the_page_make_the_torque_of_the_model(diagnosis, tmp_path):
+    """By hand from the printed numbers, which have three digits: what the motor does beyond the load torque."""
+    plain, recorded = diagnosis.plain, diagnosis.recordings.recordings[0]
+    save_model(plain, tmp_path / "model.json")
+    header, rows = model_numbers(json.loads((tmp_path / "model.json").read_text()))
+    assert header == ["joint", "dry friction", "viscous friction", "armature", "sgn(dq)"]
+    by_hand = np.zeros_like(recorded.tau)
+    for j, (_, *cells) in enumerate(rows):
+        level, coefficient, inertia, width = (float(re.findall(r"\d+\.\d+", cell)[0]) for cell in cells)
+        assert cells[-1].startswith("tanh(x), x = dq / (")
+        by_hand[j] = level * np.tanh(recorded.dq[j] / width) + coefficient * recorded.dq[j] + inertia * recorded.ddq[j]
+    exact = plain.predicted_torque(recorded) - plain.torques(recorded)[1]
+    np.testing.assert_allclose(by_hand, exact, atol=5e-3 * np.abs(exact).max())
+
+
+def test_a_note_keeps_the_case_of_a_files_name(diagnosis):
+    first, *others = diagnosis.recordings.recordings
+    recordings = replace(diagnosis.recordings, recordings=(replace(first, file="kp100.csv", dropped=3), *others))
+    assert ". kp100.csv: 3 of " in about(recordings)
 
 
 def test_a_diagnosis_that_adds_nothing_shows_each_map_once(diagnosis, tmp_path):

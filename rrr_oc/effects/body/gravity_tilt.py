@@ -20,6 +20,7 @@ class GravityTilt(BodyChange):
     """
 
     name = "gravity_tilt"
+    title = "tilted base"
     equation = "gravity in the base frame = exp((about_x, about_y, 0))^T g"
     plain = "The arm's base is not level: turned by {turn}{about_x:deg} about x and {about_y:deg} about y of the base frame."
     parameters = tuple(Parameter(name, "rad", 0.0, -math.pi, math.pi) for name in ("about_x", "about_y"))

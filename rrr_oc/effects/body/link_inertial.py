@@ -13,6 +13,7 @@ class LinkInertial(BodyChange):
     """The link's ten inertial parameters are the URDF's plus these, which stand as in `Robot.inertial`."""
 
     name = "link_inertial"
+    title = "inertial parameters of the link"
     equation = "inertial parameters of the link = URDF's + these"
     plain = (
         "The link that {joints} moves {of_mass}; its first moment differs "

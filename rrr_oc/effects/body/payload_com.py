@@ -11,6 +11,7 @@ class PayloadCom(BodyChange):
     """centre of the payload = tool point + (x, y, z), in the frame of the link that carries it."""
 
     name = "payload_com"
+    title = "payload's centre"
     equation = "centre of the payload = tool point + (x, y, z)"
     plain = (
         "The payload's centre is off the tool point by {x:mm}, {y:mm} and {z:mm} along x, y and z of the frame of the "

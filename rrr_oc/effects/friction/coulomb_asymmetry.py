@@ -9,6 +9,7 @@ class CoulombAsymmetry(Effect):
     """tau = −(asymmetry/2) sgn²(dq): the level for dq > 0 minus that for dq < 0, half of it on either side of the plain level."""
 
     name = "coulomb_asymmetry"
+    title = "direction-dependent dry friction"
     equation = "tau = -(asymmetry/2) sgn(dq)^2"
     plain = (
         "Dry friction of {joints} differs between directions: {asymmetry:abs} {asymmetry:more|less} in the positive "

@@ -33,6 +33,7 @@ class LoadDependentFriction(Effect):
     """
 
     name = "load_dependent_friction"
+    title = "load-dependent friction"
     equation = "tau = -mu |tau_l| sgn(dq), or with the motor's torque in the place of tau_l"
     plain = "Dry friction of {joints} {mu:grows|falls} with {felt}: {mu:abs per load}."
     parameters = (Parameter("mu", "1", 0.0, lower=-1.0, upper=0.95),)  # with 1, the motor could not turn the joint

@@ -12,6 +12,7 @@ class PositionDependentFriction(Effect):
     """tau = −amplitude cos(order q − phase) sgn(dq), beside the plain level."""
 
     name = "position_dependent_friction"
+    title = "position-dependent friction"
     equation = "tau = -amplitude cos(order q - phase) sgn(dq)"
     plain = (
         "Dry friction of {joints} changes with its angle: by {amplitude} either way, {order:rev}; it is largest at "

@@ -9,6 +9,7 @@ class ViscousAsymmetry(Effect):
     """tau = −(asymmetry/2) dq sgn(dq): the coefficient for dq > 0 minus that for dq < 0, half of it on either side of the plain one."""
 
     name = "viscous_asymmetry"
+    title = "direction-dependent viscous friction"
     equation = "tau = -(asymmetry/2) dq sgn(dq)"
     plain = (
         "Viscous friction of {joints} differs between directions: {asymmetry:abs} {asymmetry:more|less} in the positive "

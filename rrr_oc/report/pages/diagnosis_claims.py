@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.diagnosis.findings import LESS_PROBABLE
-from rrr_oc.effects.words import joint_words, listed, rounded
+from rrr_oc.effects.words import joint_words, listed, read, rounded
 from rrr_oc.report import diagnosis_words as say
 
 CONCENTRATED = 1.5  # share of the error over share of the time from which a range tells where a model fails
@@ -21,12 +21,14 @@ class Claim:
         title: What it is and on which joint.
         sentence: What was left out, with number, unit and interval.
         law: The law that was fitted; nothing for what no law explains.
+        numbers: What its symbols are, with unit and interval.
         facts: Sentences by their headings.
     """
 
     title: str
     sentence: str
     law: str
+    numbers: str
     facts: tuple[tuple[str, str], ...]
 
 
@@ -52,13 +54,15 @@ def _claim(title: str, sentence: str, e: Mapping[str, Any], found: Mapping[str, 
         ("Could also be", _could_be(e)),
         ("On unseen data", _unseen(e, found)),
     )
-    return Claim(title[:1].upper() + title[1:], sentence, e.get("equation", ""), facts)
+    numbers = [f"{symbol} = {read(entry)}" for symbol, entry in e.get("parameters", {}).items()]
+    return Claim(title[:1].upper() + title[1:], sentence, e.get("equation", ""), ", ".join(numbers), facts)
 
 
 def _where(e: Mapping[str, Any], found: Mapping[str, Any], files: Sequence[str]) -> str:
     own = [joint_words(joint) for joint in say.joints_of(e)]
     some = say.some_recordings(e)
-    there = "in the only recording" if len(files) == 1 else f"in all {len(files)} recordings"
+    every = {1: "the only recording", 2: "both recordings"}.get(len(files), f"all {len(files)} recordings")
+    there = f"in {every}"
     if e["recordings"] == "each":
         there = "in every recording, with a value of its own"
     elif some and len(some) < len(files):
@@ -85,7 +89,9 @@ def _rests_on(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     )
     prior = next((p for p in found.get("priors", ()) if p["joint"] == e["joint"] and p["effect"] == e.get("effect")), None)
     if prior is not None:
-        text += f" Before these recordings {100 * prior['probability']:.2g} % were believed ({prior['source']})."
+        text += (
+            f" Before these recordings it was given a probability of {100 * prior['probability']:.2g} % ({prior['source']})."
+        )
     if say.rests_on_prior(e["probability"]):
         text += f" That matters: had it been {LESS_PROBABLE:g} times less probable before, it would not be claimed."
     return text
@@ -110,17 +116,23 @@ def _unseen(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     text = ""
     if size is not None:
         joints = [size["joint"]] if size["joint"] in errors else joints
-        text = f"It lowers the error of {joint_words(size['joint'])}'s torque by {say.share(size)}, beside all else that was found. "
+        text = (
+            f"On stretches of some seconds left out of the fit, it lowers the error of {joint_words(size['joint'])}'s torque by "
+            f"{say.share(size)}, beside all else that was found. "
+        )
     told = [
         f"{joint_words(joint)}'s goes from {say.error(errors[joint]['before'])} to {say.error(errors[joint]['after'])}"
         for joint in joints[: say.EACH]
     ]
-    text += f"With all that was found {listed(told)} of the torque's standard deviation."
+    left_out = "blocks" if found.get("held_out") == "blocks" else "whole recordings"
+    text += f"On {left_out} left out, with all that was found, {listed(told)} of the torque's standard deviation."
     if any(say.gains(errors[joint]) for joint in joints):
         return text
+    ranges = found.get("nrmse", {}).get("held_out", {}).get("range", {})
+    beyond = ", or the law does not hold beyond the angles and speeds that it was fitted to"
     return (
-        f"{text} So a model without it predicts such recordings as well: its friction and links take the torque up, and their numbers "
-        "are then wrong."
+        f"{text} So a model without it predicts such {left_out.split()[-1]} as well: its friction and links take the torque up, and their "
+        f"numbers are then wrong{beyond * any(ranges.get(joint) == 'outside' for joint in joints)}."
     )
 
 
@@ -148,7 +160,7 @@ def small(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         size = e["lowers_error"]
         body.append(
             [
-                say.placed(e),
+                say.placed(e) if say.is_black_box(e) else say.told(e),
                 say.percent(e["probability"]),
                 joint_words(size["joint"]),
                 say.share(size),

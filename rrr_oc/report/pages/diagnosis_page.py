@@ -1,4 +1,4 @@
-"""The page of a diagnosis, made from its saved files alone: diagnosis.json, and the data of its figures."""
+"""The page of a diagnosis, made from its saved files alone: diagnosis.json, model.json, and the data of its figures."""
 
 import json
 import math
@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.prediction_error import SIGNALS
-from rrr_oc.diagnosis.knobs import MATTERS
-from rrr_oc.effects.words import joint_words
+from rrr_oc.effects.words import joint_words, rounded
 from rrr_oc.report import diagnosis_words as say
 from rrr_oc.report.pages.diagnosis_claims import claims, covered, record_next, remaining, small
 from rrr_oc.report.pages.diagnosis_curves import LEFT, PREDICTED, Curves
+from rrr_oc.report.pages.diagnosis_model import model_numbers
 from rrr_oc.report.pages.page import ALL, Curve, Figure, columns, joined, key, render
 from rrr_oc.report.tables import NONE
 from rrr_oc.storage import write_text
@@ -25,13 +25,14 @@ SIGNAL_NAMES: dict[str, str] = dict(
 FIGURES = "figures.npz"  # what `diagnosis_curves.curves` returns, with "subject" and "command"
 WIDE = 30.0  # ratio of errors from which only powers of ten are on the axis
 MODELS = {"before": "plain model", "after": "extended model"}
+ERROR = "error [% of the standard deviation]"  # of a figure's axis
 BY = ("recording", "joint")
 PATCHES = "Patches of one colour are torque that the model does not explain; an even mixture of pale colours is noise."
 DRIFT = "A drift or a step is torque that depends on time or on the recording, not on the motion alone."
 
 
 def write_diagnosis_page(folder: Path, found: Mapping[str, Any] | None = None) -> Path:
-    """Write report.html from figures.npz and diagnosis.json in a folder; nothing is fitted.
+    """Write report.html from figures.npz, diagnosis.json and model.json in a folder; nothing is fitted.
 
     Args:
         found: The content of diagnosis.json, where that is not written yet.
@@ -39,15 +40,20 @@ def write_diagnosis_page(folder: Path, found: Mapping[str, Any] | None = None) -
     Raises:
         UserError: The page cannot be written.
     """
-    content = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8")) if found is None else found
+    content = _json(folder / "diagnosis.json") if found is None else found
     with np.load(folder / FIGURES) as file:
-        write_text(folder / "report.html", diagnosis_page(content, {name: file[name] for name in file.files}))
+        curves = {name: file[name] for name in file.files}
+    write_text(folder / "report.html", diagnosis_page(content, curves, _json(folder / "model.json")))
     return folder / "report.html"
 
 
-def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
-    """The page as HTML, from the content of diagnosis.json and of figures.npz."""
-    joints, errors = curves["joints"].tolist(), found["bootstrap"].items()
+def _json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def diagnosis_page(found: Mapping[str, Any], curves: Curves, model: Mapping[str, Any]) -> str:
+    """The page as HTML, from the content of diagnosis.json, figures.npz and model.json."""
+    joints = curves["joints"].tolist()
     worst = max(range(len(joints)), key=lambda j: found["bootstrap"][joints[j]]["before"]["value"] or 0.0)
     figures, data = _figures(found, curves)
     return render(
@@ -62,18 +68,19 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves) -> str:
         joints=[(str(j), joint_words(joint)) for j, joint in enumerate(joints)],
         first=(str(curves["worst"]), str(worst)),
         everything=ALL,
-        errors=[[joint_words(joint), *(_with_interval(b[k]) for k in ("before", "after", "ratio"))] for joint, b in errors],
+        same=_same(found),
+        errors=_error_rows(found),
+        numbers=model_numbers(model),
         extrapolated=say.extrapolated(found),
         signals=list(SIGNAL_NAMES.values()),
         simulated=_simulated_rows(found.get("simulated")),
         claims=claims(found, curves["files"].tolist()),
         remaining=remaining(found),
         small=small(found),
-        matters=f"{100 * MATTERS:.0f} %",
+        small_said=say.SMALL,
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
         not_claimed=[
-            *say.idle(found),
-            *say.undecided(found),
+            *(say.undecided(found) if found["effects"] or found["unexplained"] else ()),  # else the verdict says it
             *say.off_links(found),
             *say.not_claimed(found),
             *say.not_made(found),
@@ -121,6 +128,7 @@ def _figures(found: Mapping[str, Any], curves: Curves) -> tuple[list[Figure], di
 def _errors(found: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[Figure]]:
     """Held-out errors before and after: of the prediction, and of the simulated torques where there are any."""
     joints, simulated, data, figures = list(found["bootstrap"]), found.get("simulated"), {}, []
+    models = {"before": MODELS["before"]} if _same(found) else MODELS
     panels: list[tuple[str, str, str | None]] = [("errors", "Predicted from the motion", None)]
     if simulated is not None and any("why_not" not in simulated[k] for k in MODELS):
         panels += [(s, f"In closed loop: {SIGNAL_NAMES[s]}", s) for s in ("tau_motor", "tau_load")]
@@ -128,18 +136,20 @@ def _errors(found: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[F
         table: dict[str, list[Any]] = {
             "joint": [escape(joint_words(joint), quote=False) for joint in joints]
         }  # plotly reads tags
-        for k in MODELS:
+        for k in models:
             entries = [found["bootstrap"][joint][k] for joint in joints]
             if signal is not None:
                 entries = [{"value": (simulated or {})[k].get(joint, {}).get(signal), "interval": None} for joint in joints]
-            bars = [e["interval"] if e["interval"] and None not in e["interval"] else [e["value"]] * 2 for e in entries]
-            table[k] = [e["value"] for e in entries]
+            bars = [
+                _percents(e["interval"] if e["interval"] and None not in e["interval"] else [e["value"]] * 2) for e in entries
+            ]
+            table[k] = _percents([e["value"] for e in entries])
             for side, sign, i in (("below", -1, 0), ("above", 1, 1)):
                 table[f"{k}_{side}"] = [
                     0.0 if v is None else max(sign * (bar[i] - v), 0.0) for v, bar in zip(table[k], bars, strict=True)
                 ]
         dots = tuple(
-            Curve(k, "joint", k, words, "markers", 10, bars=(f"{k}_below", f"{k}_above")) for k, words in MODELS.items()
+            Curve(k, "joint", k, words, "markers", 10, bars=(f"{k}_below", f"{k}_above")) for k, words in models.items()
         )
         layout = {
             "xaxis": {"type": "log", "tickvals": _ticks(table), "ticktext": [f"{x:g}" for x in _ticks(table)]},
@@ -150,7 +160,7 @@ def _errors(found: Mapping[str, Any]) -> tuple[dict[str, dict[str, Any]], list[F
         what = (
             "A dot further left is a smaller error; a line is its 95 % interval." if signal is None else _in_closed_loop(signal)
         )
-        figures.append(Figure(name, title, name, (), ("NRMSE", ""), dots, {"": what}, layout))
+        figures.append(Figure(name, title, name, (), (ERROR, ""), dots, {"": what}, layout))
     return data, figures
 
 
@@ -159,6 +169,7 @@ def _ticks(table: Mapping[str, Sequence[Any]]) -> list[float]:
     ends = [
         end
         for k in MODELS
+        if k in table
         for v, below, above in zip(table[k], table[f"{k}_below"], table[f"{k}_above"], strict=True)
         for end in ((v - below, v + above) if v else ())
     ]
@@ -225,23 +236,46 @@ def _cloud(x: str, residual: str) -> Curve:
 
 
 def _simulated_rows(simulated: Mapping[str, Any] | None) -> list[list[str]]:
-    """By joint, its errors in closed loop before → after; no rows where neither model was simulated."""
+    """By joint, its errors in closed loop before → after, or both where they are equal; no rows where neither model was simulated."""
     if simulated is None:
         return []
     before, after = simulated["before"], simulated["after"]
     joints = next((list(one) for one in (before, after) if "why_not" not in one), [])
 
     def cell(joint: str, signal: str) -> str:
-        return " → ".join(_shown(errors.get(joint, {}).get(signal)) for errors in (before, after))
+        shown = [_shown(errors.get(joint, {}).get(signal)) for errors in (before, after)]
+        return " → ".join(dict.fromkeys(shown))
 
     return [[joint_words(joint), *(cell(joint, signal) for signal in SIGNALS)] for joint in joints]
 
 
-def _with_interval(entry: Mapping[str, Any]) -> str:
+def _same(found: Mapping[str, Any]) -> bool:
+    """Whether the extended model predicts as the plain one, so that it is not shown beside it."""
+    return all(b["before"] == b["after"] for b in found["bootstrap"].values())
+
+
+def _error_rows(found: Mapping[str, Any]) -> list[list[str]]:
+    """By joint, its held-out error; where the models differ also that of the extended one, and their ratio."""
+    shown = ("before",) if _same(found) else tuple(MODELS)
+    rows = [
+        [joint_words(joint), *(say.error(b[k]) if b[k]["value"] is not None else NONE for k in shown)]
+        for joint, b in found["bootstrap"].items()
+    ]
+    if len(shown) > 1:
+        for row, b in zip(rows, found["bootstrap"].values(), strict=True):
+            row.append(_ratio(b["ratio"]))
+    return rows
+
+
+def _ratio(entry: Mapping[str, Any]) -> str:
     value, interval = entry["value"], entry["interval"]
     if value is None or interval is None or None in interval:
-        return _shown(value)
-    return f"{value:.4f} [{interval[0]:.4f}, {interval[1]:.4f}]"
+        return NONE if value is None else f"{value:.3f}"
+    return f"{value:.3f} (95 %: {interval[0]:.3f} to {interval[1]:.3f})"
+
+
+def _percents(values: Sequence[float | None]) -> list[Any]:
+    return [None if v is None else 100 * v for v in values]
 
 
 def _mismatch_row(m: dict[str, Any]) -> list[str]:
@@ -253,4 +287,5 @@ def _mismatch_row(m: dict[str, Any]) -> list[str]:
 
 
 def _shown(value: float | None) -> str:
-    return NONE if value is None else f"{value:.4f}"
+    """An error as a share of the signal's standard deviation."""
+    return NONE if value is None else f"{rounded(100 * value)} %"
