@@ -41,9 +41,10 @@ from rrr_oc.report.diagnosis_words import (
     on_prior,
     plain,
     rows,
+    sentence,
     undecided,
     unexplained,
-    verdict,
+    unsaid,
 )
 from rrr_oc.report.pages.diagnosis_claims import small
 from rrr_oc.storage import check_folder, code, hash_of
@@ -107,7 +108,8 @@ def _tracked(found: Diagnosis, kept: Keeping) -> dict[str, Any]:
 
 
 def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
-    output.show(f"Verdict: {verdict(found)}.")
+    said = sentence(found)
+    output.show(said)
     for line in [*map(plain, found["effects"]), *map(unexplained, found["unexplained"])]:
         output.show(line)
     header, body = rows(found)
@@ -124,7 +126,7 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
             table.add_row(*row)
         output.show(table)
     lines = [*undecided(found), *off_links(found), *on_prior(found), *idle(found), *not_claimed(found), *not_made(found)]
-    for line in lines:
+    for line in unsaid(lines, said):
         output.show(line)
     errors = Table("joint", "plain model", "extended model", "extended / plain, 95 % interval")
     errors.title = "Error held out, of the torque's standard deviation"

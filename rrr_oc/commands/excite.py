@@ -83,7 +83,10 @@ def excite(
         output.show(table)
     if asked.inseparable:
         output.show(f"No motion determines these apart from the parameters above: {', '.join(asked.inseparable)}.")
-    output.show(f"{out} holds the motion of {motion.t[-1]:g} s.")
+    output.show(
+        f"{out} holds the motion of {motion.t[-1]:g} s: t [s], and q_, dq_ and ddq_ [rad, rad/s, rad/s²] of {', '.join(robot.joints)}. "
+        "Let the arm's own controller follow q, and record t, the measured q, and the torque or current of each."
+    )
 
 
 def _rig(robot: Robot, less: dict[str, float | None], acceleration: float, floor: float, payload: float) -> Rig:

@@ -23,11 +23,6 @@ SMALL = (
     "Almost surely there, yet not in the model, since what it explains is small: the lower end of its interval is below what a claim "
     f"needs. That is {100 * MATTERS:.0f} %, and more on a joint where much stays unexplained, since it may then be a part of that."
 )
-VERDICTS = {
-    "missing_physics": "the calibrated model lacks physics",
-    "nothing_missing": "nothing is missing",
-    "cannot_tell": "something is missing, and these recordings do not decide what",
-}
 DEGREES = {
     "rad": (180 / math.pi, "°"),
     "rad/s": (180 / math.pi, " °/s"),
@@ -75,14 +70,28 @@ def left_over(found: Mapping[str, Any]) -> str:
 def _undecided(found: Mapping[str, Any]) -> str:
     """The verdict where something is missing and nothing is claimed: on joints with an error, on joints that never moved, or on both."""
     still = {e["joint"] for e in found.get("idle", ())}
-    names = [joint_words(m["joint"]) for m in found["mismatch"] if m["significant"] and m["joint"] not in still]
+    names = [_missed(m, found) for m in found["mismatch"] if m["significant"] and m["joint"] not in still]
     parts = parts_of_unexplained(found)
     none = "" if parts else ": nothing that would explain it holds on recordings left out of the search"
-    missed = f"Something is missing on {listed(names)}, where the error is far beyond the noise, and these recordings do not decide what{none}."
+    missed = f"Something is missing on {'; on '.join(names)}. These recordings do not decide what it is{none}."
     only_still = still and not parts
     moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if only_still else ""
     said = missed if names else moved or "Something is missing, and these recordings do not decide what."
     return " ".join([said, *parts, *idle(found)])
+
+
+def _missed(m: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    """A joint with an error, how large that is, and where most of it is."""
+    times = found.get("left_over", {}).get(m["joint"])
+    size = "far beyond the noise" if times is None else f"{times:.1f} times the noise"
+    most = next((w for w in m["where"] if w["variable"] != "time"), None)
+    where = "" if most is None else f", most of it at {place(most)}"
+    return f"{joint_words(m['joint'])}, where the error is {size}{where}"
+
+
+def unsaid(lines: Sequence[str], *texts: str) -> list[str]:
+    """The lines that none of the texts above them has said already."""
+    return [line for line in dict.fromkeys(lines) if not any(line in text for text in texts)]
 
 
 def parts_of_unexplained(found: Mapping[str, Any]) -> list[str]:
@@ -211,13 +220,6 @@ def unexplained(u: Mapping[str, Any]) -> str:
     some = f" in {listed(some_recordings(u))}" * bool(some_recordings(u))
     head = f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and no effect of the catalogue explains it"
     return f"{head}{f'; the model carries it as {carried}' * bool(carried)}."
-
-
-def verdict(found: Mapping[str, Any]) -> str:
-    """The verdict's key in words."""
-    if found["verdict"] == "nothing_missing" and found.get("small"):
-        return "nothing that matters is missing"
-    return VERDICTS.get(found["verdict"], words(found["verdict"]))
 
 
 def variable(name: str) -> str:

@@ -97,7 +97,7 @@ def test_diagnose_takes_what_is_known_of_the_arm(folder, monkeypatch, tmp_path, 
     assert priors.given["stribeck"].probability == 0.2
     assert threads == {1}  # several would wait for each other
     printed = capsys.readouterr()
-    assert "Verdict: nothing is missing." in printed.out
+    assert "Nothing is missing: the calibrated model explains these recordings to their noise." in printed.out
     assert re.search(r"^ +\d+\.\d s  search \(\d+% done", printed.err, re.M), "progress where there is no terminal"
     assert "tracking the recordings" not in printed.err
     content = json.loads((tmp_path / "o" / "diagnosis.json").read_text())

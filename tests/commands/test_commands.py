@@ -189,6 +189,7 @@ def test_excite_tells_which_limits_a_urdf_lacks(monkeypatch, tmp_path, capsys):
         "Note: j2: the URDF has no limit of the torque; --torque gives one.",
     ]
     assert "standard error" in printed.out
+    assert "of j1, j2, j3. Let the arm's own controller follow q, and record" in printed.out
     assert "motion: 0 of 1 starts" in printed.err
     assert re.search(r"motion: 1 of 1 starts, best -?\d", printed.err)
 

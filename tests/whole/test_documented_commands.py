@@ -157,7 +157,7 @@ def started(tmp_path_factory) -> tuple[Path, list[str]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for command in commands(START.read_text()):
-            if command.startswith("rrr-oc diagnose"):
+            if command.startswith("rrr-oc check"):
                 header, every = Path("arm/recordings/recordings.json"), recorded(2, 5.0, {1: (9.0, 1.2)})
                 for r in every:
                     write_csv(header.parent / r.file, columns(r))
@@ -174,8 +174,8 @@ def started(tmp_path_factory) -> tuple[Path, list[str]]:
 def test_the_path_of_start(started):
     folder, done = started
     names = [command.split()[1] for command in done]
-    assert names[:5] == ["init", "design", "animate", "excite", "diagnose"]
-    assert {"design", "export"} <= set(names[5:])
+    assert names[:6] == ["init", "design", "animate", "excite", "check", "diagnose"]
+    assert {"design", "export"} <= set(names[6:])
     found = json.loads((folder / "arm/diagnosis/diagnosis.json").read_text())["effects"]
     assert [(e["effect"], e["joint"]) for e in found] in ([("cable_harness", "joint2")], [("parallel_spring", "joint2")])
     assert json.loads((folder / "arm/redesign/summary.json").read_text())["configurations"]["PEA"]["cost"] > 0

@@ -75,16 +75,13 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves, model: Mapping[str,
         signals=list(SIGNAL_NAMES.values()),
         simulated=_simulated_rows(found.get("simulated")),
         claims=claims(found, curves["files"].tolist()),
-        remaining=remaining(found),
+        remaining=say.unsaid(remaining(found), say.sentence(found)) or ["Nothing beyond what is said above."],
         small=small(found),
         small_said=say.SMALL,
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
-        not_claimed=[
-            *(say.undecided(found) if found["effects"] or found["unexplained"] else ()),  # else the verdict says it
-            *say.off_links(found),
-            *say.not_claimed(found),
-            *say.not_made(found),
-        ],
+        not_claimed=say.unsaid(
+            [*say.undecided(found), *say.off_links(found), *say.not_claimed(found), *say.not_made(found)], say.sentence(found)
+        ),
         next=record_next(found),
         covered=covered(joints, _motions(curves)),
         suggestions=[[say.told_apart(found, s["separates"]), s["why"], s["trajectory"]] for s in found["suggested_recordings"]],
