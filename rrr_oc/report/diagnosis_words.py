@@ -60,11 +60,16 @@ def left_over(found: Mapping[str, Any]) -> str:
     over = found.get("left_over", {})
     if not over:
         return ""
-    rest = listed([f"{x:.0f} times the noise on {joint_words(joint)}" for joint, x in over.items()])
+    rest = listed([f"{_times(x)} the noise on {joint_words(joint)}" for joint, x in over.items()])
     if len(over) > EACH:
         names = listed([joint_words(joint) for joint in over])
-        rest = f"{min(over.values()):.0f} to {max(over.values()):.0f} times the noise on {names}"
+        low, high = (_times(edge(over.values())) for edge in (min, max))
+        rest = f"{low.split()[0]} to {high} the noise on {names}"
     return f"What is left is still {rest}: more is missing, or of another shape."
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.{int(ratio < 10)}f} times"
 
 
 def _undecided(found: Mapping[str, Any]) -> str:
@@ -83,7 +88,7 @@ def _undecided(found: Mapping[str, Any]) -> str:
 def _missed(m: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     """A joint with an error, how large that is, and where most of it is."""
     times = found.get("left_over", {}).get(m["joint"])
-    size = "far beyond the noise" if times is None else f"{times:.1f} times the noise"
+    size = "far beyond the noise" if times is None else f"{_times(times)} the noise"
     most = next((w for w in m["where"] if w["variable"] != "time"), None)
     where = "" if most is None else f", most of it at {place(most)}"
     return f"{joint_words(m['joint'])}, where the error is {size}{where}"

@@ -430,7 +430,10 @@ def test_what_stays_unexplained_and_what_to_record_next_are_always_said():
     assert record_next(idle)[0] == "Motions of b, which never moved here."
     place = {"variable": "q_a", "range": [0.1, 0.2], "unit": "rad", "share_of_error": 0.7, "share_of_time": 0.2}
     left = found | {"left_over": {"a": 7.0}, "mismatch": [{"joint": "a", "where": [place]}]}
-    assert remaining(left)[0] == "What is left is still 7 times the noise on a: more is missing, or of another shape."
+    (rest,) = remaining(left)
+    assert rest.endswith(": 2.00 % on a and 6600 % on b.")
+    part_of = remaining(left | {"effects": [stribeck()]})
+    assert part_of == ["What is left is still 7.0 times the noise on a: more is missing, or of another shape.", rest]
     assert "a at the position of a from 5.7 to 11.5°" in record_next(left)[0]
     doubtful = record_next(found | {"possible": [entry("torque_ripple", "a", 0.5)]})
     assert "they decide about torque ripple of a" in doubtful[0]

@@ -139,7 +139,8 @@ def _unseen(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
 def remaining(found: Mapping[str, Any]) -> list[str]:
     """What stays unexplained, in at least one sentence."""
     result = [say.worthless(joint, found) for joint in say.worthless_joints(found)]
-    result += [*say.idle(found), *([said] if (said := say.left_over(found)) else [])]
+    over = say.left_over(found)  # of which the verdict speaks where nothing is claimed
+    result += [*say.idle(found), *([over] if over and (found["effects"] or found["unexplained"]) else [])]
     silent = {*say.worthless_joints(found), *(e["joint"] for e in found.get("idle", ()))}
     left = {
         joint: b["after"]["value"]
@@ -148,7 +149,7 @@ def remaining(found: Mapping[str, Any]) -> list[str]:
     }
     if left:
         each = listed([f"{rounded(100 * x)} % on {joint_words(joint)}" for joint, x in left.items()])
-        rest = "" if result else " No joint's error is far above its noise."
+        rest = "" if result or over else " No joint's error is far above its noise."
         result.append(f"Left on data that was not fitted, as a share of the torque's standard deviation: {each}.{rest}")
     return result or ["Nothing was held out, so that what is left on unseen data is not known."]
 
