@@ -95,6 +95,9 @@ class CalibratedModel:
         noise: Standard deviation of the recorded signal's noise, one per joint, at the joint's output [Nm].
         nrmse: Of the predicted torque over the recordings calibrated on, mean over recordings, one per joint [1].
         report: Of the fit: correlations, conditioning, wall time and the like, as plain data.
+        spread: Covariance of the p parameters of all terms and of the links' inertial parameters, link by link, as a matrix
+            (p + 10 n, r) whose product with its transpose it is; None where it is not known.
+        alternatives: Other models that the recordings do not tell from this one.
         versions: Of the packages that made it.
     """
 
@@ -110,6 +113,8 @@ class CalibratedModel:
     nrmse: np.ndarray
     report: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    spread: np.ndarray | None = None
+    alternatives: tuple["Alternative", ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -209,3 +214,20 @@ class CalibratedModel:
         tool = recordings.tool if loaded else self.tool
         constants = recordings.torque_constant if self.torque == "current" else self.torque_constant
         return replace(self, robot=replace(own, gravity=recordings.gravity), tool=tool, torque_constant=constants)
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A model that recordings do not tell from another one.
+
+    Attributes:
+        model: It, with a spread of its own.
+        says: In what it differs, in words.
+        effects: Names of the effects in which the two differ; "link_errors" stands for the links.
+        decided_by: File with the motion, of those that the diagnosis suggests, which would decide; None without one.
+    """
+
+    model: CalibratedModel
+    says: str
+    effects: tuple[str, ...] = ()
+    decided_by: str | None = None

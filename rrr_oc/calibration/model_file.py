@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
+from rrr_oc.calibration.calibrated_model import Alternative, CalibratedModel, Estimate, Term
 from rrr_oc.effects import CATALOGUE, BlackBox, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.robot.inertial_parameters import is_possible
@@ -20,6 +20,7 @@ from rrr_oc.schema import Interval, NonNegative, Text, Vector, check_interval, c
 from rrr_oc.storage import number, write_json
 
 FORMAT = "rrr_oc-model/1"
+DIGITS = 6  # of a standard deviation in the file; with fewer, files are shorter
 INERTIAL_ORDER = "m [kg], m c [kg m] (x, y, z), I about the joint's frame [kg m²] (xx, xy, yy, xz, yz, zz)"
 JOINTS = {
     "joint": (1,),
@@ -29,6 +30,8 @@ JOINTS = {
     "spring": (1, 2),
     "arm": (0,),
 }  # how many an effect has, by its placement
+Links = dict[str, Annotated[list[float], Meta(min_length=10, max_length=10, description="ten numbers are required")]]
+Spread = list[list[Annotated[float, Meta(ge=-1e12, le=1e12)]]]
 T = TypeVar("T")
 # Keys that are not known here are ignored, so that files of later versions can be read.
 
@@ -47,7 +50,7 @@ class RobotEntry(msgspec.Struct):
     name: Text
     source: Text
     urdf: str
-    inertial: dict[str, Annotated[list[float], Meta(min_length=10, max_length=10, description="ten numbers are required")]]
+    inertial: Links
     inertial_order: str = INERTIAL_ORDER
 
 
@@ -118,6 +121,26 @@ class TermEntry(msgspec.Struct):
     parameters: dict[str, ParameterEntry]
 
 
+class AlternativeEntry(msgspec.Struct):
+    """Another model that the recordings do not tell from this one.
+
+    Attributes:
+        says: In what it differs.
+        differs: Effects in which it differs; `link_errors` stands for the links.
+        decided_by: File beside this one with a motion that would decide, if it were recorded; null where none is known.
+        effects: Its effects.
+        inertial: By link the ten inertial parameters.
+        spread: As of this model.
+    """
+
+    says: str
+    differs: tuple[str, ...]
+    decided_by: str | None
+    effects: list[TermEntry]
+    inertial: Links
+    spread: Spread | None
+
+
 class ModelFile(msgspec.Struct):
     """The content of `model.json`.
 
@@ -135,6 +158,9 @@ class ModelFile(msgspec.Struct):
         noise: Standard deviation of what is left of the torque, by joint [Nm].
         nrmse: Error of the predicted torque over the recorded one's standard deviation, by joint [1].
         report: How the calibration went.
+        spread: What is not known of the estimates: independent changes, of one standard deviation each, of the parameters of all
+            effects and then of the inertial parameters of all links, in their order; null where that is not known.
+        alternatives: Other models that the recordings do not tell from this one.
     """
 
     format: Literal["rrr_oc-model/1"]
@@ -150,16 +176,17 @@ class ModelFile(msgspec.Struct):
     noise: dict[str, NonNegative | None]
     nrmse: dict[str, NonNegative | None]
     report: dict[str, Any]
+    spread: Spread | None = None
+    alternatives: list[AlternativeEntry] = []
 
 
 def save_model(model: CalibratedModel, path: str | Path) -> None:
     """Write `model.json`, whole or not at all. Raises `UserError` where the path cannot be written."""
     robot = model.robot
-    inertial = dict(zip(robot.links, robot.inertial.T.tolist(), strict=True))
     content = ModelFile(
         format=FORMAT,
         versions=dict(model.versions),
-        robot=RobotEntry(robot.name, model.source, model.urdf, inertial),
+        robot=RobotEntry(robot.name, model.source, model.urdf, links_of(robot)),
         joints=list(robot.joints),
         gravity=robot.gravity.tolist(),
         tool=ToolEntry(robot.joints[model.tool.joint], model.tool.position.tolist()),
@@ -170,8 +197,47 @@ def save_model(model: CalibratedModel, path: str | Path) -> None:
         noise={joint: number(v) for joint, v in zip(robot.joints, model.noise, strict=True)},
         nrmse={joint: number(v) for joint, v in zip(robot.joints, model.nrmse, strict=True)},
         report=dict(model.report),
+        spread=spread_entry(model.spread),
+        alternatives=[alternative_entry(one) for one in model.alternatives],
     )
     write_json(path, msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item()))  # of numpy
+
+
+def links_of(robot: Robot) -> Links:
+    """The ten inertial parameters by link."""
+    return dict(zip(robot.links, robot.inertial.T.tolist(), strict=True))
+
+
+def spread_entry(spread: np.ndarray | None) -> Spread | None:
+    """`CalibratedModel.spread` as in the file: a row for each change, to `DIGITS` digits, which is more than is known of any."""
+    return None if spread is None else [[float(f"{x:.{DIGITS}g}") for x in change] for change in spread.T.tolist()]
+
+
+def alternative_entry(one: Alternative) -> AlternativeEntry:
+    """An alternative as in the file."""
+    model = one.model
+    terms = [term_entry(term, model.robot) for term in model.terms]
+    return AlternativeEntry(one.says, one.effects, one.decided_by, terms, links_of(model.robot), spread_entry(model.spread))
+
+
+def alternative_of(entry: AlternativeEntry, model: CalibratedModel, where: str = "alternative") -> Alternative:
+    """The alternative of an entry to a model; raises `UserError`, which says `where`, for one that is not of the model's arm."""
+    terms, robot = terms_of(entry.effects, model.robot, f"{where}.effects"), model.robot
+    inertial = _inertial(f"{where}.inertial", entry.inertial, robot)
+    spread = spread_of(entry.spread, terms, robot, f"{where}.spread")
+    other = replace(model, robot=replace(robot, inertial=inertial), terms=terms, spread=spread, alternatives=())
+    return Alternative(other, entry.says, entry.differs, entry.decided_by)
+
+
+def spread_of(entry: Spread | None, terms: Sequence[Term], robot: Robot, where: str = "spread") -> np.ndarray | None:
+    """`CalibratedModel.spread` of an entry; raises `UserError`, which says `where`, unless its rows have a number for each parameter."""
+    if entry is None:
+        return None
+    wanted = sum(len(t.estimates) for t in terms) + 10 * robot.n
+    for i, change in enumerate(entry):
+        if len(change) != wanted:
+            raise UserError(f"{where}[{i}]: found {len(change)} numbers; {wanted} are required, of all parameters and links")
+    return np.array(entry, float).reshape(-1, wanted).T
 
 
 def term_entry(term: Term, robot: Robot) -> TermEntry:
@@ -221,16 +287,12 @@ def robot_of(urdf: str, joints: Sequence[str], gravity: Sequence[float]) -> Robo
 def _model(data: ModelFile) -> CalibratedModel:
     described, joints = data.robot, tuple(data.joints)
     robot = replace(robot_of(described.urdf, joints, data.gravity), name=described.name)
-    inertial = np.array(_by_name("robot.inertial", described.inertial, robot.links), float).T
-    for link, parameters in zip(robot.links, inertial.T, strict=True):
-        if not is_possible(parameters):
-            raise UserError(
-                f"robot.inertial.{link}: found {parameters.tolist()}; mass and inertia of a possible body are required"
-            )
+    inertial = _inertial("robot.inertial", described.inertial, robot)
     constants = tuple(_by_name("torque_constant", data.torque_constant, joints))
     if data.torque == "current" and not all(constants):
         raise UserError("torque_constant: torque 'current' needs one for every joint [Nm/A]")
-    return CalibratedModel(
+    terms = terms_of(data.effects, robot)
+    model = CalibratedModel(
         robot=replace(robot, inertial=inertial),
         source=described.source,
         urdf=described.urdf,
@@ -238,12 +300,24 @@ def _model(data: ModelFile) -> CalibratedModel:
         torque=data.torque,
         torque_constant=constants,
         inertial=data.inertial,
-        terms=terms_of(data.effects, robot),
+        terms=terms,
         noise=np.array(_by_name("noise", data.noise, joints), float),
         nrmse=np.array(_by_name("nrmse", data.nrmse, joints), float),
         report=data.report,
         versions=data.versions,
+        spread=spread_of(data.spread, terms, robot),
     )
+    others = [alternative_of(one, model, f"alternatives[{i}]") for i, one in enumerate(data.alternatives)]
+    return replace(model, alternatives=tuple(others))
+
+
+def _inertial(where: str, given: Links, robot: Robot) -> np.ndarray:
+    """Inertial parameters (10, n) by link; raises `UserError` for a link that is missing or no possible body."""
+    inertial = np.array(_by_name(where, given, robot.links), float).T
+    for link, parameters in zip(robot.links, inertial.T, strict=True):
+        if not is_possible(parameters):
+            raise UserError(f"{where}.{link}: found {parameters.tolist()}; mass and inertia of a possible body are required")
+    return inertial
 
 
 def _by_name(where: str, found: Mapping[str, T], names: Iterable[str]) -> list[T]:
@@ -254,16 +328,16 @@ def _by_name(where: str, found: Mapping[str, T], names: Iterable[str]) -> list[T
     return [found[name] for name in names]
 
 
-def terms_of(entries: list[TermEntry], robot: Robot) -> tuple[Term, ...]:
+def terms_of(entries: list[TermEntry], robot: Robot, where: str = "effects") -> tuple[Term, ...]:
     """The terms of a model; raises `UserError` for one that stands twice, which would count twice."""
     terms: list[Term] = []
     for i, entry in enumerate(entries):
-        term = term_of(entry, robot, f"effects[{i}]")
+        term = term_of(entry, robot, f"{where}[{i}]")
         same = [
             k for k, t in enumerate(terms) if (t.effect, t.recordings, t.groups) == (term.effect, term.recordings, term.groups)
         ]
         if same and term.effect.placement != "many":
-            raise UserError(f"effects[{i}]: {entry.effect} stands in effects[{same[0]}] already; once per joint is allowed")
+            raise UserError(f"{where}[{i}]: {entry.effect} stands in {where}[{same[0]}] already; once per joint is allowed")
         terms.append(term)
     return tuple(terms)
 

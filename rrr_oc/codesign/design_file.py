@@ -116,6 +116,43 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True):
     mujoco: float
 
 
+class OfMember(Struct, frozen=True, forbid_unknown_fields=True):
+    """A design on the arm as one model has it that the recordings allow.
+
+    Attributes:
+        says: In what the model differs from the calibrated one, or "as calibrated".
+        E1: Range over 95 % of what the recordings leave open of its numbers [N²m²s].
+        cost: The same of the cost, in the cost's unit.
+        E1_itself: At its own numbers [N²m²s].
+        decided_by: File of a motion whose recording would tell the model from the calibrated one, or of the calibrated one its numbers:
+            one that the diagnosis suggests, or the designed motion; null where both models show the same torques.
+    """
+
+    says: str
+    E1: tuple[float, float]
+    cost: tuple[float, float]
+    E1_itself: float
+    decided_by: str | None
+
+
+class Foreseen(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the recordings behind a calibrated model let one foresee of a design.
+
+    Attributes:
+        E1: Range over all models that the recordings allow [N²m²s].
+        cost: The same of the cost, in the cost's unit.
+        members: These models, the calibrated one first.
+        widened_by: The model that widens the range most; null where the cost's upper end is at most 1.5 times the lower.
+        narrowed_by: File of the motion whose recording would narrow such a range, as `decided_by` of that model.
+    """
+
+    E1: tuple[float, float]
+    cost: tuple[float, float]
+    members: tuple[OfMember, ...]
+    widened_by: str | None
+    narrowed_by: str | None
+
+
 class LocalOptimum(Struct, frozen=True, forbid_unknown_fields=True):
     """A local optimum that the search found.
 
@@ -171,6 +208,8 @@ class Moved(Metrics, frozen=True, kw_only=True):
         mujoco: The motion in MuJoCo.
         scenarios: The cases of what is uncertain; none where nothing is.
         calibrated: The motion in the calibrated model; null where none is given.
+        foreseen: The motion on the arm as the recordings allow it to be; null without a calibrated model, and with springs between
+            drives and links.
     """
 
     cost: float
@@ -186,6 +225,7 @@ class Moved(Metrics, frozen=True, kw_only=True):
     mujoco: Simulated
     scenarios: tuple[Case, ...] = ()
     calibrated: Transferred | None = None
+    foreseen: Foreseen | None = None
 
 
 class Bought(Coverage, frozen=True, forbid_unknown_fields=True, kw_only=True):

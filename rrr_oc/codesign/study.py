@@ -21,8 +21,8 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.codesign.catalogue import Catalogue, can_be_bought, check_offers, load_catalogue
 from rrr_oc.codesign.certificate import certify
-from rrr_oc.codesign.design_file import Configuration, Transferred, data, typed
-from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.design_file import Configuration, Foreseen, Transferred, data, typed
+from rrr_oc.codesign.design_problem import CoDesign, Scenario
 from rrr_oc.codesign.optimum import (
     SAVED,
     SampledMotion,
@@ -38,6 +38,8 @@ from rrr_oc.codesign.optimum import (
     restored,
     sample_motion,
 )
+from rrr_oc.codesign.posterior.foreseen import foreseen
+from rrr_oc.codesign.posterior.members import Member, members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, solve_multistart
@@ -126,11 +128,13 @@ class Twin:
         model: Of all joints of the tasks' robot.
         drives: Of the moving joints.
         unknown: Joints of which no recording says anything: their links are as in the task, without friction.
+        members: The model and the others that the recordings do not tell from it.
     """
 
     model: CalibratedModel
     drives: Actuators | None
     unknown: tuple[str, ...] = ()
+    members: tuple[Member, ...] = ()
 
     @classmethod
     def of(cls, path: str | Path, task: Task, drives: Actuators | None, listener: Listener) -> "Twin":
@@ -143,7 +147,7 @@ class Twin:
             raise UserError(f"{path}: {error}") from None
         if unknown:
             listener.show(uncalibrated(unknown))
-        return cls(whole, drives, unknown)
+        return cls(whole, drives, unknown, members(whole))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +163,7 @@ class Study:
         twin: The calibrated model, if there is one.
         published: Springs that were published for the task, if there are some.
         listener: Who is told how it goes on.
+        described: The tasks as they were asked for, on the arm as its file describes it.
     """
 
     request: Request
@@ -169,6 +174,7 @@ class Study:
     twin: Twin | None
     published: Published | None
     listener: Listener
+    described: TaskSet
 
     @property
     def out(self) -> Path:
@@ -214,7 +220,7 @@ def prepared(request: Request, published: Published | None, listener: Listener) 
     designs = {name: _designs(request, tasks, name, drives, twin) for name in names}
     shop = None if request.catalogue is None else load_catalogue(request.catalogue)
     own = replace(tasks, tasks=tuple(one.task for one in next(iter(designs.values()))[0].designs))
-    study = Study(request, own, designs, _asked(request, own), shop, twin, published, listener)
+    study = Study(request, own, designs, _asked(request, own), shop, twin, published, listener, tasks)
     _check(study)
     return study
 
@@ -374,11 +380,25 @@ def _compared(study: Study, name: str, design: SetDesign, solved: Configuration)
     theta, twin = design.first.model.theta(solved.parameters), study.twin
     calls = [(one, motion, theta, twin.model, twin.drives) for one, motion in zip(design.designs, motions, strict=True)]
     tracked = [typed(one | {"uncalibrated": twin.unknown}, Transferred) for one in ordered(describe_transfer, calls)]
+    ranges = _foreseen(study, name, design, motions, theta)
     tasks = {
-        task: msgspec.structs.replace(moved, calibrated=one)
-        for (task, moved), one in zip(solved.tasks.items(), tracked, strict=True)
+        task: msgspec.structs.replace(moved, calibrated=one, foreseen=other)
+        for (task, moved), one, other in zip(solved.tasks.items(), tracked, ranges, strict=True)
     }
     return msgspec.structs.replace(solved, tasks=tasks)
+
+
+def _foreseen(
+    study: Study, name: str, design: SetDesign, motions: Sequence[SampledMotion], theta: np.ndarray
+) -> list[Foreseen | None]:
+    """Of each task what the recordings let one foresee of its motion with these springs."""
+    assert study.twin is not None
+    own, calls = tuple(s for s in design.springs if not s.known), []
+    springs = theta[: sum(len(s.effect.parameters) for s in own)]
+    for task, motion, file in zip(study.described.tasks, motions, files_of(name, len(motions)), strict=True):
+        bare = replace(design.first, task=task, springs=own, scenarios=(Scenario(),))
+        calls.append((bare, motion, springs, study.twin.members, f"{file}.npz"))
+    return list(ordered(foreseen, calls))
 
 
 def _solve(study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[str, Configuration]) -> Configuration:

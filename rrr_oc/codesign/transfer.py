@@ -96,6 +96,11 @@ def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
         carrier, other = own.joints[calibrated.tool.joint], robot.joints[task.tool.joint]
         raise UserError(f"the model's {moved[0]} is of a payload on {carrier}; the task's is carried by {other}")
     terms = tuple(replace(t, effect=t.effect.renumbered(at)) for t in calibrated.terms)
+    spread, size = calibrated.spread, len(calibrated.values)
+    if spread is not None:
+        links = np.zeros((robot.n, 10, spread.shape[1]))
+        links[at] = spread[size:].reshape(own.n, 10, -1)
+        spread = np.concatenate([spread[:size], links.reshape(10 * robot.n, -1)])
     noise, nrmse = np.full((2, robot.n), np.nan)
     noise[at], nrmse[at] = calibrated.noise, calibrated.nrmse
     constants = dict(zip(at, calibrated.torque_constant, strict=True))
@@ -107,6 +112,8 @@ def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
         terms=terms,
         noise=noise,
         nrmse=nrmse,
+        spread=spread,
+        alternatives=tuple(replace(a, model=of_all_joints(task, a.model)) for a in calibrated.alternatives),
     )
 
 

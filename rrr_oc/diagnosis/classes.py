@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.link_findings import link_findings
+from rrr_oc.diagnosis.alternatives import Exchange, key_of
 from rrr_oc.diagnosis.effect_size import block_edges, in_shape, squares
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, wald
 from rrr_oc.diagnosis.fitting import EXACT
@@ -30,8 +30,8 @@ FAR_OFF = max(EXCESS)  # times their declared errors, by which links may be off 
 
 def separated(
     search: Search, fitted: Fitted, findings: Sequence[Finding], small: Sequence[Finding]
-) -> tuple[list[Finding], list[Undecided]]:
-    """Findings with all that cannot be told from them, and what cannot be told from errors of the links.
+) -> tuple[list[Finding], list[Undecided], list[Exchange]]:
+    """Findings with all that cannot be told from them, what cannot be told from errors of the links, and fits that are as good.
 
     Args:
         fitted: A fit with all these effects.
@@ -41,15 +41,17 @@ def separated(
     effects = tuple(in_shape(own[id(f.term)]) for f in [*findings, *small])
     with_all = squares(blocks, effects, hyper).sum(axis=0)
     shown = {id(t): with_interval for t, with_interval in zip(fitted.model.terms, described(fitted).terms, strict=True)}
-    told, undecided = [], []
+    told, undecided, exchanges = [], [], []
     for i, f in enumerate(findings):
         less = (*effects[:i], *effects[i + 1 :])
         others = [a for a in near.candidates(near.at(less, hyper, True)) if kind(a.effect) != kind(f.term.effect)]
-        found = []
+        found, fits = [], []
         for a in others:
             if as_good(squares(blocks, (*less, a), hyper).sum(axis=0), with_all, NEAR * MATTERS):
                 exact = search.fit(fitted, near.at((*(b for b in near.linear.own if b.source is not f.term), a), hyper))
-                found += described(exact).terms[-1:] if as_good(squared(exact), squared(fitted)) else ()
+                if as_good(squared(exact), squared(fitted)):
+                    found += described(exact).terms[-1:]
+                    fits.append(exact)
         rivals = tuple(dict.fromkeys([*f.rivals, *((t.effect.name, t.effect.joints) for t in found)]))
         by_links = near.linear.fitter.data.free and as_good(squares(blocks, less, far_off(hyper), "free").sum(axis=0), with_all)
         if not by_links:
@@ -59,24 +61,27 @@ def separated(
         else:
             others = tuple(t for t in found if not is_link_error(t.effect))
             undecided.append(Undecided((shown[id(f.term)], *others), f.probability))
-    return told, undecided
+        lacks = (LINK_ERRORS,) if undecided and undecided[-1].terms[0] is shown[id(f.term)] else (f.key,)
+        exchanges += [Exchange(one, (key_of(one.extra[-1]),), lacks) for one in fits]
+    return told, undecided, exchanges
 
 
-def with_links(undecided: Sequence[Undecided], search: Search, fitted: Fitted) -> list[Undecided]:
-    """What is undecided, with the effects that explain as well what links explain that are far off in a fit."""
+def with_links(undecided: Sequence[Undecided], search: Search, fitted: Fitted) -> tuple[list[Undecided], list[Exchange]]:
+    """What is undecided, with the effects that explain as well what links explain that are far off in a fit, and their fits."""
     found = link_findings(fitted)
-    terms = instead_of_links(search, fitted) if found else ()
+    fits = instead_of_links(search, fitted) if found else []
+    terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
     if not terms:
-        return list(undecided)
+        return list(undecided), []
     known = {kind(t.effect) for u in same for t in u.terms}
     every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
     probability = max([*(u.probability for u in same), *(link.probability for link in found)])
-    return [*(u for u in undecided if u not in same), Undecided(every, probability)]
+    return [*(u for u in undecided if u not in same), Undecided(every, probability)], fits
 
 
-def instead_of_links(search: Search, fitted: Fitted) -> tuple[Term, ...]:
-    """Effects beside which no link is far off, and which explain as much as the links of a fit do."""
+def instead_of_links(search: Search, fitted: Fitted) -> list[Exchange]:
+    """Fits with an effect, their last, beside which no link is far off, and which explain as much as the links of a fit do."""
     data, hyper = search.fitter.data, fitted.posterior.hyper
     start = replace(fitted.posterior, hyper=replace(hyper, links=np.full_like(hyper.links, EXACT)))
     nominal = replace(fitted.model, robot=replace(fitted.model.robot, inertial=data.links.at(data.links.none)[0]))
@@ -88,8 +93,8 @@ def instead_of_links(search: Search, fitted: Fitted) -> tuple[Term, ...]:
         exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
         there = wald(exact, len(exact.extra) - 1) < 1 - CLAIM
         if there and as_good(squared(exact), squared(fitted)) and not link_findings(exact):
-            result.append(described(exact).terms[-1])
-    return tuple(result)
+            result.append(Exchange(exact, (key_of(exact.extra[-1]),), (LINK_ERRORS,)))
+    return result
 
 
 def is_link_error(effect: Effect) -> bool:

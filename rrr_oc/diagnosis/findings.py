@@ -205,6 +205,11 @@ def contribution(data: Data, fitted: Fitted, i: int) -> float:
 
 def equal(data: Data, fitted: Fitted, i: int) -> list[Key]:
     """Effects that, in the place of an added one, predict the same over these recordings, so that nothing can tell them apart."""
+    return [(t.effect.name, t.effect.joints) for t in equal_terms(data, fitted, i)]
+
+
+def equal_terms(data: Data, fitted: Fitted, i: int) -> list[Term]:
+    """The terms of these effects."""
     term, result = fitted.extra[i], []
     for effect, theta in term.effect.equivalents(term.named):
         estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
@@ -212,7 +217,7 @@ def equal(data: Data, fitted: Fitted, i: int) -> list[Key]:
         model = replace(fitted.model, terms=tuple(other if t is term else t for t in fitted.model.terms))
         change = (data.residual(model) - fitted.residual) * data.counted
         if np.all(np.sqrt(np.mean(change**2, axis=1)) < NEGLIGIBLE * data.torque):
-            result.append((effect.name, effect.joints))
+            result.append(other)
     return result
 
 

@@ -15,6 +15,7 @@ from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
 from rrr_oc.calibration.link_findings import LinkFinding, link_findings
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
+from rrr_oc.diagnosis.alternatives import alternatives, beside, decided
 from rrr_oc.diagnosis.classes import separated, with_links
 from rrr_oc.diagnosis.effect_size import sized
 from rrr_oc.diagnosis.files.stages import (
@@ -169,7 +170,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     findings, rest = sized(near, findings, filtered_noise(fitter.data, complete.model))
     worse = [f for f in rest if f.fall and f.fall.share <= 0]
     small = [f for f in rest if f not in worse]
-    findings, undecided = separated(search, complete, findings, small)
+    findings, undecided, as_good = separated(search, complete, findings, small)
     checks = checked(near, [*findings, *small])
     folds = with_claims(fitter, begin, searched, findings)
     kept = tuple(f.term for f in findings)
@@ -178,14 +179,15 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
         final = fitter.fit(model, complete.links, complete.posterior)
     closest = fitter.closest(final)
-    undecided = with_links(undecided, search, closest)
+    undecided, instead = with_links(undecided, search, closest)
+    as_good = [*beside(fitter, complete, findings, worse, bool(undecided)), *as_good, *instead]
     small = with_intervals(complete, small)
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
     return _assembled(
         recordings,
         whole,
         fitter,
-        (begin, final, closest),
+        (begin, final, closest, as_good),
         (findings, undecided, small, possible, worse),
         (way, checks, folds),
     )
@@ -234,7 +236,7 @@ def ready(
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
-    (begin, final, closest), (findings, undecided, small, possible, refuted), (way, checks, folds) = fits, told, check
+    (begin, final, closest, as_good), (findings, undecided, small, possible, refuted), (way, checks, folds) = fits, told, check
     near_begin = fitter.closest(begin) if findings else closest
     plain, model = (
         finished(recordings, whole, described(one), {"way": "inverse dynamics"}, perf_counter())
@@ -248,9 +250,11 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
     left = above_noise(fitter.data, final)
     calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
     shares, failed = Shares.of(checks, [*findings, *small], fitter.data.n), dict[str, str]()
+    model = replace(model, alternatives=alternatives(fitter, as_good, model, closest))
     with noted(failed, "suggested recordings"):
         contested = [*findings, *(u.contested for u in undecided)]
         suggestions = suggest(recordings, plain, contested, bool(np.any(left > FAR)), fitter.view)
+        model = replace(model, alternatives=decided(model.alternatives, suggestions))
     return ResultData(
         ModelData.of(plain),
         ModelData.of(model),

@@ -16,6 +16,11 @@ FRONT = (
     "and more, and are on the first fine mesh."
 )
 CASES = "The same springs and the same motion in every scenario; the worst one of a task is its cost."
+FORESEEN = "The same springs and the same motion on every arm that the recordings behind the model allow."
+LEFT_OPEN = (
+    "A range holds 95 % of the draws from what is not known of the parameters and the links, of the calibrated model and of every other "
+    "that the recordings do not tell from it."
+)
 MOTION = ("torque", "spring", "angle", "speed")  # figures of the page
 CERTIFICATES = "Certificates"  # the title from which on the command shows no more
 
@@ -38,6 +43,7 @@ def sections(study: DesignFile) -> list[Section]:
         Section("Which springs are worth their price", tuple(_choices(study))),
         Section("Between the set and its first task", tuple(_fronts(study))),
         Section("Scenarios", tuple(_scenarios(study))),
+        Section("What the recordings leave open", tuple(_open(study))),
         Section(CERTIFICATES, tuple(_certificates(study))),
         Section("In the twin calibrated on recordings", tuple(_twin(study))),
     ]
@@ -91,6 +97,15 @@ def _scenarios(study: DesignFile) -> Iterator[Part]:
     for name, c in study.configurations.items():
         if any(m.scenarios for m in c.tasks.values()):
             yield Part(f"Scenarios of {name}", (CASES,), table=scenarios_table(c), of=name)
+
+
+def _open(study: DesignFile) -> Iterator[Part]:
+    table = foreseen_table(study)
+    if table is not None:
+        yield Part(said=(FORESEEN,), table=table, note=LEFT_OPEN)
+    for name, c in study.configurations.items():
+        if any(m.foreseen is not None and len(m.foreseen.members) > 1 for m in c.tasks.values()):
+            yield Part(f"Models that the recordings do not tell apart, with {name}", table=members_table(c), of=name)
 
 
 def _certificates(study: DesignFile) -> Iterator[Part]:
@@ -294,3 +309,29 @@ def scenarios_table(c: Configuration) -> Table:
             known = ", ".join(f"{k.removeprefix('known ')} {v:.4g}" for k, v in s.parameters.items()) or NONE
             rows.append([task, f"{s.payload_kg:.3g}", known, f"{s.E1:.3f}", f"{s.mujoco:.3f}"])
     return ["task", "payload [kg]", "model", "E1 [N²m²s]", "MuJoCo"], rows
+
+
+def foreseen_table(study: DesignFile) -> Table | None:
+    """Ranges of E1, and of a cost that is another, of every motion; None without a calibrated model."""
+    known = {
+        (name, task): m for name, c in study.configurations.items() for task, m in c.tasks.items() if m.foreseen is not None
+    }
+    if not known:
+        return None
+    other, rows = study.quantity.name != "E1", []
+    for (name, task), m in known.items():
+        f = m.foreseen
+        assert f is not None
+        cells = [name if study.single else f"{name}, {task}", f"{m.E1:.3f}", say.ends(f.E1), say.ratio(f.E1)]
+        rows.append([*cells, *([say.ends(f.cost), say.ratio(f.cost)] if other else []), f.narrowed_by or NONE])
+    more = [f"foreseen {study.quantity.title}", "upper over lower end"] if other else []
+    return ["", "E1 planned [N²m²s]", "foreseen E1 [N²m²s]", "upper over lower end", *more, "narrowed by recording"], rows
+
+
+def members_table(c: Configuration) -> Table:
+    """Ranges of E1 of every motion on the arm as each model has it."""
+    rows = []
+    for task, m in c.tasks.items():
+        for one in m.foreseen.members if m.foreseen is not None else ():
+            rows.append([task, one.says, f"{one.E1_itself:.3f}", say.ends(one.E1), one.decided_by or NONE])
+    return ["task", "the arm", "E1 [N²m²s]", "range of E1 [N²m²s]", "decided by recording"], rows

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Moved, Priced, Quantity
+from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Foreseen, Moved, Priced, Quantity
 from rrr_oc.codesign.transfer import uncalibrated
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.words import joint_words, listed, words
@@ -388,4 +388,25 @@ def _of_motion(m: Moved) -> list[str]:
             said.append("in the calibrated twin a controller reaches its limit")
         if twin.tracking_error_rad > FOLLOWED:
             said.append(f"in the calibrated twin the motion is missed by up to {twin.tracking_error_rad:.2f} rad")
+    if m.foreseen is not None and m.foreseen.widened_by is not None:
+        said.append(left_open(m.foreseen))
     return said
+
+
+def left_open(f: Foreseen) -> str:
+    """That a range is wide, why, and which recording would narrow it."""
+    said = f"the recordings leave the cost open between {ends(f.cost)}, by a factor of {ratio(f.cost)}"
+    alone = f.widened_by == f.members[0].says
+    if f.narrowed_by is None:
+        return f"{said}: {f.widened_by} shows the same torques, and the zero of a sensor, or parts taken apart, have to tell"
+    return f"{said}{'' if alone else f' ({f.widened_by})'}; the motion of {f.narrowed_by}, recorded, would narrow that"
+
+
+def ends(interval: tuple[float, float]) -> str:
+    """The ends of a range."""
+    return f"{interval[0]:.4g} and {interval[1]:.4g}"
+
+
+def ratio(interval: tuple[float, float]) -> str:
+    """The upper end of a range over its lower one."""
+    return f"{interval[1] / interval[0]:.2f}" if interval[0] > 0 else NONE

@@ -467,6 +467,11 @@ def test_a_design_for_the_repaired_arm_is_cheaper_on_it(monkeypatch, capsys, tmp
     assert found["repaired"]["calibrated"]["engine"]["E1"] == pytest.approx(found["repaired"]["E1"], rel=0.01)
     assert found["nominal"]["calibrated"]["engine"]["E1"] > 1.1 * found["nominal"]["E1"]
     assert found["repaired"]["calibrated"]["engine"]["E1"] < 0.98 * found["nominal"]["calibrated"]["engine"]["E1"]
+    # a model that leaves nothing open foresees one number, of either design what it costs on this arm; 1 % as above
+    for one in found.values():
+        assert one["foreseen"]["E1"] == pytest.approx([one["calibrated"]["engine"]["E1"]] * 2, rel=0.01)
+    text = (tmp_path / "nominal" / "report.md").read_text()
+    assert text.index("## What the recordings leave open") < text.index("## Certificates")
 
 
 def test_the_study_is_the_command(out, summary, monkeypatch, capsys):

@@ -9,6 +9,7 @@ from scipy.stats import t as student
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.estimator.data import order_of
+from rrr_oc.calibration.estimator.evidence import root_of_covariance
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.parameter_vector import bounds, labels, with_estimates
 from rrr_oc.calibration.samples import Prepared
@@ -44,7 +45,16 @@ def described(fitted: Fitted) -> CalibratedModel:
     model, counts = fitted.model, np.array([one.count for one in fitted.posterior.joints])
     std = np.sqrt(np.diag(covariance(fitted)))[: len(model.values)]
     half = [half_width(counts[list(t.effect.joints) or slice(None)].min()) for t in model.terms for _ in t.estimates]
-    return with_intervals(model, std, np.array(half) * std, ~undetermined(fitted))
+    return replace(with_intervals(model, std, np.array(half) * std, ~undetermined(fitted)), spread=spread(fitted))
+
+
+def spread(fitted: Fitted) -> np.ndarray:
+    """`CalibratedModel.spread` of a fit: a root of the posterior covariance, of links as their errors move them, (p + 10 n, r)."""
+    terms, size, k = fitted.model.terms, len(fitted.model.values), len(fitted.links)
+    root = root_of_covariance(fitted.posterior.matrix)
+    signs = np.concatenate([np.ones(0), *(np.where(canonical(t).values == -t.values, -1.0, 1.0) for t in terms)])
+    links = fitted.posterior.data.links.at(fitted.links)[1] @ root[size : size + k]
+    return np.concatenate([signs[:, None] * root[:size], links])
 
 
 def with_intervals(model: CalibratedModel, std: np.ndarray, half: np.ndarray, known: np.ndarray) -> CalibratedModel:

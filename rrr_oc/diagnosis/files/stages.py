@@ -16,7 +16,19 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data, Noise
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, Start
 from rrr_oc.calibration.link_findings import LinkFinding
-from rrr_oc.calibration.model_file import TermEntry, effect_of, options_of, term_entry, term_of, terms_of
+from rrr_oc.calibration.model_file import (
+    AlternativeEntry,
+    TermEntry,
+    alternative_entry,
+    alternative_of,
+    effect_of,
+    options_of,
+    spread_entry,
+    spread_of,
+    term_entry,
+    term_of,
+    terms_of,
+)
 from rrr_oc.diagnosis.findings import Fall, Finding, Possible, Undecided
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.structures.search import Search, State
@@ -77,25 +89,32 @@ class Stages:
 
 
 class ModelData(Struct):
-    """What a diagnosis changes of a model: its effects, its links (10, n), noise and errors."""
+    """What a diagnosis changes of a model: its effects, its links (10, n), noise and errors, and what is not known of it."""
 
     effects: list[TermEntry]
     inertial: list[list[float]]
     noise: Numbers
     nrmse: Numbers
     report: dict[str, Any]
+    spread: list[list[float]] | None = None
+    alternatives: list[AlternativeEntry] = []
 
     @classmethod
     def of(cls, model: CalibratedModel) -> "ModelData":
         robot = model.robot
         links, errors = robot.inertial.tolist(), (model.noise.tolist(), model.nrmse.tolist())
-        return cls([term_entry(t, robot) for t in model.terms], links, *errors, dict(model.report))
+        unknown = spread_entry(model.spread), [alternative_entry(one) for one in model.alternatives]
+        return cls([term_entry(t, robot) for t in model.terms], links, *errors, dict(model.report), *unknown)
 
     def model(self, start: CalibratedModel) -> CalibratedModel:
         """The model with what it has in common with others from `start`."""
         robot = replace(start.robot, inertial=np.array(self.inertial))
         errors = {"noise": np.array(self.noise, float), "nrmse": np.array(self.nrmse, float)}
-        return replace(start, robot=robot, terms=terms_of(self.effects, robot), report=self.report, **errors)
+        terms = terms_of(self.effects, robot)
+        own = replace(
+            start, robot=robot, terms=terms, report=self.report, spread=spread_of(self.spread, terms, robot), **errors
+        )
+        return replace(own, alternatives=tuple(alternative_of(one, own) for one in self.alternatives))
 
 
 class NoiseData(Struct):

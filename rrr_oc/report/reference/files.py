@@ -319,12 +319,17 @@ class _Allowed:
             inner = cls.of(arguments[1])
             return cls("object" if inner.kind == "anything" else f"object: {inner.kind} by name", inner.values)
         if origin is tuple and arguments[1:] != (...,):
-            return cls(f"list of {len(arguments)} {cls.of(arguments[0]).kind}s", cls.of(arguments[0]).values)
+            return cls(f"list of {len(arguments)} {_several(cls.of(arguments[0]).kind)}", cls.of(arguments[0]).values)
         if origin in (list, tuple):
             inner = cls.of(arguments[0])
-            return cls(f"list of {inner.kind}s", inner.values)
+            return cls(f"list of {_several(inner.kind)}", inner.values)
         known = {str: "text", float: "number", int: "whole number", bool: "true or false", Any: "anything"}
         return cls(known.get(kind, "object"))
+
+
+def _several(kind: str) -> str:
+    """The plural of a kind."""
+    return kind.replace("list of ", "lists of ", 1) if kind.startswith("list of ") else f"{kind}s"
 
 
 def _bounds(meta: msgspec.Meta) -> list[str]:

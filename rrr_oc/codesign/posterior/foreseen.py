@@ -1,0 +1,97 @@
+"""The cost of a design in every member of a posterior: what the recordings let one foresee, and what would narrow it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.codesign.design_file import Foreseen, typed
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.optimum import SampledMotion
+from rrr_oc.codesign.posterior.members import Member
+from rrr_oc.codesign.transfer import repaired
+from rrr_oc.model.metrics import measure
+from rrr_oc.model.motion import Motion
+from rrr_oc.model.recorded_physics import Physics
+from rrr_oc.model.shared_model import shared_model
+from rrr_oc.numerics.along import along
+from rrr_oc.recordings.recording import Recording
+
+CENTRAL = (0.025, 0.975)  # quantiles of the draws that are the ends of a range
+DECISIVE = 25.0  # χ² of the difference of recorded torques above which a recording tells two models apart
+SPACING = 0.08  # [s] between rows that count as independent
+WIDE = 1.5  # upper over lower end of a range from which a recording is named; doubled, only ranges of three times are wide
+
+
+def foreseen(design: CoDesign, motion: SampledMotion, theta: np.ndarray, every: Sequence[Member], file: str) -> Foreseen | None:
+    """Ranges of E1 and of the cost of a motion with springs on the arm as each member has it; None where springs stand between drives
+    and links, whose motion depends on the load.
+
+    Args:
+        design: Of the task as it was asked for, without effects of the arm.
+        theta: Parameters of the springs (np,).
+        file: Of the designed motion, by which it is named where recording this motion is what would narrow the range.
+    """
+    if design.series.rows:
+        return None
+    phases, rate, rows = motion.by_phase(design.task), _cost_rate(design), []
+    for member in every:
+        if any(t.recordings != "all" for t in member.model.terms):
+            continue  # what is there in some recordings only may or may not be there in the task
+        costs = np.array([_costs(design, phases, theta, model, rate) for model in (member.model, *member.draws)])
+        low, high = np.quantile(costs[1:] if member.draws else costs, CENTRAL, axis=0)
+        low, high = np.minimum(low, costs[0]), np.maximum(high, costs[0])
+        ranges = {name: (low[i], high[i]) for i, name in enumerate(("E1", "cost"))}
+        shows = file if member.model is every[0].model or _told_apart(every[0].model, member.model, phases) else None
+        rows.append(ranges | {"says": member.says, "E1_itself": costs[0, 0], "decided_by": member.decided_by or shows})
+    whole = {key: (min(r[key][0] for r in rows), max(r[key][1] for r in rows)) for key in ("E1", "cost")}
+    widest = _widest(rows) if whole["cost"][1] > WIDE * whole["cost"][0] else None
+    narrowed = None if widest is None else widest["decided_by"]
+    return typed(whole | {"members": rows, "widened_by": widest and widest["says"], "narrowed_by": narrowed}, Foreseen)
+
+
+def _widest(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """The member that widens the range most: the calibrated model, unless another exceeds its range by more than half of that."""
+    low, high = rows[0]["cost"]
+    beyond = [max(r["cost"][1] - high, low - r["cost"][0]) for r in rows]
+    most = int(np.argmax(beyond))
+    return rows[most if beyond[most] > (high - low) / 2 else 0]
+
+
+def _told_apart(one: CalibratedModel, other: CalibratedModel, phases: Sequence[Motion]) -> bool:
+    """Whether recorded torques tell two models apart, by more than their noise, when the phases of a motion are recorded."""
+    apart = 0.0
+    for phase in phases:
+        recording = Recording.planned("designed", phase)
+        change = (one.output_torque(recording) - other.output_torque(recording)) / np.where(one.noise > 0, one.noise, 1.0)[
+            :, None
+        ]
+        apart += float(np.trapezoid(np.nansum(change**2, axis=0), phase.t)) / SPACING
+    return apart > DECISIVE
+
+
+def _costs(
+    design: CoDesign, phases: Sequence[Motion], theta: np.ndarray, model: CalibratedModel, rate: ca.Function
+) -> tuple[float, float]:
+    """E1 [N²m²s] and the cost of a motion with springs on the arm that a model has."""
+    there = repaired(design, model, ("", ""))
+    known = np.concatenate([theta, *(s.lower for s in there.springs if s.known)])
+    arm = shared_model(there.task.robot, there.task.tool, tuple(s.effect for s in there.springs))
+    rows, torques, cost = list(there.task.moving), [], 0.0
+    for i, (phase, payload) in enumerate(zip(phases, there.task.payloads, strict=True)):
+        carried = replace(phase, payload=np.full(len(phase.t), payload))
+        physics = Physics(arm, there.engaged(i, known), arm.widths, there.task.robot.inertial)
+        tau = physics.torques(carried)[1][rows]
+        torques.append((phase.t, tau))
+        cost += float(np.trapezoid(along(rate, phase.dq[rows], phase.ddq[rows], tau)[0].ravel(), phase.t))
+    return measure(torques).E1_total, cost
+
+
+def _cost_rate(design: CoDesign) -> ca.Function:
+    """(dq, ddq, load torque) of the moving joints (m,) each -> the cost's rate, in the cost's unit per second."""
+    m, width = len(design.task.moving), design.power_width(design.data())
+    dq, ddq, tau = ca.SX.sym("dq", m), ca.SX.sym("ddq", m), ca.SX.sym("tau", m)
+    return ca.Function("rate", [dq, ddq, tau], [ca.densify(design.cost_rate(dq, ddq, tau, width))])

@@ -1,0 +1,184 @@
+"""Models that recordings do not tell from the reported one, as whole models: whoever designs for the arm has to reckon with each."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import fminbound
+
+from rrr_oc.calibration.calibrated_model import Alternative, CalibratedModel, Term
+from rrr_oc.calibration.estimator.data import Data
+from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.intervals import described
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Key, equal_terms
+from rrr_oc.diagnosis.fitting import Fitter
+from rrr_oc.diagnosis.knobs import NEGLIGIBLE
+from rrr_oc.diagnosis.suggestion import Suggestion
+from rrr_oc.effects import LinkSpring
+from rrr_oc.effects.words import listed
+
+STEP = 0.25  # [rad] between moves of an equilibrium that are tried first; doubled, a spring that is hardly taut may be missed
+CLOSE = 1e-7  # [rad] to which the move is found
+MOVES = np.arange(-24, 25) * STEP
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A fit that is as good as another one.
+
+    Attributes:
+        fitted: The fit.
+        has: What it has that the other has not.
+        lacks: What the other has in the place of these.
+    """
+
+    fitted: Fitted
+    has: tuple[Key, ...]
+    lacks: tuple[Key, ...]
+
+
+def beside(
+    fitter: Fitter, complete: Fitted, claimed: Sequence[Finding], worse: Sequence[Finding], undecided: bool
+) -> list[Exchange]:
+    """The fit of all effects of a complete one that are not refuted, if the reported model lacks one of them.
+
+    Args:
+        claimed, worse: What is in the reported model, and what raises the error.
+        undecided: Whether links stand for one of these effects there.
+    """
+    (known, gone) = ({id(f.term) for f in some} for some in (claimed, worse))
+    more = tuple(key_of(t) for t in complete.extra if id(t) not in known | gone)
+    if not more:
+        return []
+    terms = tuple(t for t in complete.model.terms if id(t) not in gone)
+    model = replace(complete.model, terms=terms)
+    fitted = fitter.fit(model, complete.links, complete.posterior) if gone else complete
+    return [Exchange(fitted, more, (LINK_ERRORS,) if undecided else ())]
+
+
+def alternatives(
+    fitter: Fitter, exchanges: Sequence[Exchange], told: CalibratedModel, closest: Fitted
+) -> tuple[Alternative, ...]:
+    """Each exchange as the model that predicts best, and laws that are equal where the recordings went, in the place of claimed ones.
+
+    Args:
+        told: The reported model, as `described` gives it.
+        closest: The fit that it is of.
+    """
+    result = []
+    for one in exchanges:
+        model = described(fitter.closest(one.fitted))
+        result.append(_alternative(model, one.has, one.lacks))
+    for i, term in enumerate(told.terms[closest.base :]):
+        for other in equal_terms(fitter.data, closest, i):
+            result.append(_alternative(_with(told, term, other), (key_of(other),), (key_of(term),)))
+    return (*result, *pretensions(fitter.data, told))
+
+
+def pretensions(data: Data, told: CalibratedModel) -> list[Alternative]:
+    """For each claimed torque beside a spring of the same joints that the spring gives as well with another equilibrium: the model without
+    that torque. A spring that is taut in all recordings and an offset of the torque sensor are one such pair."""
+    result, residual = [], data.residual(told)
+    for spring, other in itertools.permutations(told.terms, 2):
+        one = _Turned(told, spring, other)
+        if not one.may_be:
+            continue
+
+        def change(x: float, one: _Turned = one) -> np.ndarray:
+            return (data.residual(one.at(x)) - residual) * data.counted
+
+        def missed(x: float, change: Callable[[float], np.ndarray] = change) -> float:
+            return float(np.sum(change(x) ** 2))
+
+        start = min(MOVES, key=missed)
+        x = float(np.ravel(fminbound(missed, start - STEP, start + STEP, xtol=CLOSE))[0])
+        if np.all(np.sqrt(np.mean(change(x) ** 2, axis=1)) < NEGLIGIBLE * data.torque):
+            own, gone = (_named(key_of(t), told.joints) for t in (spring, other))
+            says = f"{own} with another equilibrium in the place of {gone}"
+            model = replace(one.at(x), spread=one.spread(x))
+            result.append(Alternative(model, says, (spring.effect.name, other.effect.name)))
+    return result
+
+
+@dataclass(frozen=True)
+class _Turned:
+    """A model without one term, in the place of which the equilibrium of a spring is moved."""
+
+    told: CalibratedModel
+    spring: Term
+    other: Term
+
+    @property
+    def may_be(self) -> bool:
+        """Whether the spring, beside a term of drives or sensors with one parameter, is on its joints in all recordings."""
+        spring, other = self.spring, self.other
+        everywhere = spring.recordings == other.recordings == "all" and other.effect.side != "link"
+        inside = bool(other.effect.joints) and set(other.effect.joints) <= set(spring.effect.joints)
+        return isinstance(spring.effect, LinkSpring) and everywhere and inside and len(other.estimates) == 1
+
+    def moved(self, x: float) -> np.ndarray:
+        """The spring's parameters with its equilibrium moved by x [rad]."""
+        effect = self.spring.effect
+        assert isinstance(effect, LinkSpring)
+        values = effect.moved(self.spring.named, x)
+        return np.array([values[p.name] for p in effect.parameters])
+
+    def at(self, x: float) -> CalibratedModel:
+        """The model at such a move [rad]."""
+        turned = self.spring.with_values(self.moved(x))
+        return replace(
+            self.told, terms=tuple(turned if t is self.spring else t for t in self.told.terms if t is not self.other)
+        )
+
+    def spread(self, x: float) -> np.ndarray | None:
+        """Its spread, where x = − (size of the other term) / stiffness."""
+        if self.told.spread is None:
+            return None
+        firsts = np.cumsum([0, *(len(t.estimates) for t in self.told.terms)])
+        at, gone = (
+            int(firsts[next(i for i, t in enumerate(self.told.terms) if t is one)]) for one in (self.spring, self.other)
+        )
+        effect = self.spring.effect
+        stiff = at + [p.name for p in effect.parameters].index(effect.amplitudes[0])
+        k, size = self.told.values[[stiff, gone]]
+        spread, by_x = self.told.spread.copy(), self.moved(1.0) - self.spring.values
+        spread[at : at + len(by_x)] += np.outer(by_x, x * (spread[gone] / size - spread[stiff] / k))
+        return np.delete(spread, gone, axis=0)
+
+
+def decided(found: Sequence[Alternative], suggestions: Sequence[Suggestion]) -> tuple[Alternative, ...]:
+    """Alternatives with the file of the suggested motion that tells them from the model."""
+    named = {f"suggested_{k}.csv": set(s.separates) for k, s in enumerate(suggestions, 1)}
+    files = [next((file for file, names in named.items() if len(names & set(a.effects)) > 1), None) for a in found]
+    return tuple(replace(a, decided_by=file) for a, file in zip(found, files, strict=True))
+
+
+def _alternative(model: CalibratedModel, has: Sequence[Key], lacks: Sequence[Key]) -> Alternative:
+    own, other = ([_named(key, model.joints) for key in keys] for keys in (has, lacks))
+    says = " in the place of ".join(listed(names) for names in (own, other) if names)
+    return Alternative(model, says if own else f"without {says}", tuple(dict.fromkeys(name for name, _ in (*has, *lacks))))
+
+
+def _named(key: Key, joints: Sequence[str]) -> str:
+    if key == LINK_ERRORS:
+        return "other links"
+    return key[0] + (f" of {' and '.join(joints[j] for j in key[1])}" if key[1] else "")
+
+
+def _with(model: CalibratedModel, term: Term, other: Term) -> CalibratedModel:
+    """A model with another term of as many parameters in the place of one; what is not known of these is as much as before."""
+    spread, at = model.spread, 0
+    for t in model.terms:
+        own = slice(at, at + len(t.estimates))
+        at = own.stop
+        if t is term and spread is not None:
+            signs = np.where(other.values == -t.values, -1.0, 1.0)
+            spread = np.concatenate([spread[: own.start], signs[:, None] * spread[own], spread[own.stop :]])
+    terms = tuple(other if t is term else t for t in model.terms)
+    return replace(model, terms=terms, spread=spread)
+
+
+def key_of(term: Term) -> Key:
+    """Name and joints of a term's effect."""
+    return term.effect.name, term.effect.joints
