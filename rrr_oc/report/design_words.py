@@ -10,6 +10,7 @@ from rrr_oc.effects.words import joint_words, listed, words
 from rrr_oc.model.metrics import decrease
 from rrr_oc.report.tables import NONE, spring_unit
 
+MANY = 3.0  # times the planned E1 from which it is told as that
 AGREES = 0.01  # [1] of E1 by which MuJoCo may differ before a reader is warned; doubled, only errors of the model are told
 OVER = 0.05  # [1] of a limit's scale by which it may be exceeded between the nodes before a reader is warned
 FAR = 0.1  # [1] of E1 by which the calibrated twin may differ from the plan before a reader is warned
@@ -368,6 +369,13 @@ def _of_configuration(c: Configuration) -> list[str]:
     return said
 
 
+def _away(differs: float, decimals: int) -> str:
+    """A relative difference from what was planned; of what is many times that, how many."""
+    if differs + 1 > MANY:
+        return f"{1 + differs:.3g} times the planned one: the arm does not follow the motion there"
+    return f"{100 * differs:+.{decimals}f} % away from the planned one"
+
+
 def _of_motion(m: Moved) -> list[str]:
     k = m.certificate
     said = [f"the law of the {placed(label)} is {how}: beyond, it is a guess" for label, how in m.beyond.items()]
@@ -375,7 +383,7 @@ def _of_motion(m: Moved) -> list[str]:
         said.append(f"the tolerance of the mesh was not met; the error between its nodes is {k.mesh.error:.1e}")
     differs = 0.0 if m.scenarios else m.mujoco.E1 / m.E1 - 1
     if abs(differs) > AGREES:
-        said.append(f"MuJoCo finds an E1 that is {100 * differs:+.1f} % away from the planned one")
+        said.append(f"MuJoCo finds an E1 that is {_away(differs, 1)}")
     if k.violation > OVER:
         said.append(f"a limit is exceeded between the nodes by {100 * k.violation:.0f} % of its scale")
     if k.second_order == "violated":
@@ -383,7 +391,7 @@ def _of_motion(m: Moved) -> list[str]:
     if (twin := m.calibrated) is not None:
         differs = twin.engine.E1 / m.E1 - 1
         if abs(differs) > FAR:
-            said.append(f"in the calibrated twin E1 is {100 * differs:+.0f} % away from the planned one")
+            said.append(f"in the calibrated twin E1 is {_away(differs, 0)}")
         if twin.saturated:
             said.append("in the calibrated twin a controller reaches its limit")
         if twin.tracking_error_rad > FOLLOWED:

@@ -306,6 +306,10 @@ CAUTIONS = {
     "a spring that is never taut": ({"idle": IDLE}, "the parallel spring of b is never taut"),
     "a mesh that was not met": ({"mesh": MeshQuality(1e-3, 0.0, None, False)}, "the tolerance of the mesh was not met"),
     "an engine that disagrees": ({"mujoco": tracked(103.0)}, "MuJoCo finds an E1 that is +3.0 % away"),
+    "an engine far off": (
+        {"mujoco": tracked(4760.0)},
+        "MuJoCo finds an E1 that is 47.6 times the planned one: the arm does not",
+    ),
     "a limit that is exceeded": ({"violation": 0.1}, "exceeded between the nodes by 10 % of its scale"),
     "no local optimum": ({"second_order": "violated"}, "is no local optimum"),
     "one start": ({"reached": 1}, "only one start led to this optimum; more starts, or another seed, may find a better one."),
