@@ -133,6 +133,7 @@ def _twin(study: DesignFile) -> Iterator[Part]:
         yield Part(said=(needed,) if needed else (), table=table, note=say.transferred(study))
 
 
+LEAST_COST = 0.1  # from which three decimals are three digits
 QUALITY = {
     "engine": "re-simulated in MuJoCo with feed-forward and P-controllers, load torque read from the engine.",
     "energy balance": "what it misses in MuJoCo, relative.",
@@ -149,11 +150,16 @@ SHARED = {
 }  # columns on springs that several tasks share
 
 
+def small_too(cost: float) -> str:
+    """A cost with three decimals; of light arms, whose costs these would round away, with three digits."""
+    return f"{cost:.3f}" if abs(cost) >= LEAST_COST or not cost else f"{cost:.3g}"
+
+
 def _quality(m: Moved) -> list[str]:
     """The cells of `QUALITY`."""
     k = m.certificate
     return [
-        f"{m.mujoco.E1:.3f}",
+        small_too(m.mujoco.E1),
         f"{m.mujoco.energy_residual:.1e}",
         f"{k.mesh.error:.1e}{'' if k.mesh.converged else ' (not met)'}",
         f"{k.violation:.0e}",
@@ -169,7 +175,7 @@ def optima_table(study: DesignFile) -> Table:
     stiff, rows = study.configurations.get("SA"), []
     for name, c in study.configurations.items():
         fall = "" if stiff is None or name == "SA" else f"{100 * decrease(c.cost, stiff.cost):.1f} %"
-        cells = [name, f"{c.cost:.3f}", "springs do nothing" if c.does_nothing else fall]
+        cells = [name, small_too(c.cost), "springs do nothing" if c.does_nothing else fall]
         if study.paper:
             cells.append("" if c.published_springs is None else f"{c.published_springs:.2f}")
         cells += _quality(c.first) if study.single else _compared(c)
@@ -201,7 +207,7 @@ def tasks_table(study: DesignFile, c: Configuration) -> Table:
     rows = []
     for task in study.tasks:
         m = c.tasks[task.name]
-        cells = [task.name, f"{task.weight:g}", f"{task.payload_kg:g}", f"{m.cost:.3f}", *_compared(m)]
+        cells = [task.name, f"{task.weight:g}", f"{task.payload_kg:g}", small_too(m.cost), *_compared(m)]
         rows.append([*cells, *(f"{m.durations[phase]:.3f}" for phase in PHASES)])
     return header, rows
 
@@ -264,7 +270,7 @@ def local_optima_table(study: DesignFile, c: Configuration) -> Table:
     """The distinct local optima that a search found."""
     rows = [
         [
-            f"{o.cost:.3f}",
+            small_too(o.cost),
             str(o.reached or "from others"),
             *(f"{o.durations[phase]:.3f}" for phase in PHASES),
             "yes" if o.refined else "no",
@@ -307,7 +313,7 @@ def scenarios_table(c: Configuration) -> Table:
     for task, m in c.tasks.items():
         for s in m.scenarios:
             known = ", ".join(f"{k.removeprefix('known ')} {v:.4g}" for k, v in s.parameters.items()) or NONE
-            rows.append([task, f"{s.payload_kg:.3g}", known, f"{s.E1:.3f}", f"{s.mujoco:.3f}"])
+            rows.append([task, f"{s.payload_kg:.3g}", known, small_too(s.E1), small_too(s.mujoco)])
     return ["task", "payload [kg]", "model", "E1 [N²m²s]", "MuJoCo"], rows
 
 

@@ -29,6 +29,7 @@ from rrr_oc.codesign.certificate import MeshQuality
 from rrr_oc.diagnosis.held_out import Fold
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.report.design_report import optima_table, small_too
 from rrr_oc.report.design_words import bound, cautions, hardware, verdict
 from rrr_oc.report.diagnosis_report import about, write_diagnosis
 from rrr_oc.report.pages.design_page import write_design_page
@@ -317,6 +318,18 @@ CAUTIONS = {
     "one start, and a bound": ({"reached": 1, "least": 12.5}, "may find a better one, though none below 12.5 N²m²s."),
     "a twin that needs more": ({"calibrated": TWIN}, "in the calibrated twin E1 is +50 % away"),
 }
+
+
+def test_costs_of_light_arms_keep_their_digits():
+    assert [small_too(x) for x in (563.2281, 0.1, 0.01234567, 0.0001241794, 0.0)] == [
+        "563.228",
+        "0.100",
+        "0.0123",
+        "0.000124",
+        "0.000",
+    ]
+    _, rows = optima_table(designs.summary(SA=STIFF, PEA=designs.design(0.0001241794)))
+    assert rows[1][1] == "0.000124"
 
 
 @pytest.mark.parametrize(("changes", "said"), CAUTIONS.values(), ids=CAUTIONS.keys())

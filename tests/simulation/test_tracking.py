@@ -486,7 +486,7 @@ def test_a_gripper_of_a_few_grams_is_held(tmp_path):
 
 @pytest.mark.parametrize("elbow", [-1.57, 1.57])
 def test_a_light_arm_is_held_where_its_inertia_is_least(tmp_path, elbow):
-    """Its zero pose is bent, and the inertia of the stretched or folded arm a third to a quarter of that one's or less."""
+    """Its zero pose is bent; stretched or folded, its joints have a fraction of the inertia that they have there."""
     light = [link(name, 0.1, (5e-5, 5e-5, 5e-5), xyz="0.05 0 0") for name in ("l1", "l2")]
     joints = hinge("j1", "base", "l1"), hinge("j2", "l1", "l2", xyz="0.1 0 0", rpy="0 1.5708 0")
     (tmp_path / "arm.urdf").write_text(chain(link("base", 0), *light, *joints))
