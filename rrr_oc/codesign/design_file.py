@@ -108,12 +108,14 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True):
         parameters: Values of the uncertain parameters of the model, by name.
         E1: As planned [N²m²s].
         mujoco: E1 in MuJoCo, which knows the case [N²m²s].
+        says: What the case is; empty where payload and parameters say it.
     """
 
     payload_kg: float
     parameters: dict[str, float]
     E1: float
     mujoco: float
+    says: str = ""
 
 
 class OfMember(Struct, frozen=True, forbid_unknown_fields=True):
@@ -195,7 +197,7 @@ class Moved(Metrics, frozen=True, kw_only=True):
     """The motion of a task with the springs of a configuration, and metrics of its load torque.
 
     Attributes:
-        cost: Its cost, in the cost's unit; of the worst case where something is uncertain.
+        cost: Its cost, in the cost's unit; where something is uncertain, of the worst case, or the mean of all.
         alone: The cost with springs of its own; that of the task where there is one alone.
         with_first: The cost with the springs tuned to the first task, and the best motion for these.
         springs_alone: Springs of its own, by a designer's names, in SI units and radians.
@@ -405,10 +407,12 @@ class Unsure(Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         payload: Share of the payload by which it may be smaller or larger [1].
         model: Parameters of the model that may lie anywhere in their 95 % interval.
+        over: Whether the calibrated model's cost is minimised, or the mean or the worst over the models that its recordings allow.
     """
 
     payload: float = 0.0
     model: tuple[str, ...] = ()
+    over: Literal["calibrated", "mean", "worst"] = "calibrated"
 
 
 class Quantity(Struct, frozen=True, forbid_unknown_fields=True):

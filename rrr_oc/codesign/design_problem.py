@@ -24,17 +24,26 @@ NARROW = 1e-3  # [rad] springs' width where none is given, by which that of powe
 COST_UNITS = {"load": "N²m²s", "motor": "N²m²s", "energy": "J"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scenario:
     """One case of what is not known while the motion is planned.
 
     Attributes:
         payload: Factor on the payload [1].
         theta: Values of parameters of known effects, by their index among the problem's parameters.
+        inertial: Inertial parameters of the links (10, n); None for those of the task's robot.
+        says: What the case is, in words.
     """
 
     payload: float = 1.0
     theta: tuple[tuple[int, float], ...] = ()
+    inertial: np.ndarray | None = None
+    says: str = ""
+
+    def task(self, task: Task) -> Task:
+        """A task in this case."""
+        robot = task.robot if self.inertial is None else replace(task.robot, inertial=self.inertial)
+        return replace(task, payload=task.payload * self.payload, robot=robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +56,8 @@ class CoDesign:
         cost: "load" = load torque² (Eq. 13) over the moving joints, "motor" = motor torque² (Eq. 7), "energy" = Eq. 11,
             in which the power that flows back counts as far as the actuators keep it.
         actuators: Of the moving joints; needed for "motor" and "energy".
-        scenarios: Cases in which springs and motion must do; of several, the cost is that of the worst, and limits of torque hold in
-            each.
+        scenarios: Cases in which springs and motion must do; limits of torque hold in each.
+        over: What the cost is of several cases: that of the worst, or their mean.
     """
 
     task: Task
@@ -56,6 +65,7 @@ class CoDesign:
     cost: str = "load"
     actuators: Actuators | None = None
     scenarios: tuple[Scenario, ...] = (Scenario(),)
+    over: str = "worst"
 
     def __post_init__(self) -> None:
         if self.cost not in COSTS:
@@ -81,6 +91,11 @@ class CoDesign:
             )
         if not self.task.at_rest:
             raise UserError(f"{name} needs an arm that is at rest between the phases, while the load of its springs changes")
+
+    @property
+    def costs(self) -> int:
+        """Number of costs of which the greatest counts."""
+        return 1 if self.over == "mean" else len(self.scenarios)
 
     @cached_property
     def series(self) -> SeriesElastic:
@@ -156,7 +171,7 @@ class CoDesign:
             design=design,
             designs=designs,
             cost_scale=self._holding_cost(),
-            groups=(0,) * len(self.scenarios),
+            groups=(0,) * self.costs,
             links=tuple(Link(1 - i, i, speeds) for i, speed in enumerate(self.task.speeds) if speed == "moving"),
         )
 
@@ -201,7 +216,7 @@ class CoDesign:
                 np.r_[np.ones(bounded), np.full(floor, np.inf)],
                 np.ones(bounded + floor),
             ),
-            costs=tuple(range(len(self.scenarios))),
+            costs=tuple(range(self.costs)),
             boundary=self._held_by_springs(index, torque) if e else None,
             boundaries=tuple(springs),
         )
@@ -234,8 +249,10 @@ class CoDesign:
             for at, value in scenario.theta:
                 theta[at] = value
 
-            def load(ddq: ca.SX, payload=payload, theta=theta) -> ca.SX:
-                return self._load_torque(q, dq, ddq, payload, theta, widths)[0]
+            there = self if scenario.inertial is None else replace(self, task=scenario.task(self.task))
+
+            def load(ddq: ca.SX, payload=payload, theta=theta, there=there) -> ca.SX:
+                return there._load_torque(q, dq, ddq, payload, theta, widths)[0]
 
             ddq = series.accelerations(load, x, u)
             tau = load(ddq)
@@ -244,6 +261,8 @@ class CoDesign:
         speeds, accelerations = ca.SX(dq), u
         speeds[own] = series.speeds(x)
         costs = ca.vertcat(*[self.cost_rate(speeds, accelerations, tau, self.power_width(d)) for tau in torques])
+        if self.over == "mean":
+            costs = ca.sum1(costs) / len(self.scenarios)
         limited, floor = self._limited
         path = ca.vertcat(*[tau[i] / task.torque[i] for tau in torques for i in limited])
         if floor:

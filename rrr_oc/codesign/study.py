@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -40,6 +40,7 @@ from rrr_oc.codesign.optimum import (
 )
 from rrr_oc.codesign.posterior.foreseen import foreseen
 from rrr_oc.codesign.posterior.members import Member, members
+from rrr_oc.codesign.posterior.scenarios import Over, over_members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, solve_multistart
@@ -53,7 +54,6 @@ from rrr_oc.codesign.transfer import (
     check_transfer,
     describe_transfer,
     of_all_joints,
-    repaired,
     uncalibrated,
     unknown_joints,
 )
@@ -88,6 +88,7 @@ class Request:
         repaired: Whether designs are made for the arm as this model has it.
         front: Number of optima between that of a set of tasks and that of its first task.
         price: Of a spring, in the unit of the objective; None if all offered springs are used.
+        over: Whether the cost on the calibrated arm is minimised, or the "mean" or the "worst" over the members of its posterior.
     """
 
     task: str
@@ -101,12 +102,19 @@ class Request:
     repaired: bool = False
     front: int = 0
     price: float | None = None
+    over: Over = "calibrated"
 
     def __post_init__(self) -> None:
         if self.configurations == ():
             raise UserError(f"--configurations names none; a configuration is {allowed_configurations()}")
         if self.repaired and self.model is None:
             raise UserError("--repaired needs --model, the file of the model that the designs are to be made for")
+        if self.over not in get_args(Over):
+            raise UserError(f"--over is {self.over!r}; allowed are {', '.join(get_args(Over))}")
+        if self.over != "calibrated" and not self.repaired:
+            raise UserError(f"--over {self.over} needs --model and --repaired, the model whose recordings leave something open")
+        if self.over != "calibrated" and self.price is not None:
+            raise UserError(f"--over is {self.over} and --price is {self.price:g}; only one of them is allowed")
         if self.price is not None and self.catalogue not in (None, "none"):
             raise UserError(f"--price is {self.price:g} and --catalogue is {self.catalogue!r}; only one of them is allowed")
         bundled = "prototype" if self.bundled else None
@@ -232,14 +240,17 @@ def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | No
     if request.price is not None:
         ways = [tuple(way for each in ways_to_mount(tasks.first, name) for way in each)]
     made, known = [], twin.model if twin is not None and request.repaired else None
+    unsure = tasks.payload or tasks.model
+    if unsure and request.over != "calibrated":
+        raise UserError(f"--over is {request.over} and set {tasks.name!r} has 'uncertain'; only one of them is allowed")
     for springs in ways:
         alone = [CoDesign(task, springs, request.cost, None if request.cost == "load" else drives) for task in tasks.tasks]
         if request.price is not None and alone[0].series.rows:
             raise UserError(
                 f"--price chooses among springs that can be left out; in {name}, those between drives and links cannot"
             )
-        alone = alone if known is None else [repaired(one, known, ("", "")) for one in alone]
-        made.append(SetDesign(tasks, tuple(with_uncertainty(one, tasks, known) for one in alone)))
+        alone = alone if known is None else [over_members(one, twin.members, request.over) for one in alone]
+        made.append(SetDesign(tasks, tuple(with_uncertainty(one, tasks, known) if unsure else one for one in alone)))
     return made
 
 
@@ -249,6 +260,7 @@ def _asked(request: Request, tasks: TaskSet) -> dict[str, Any]:
     read += (str(request.model),) if request.repaired else ()
     files = [read_utf8(f).decode() for f in read if f is not None and Path(f).is_file()]
     asked |= {"options": asdict(request.search), "files": files, "front": request.front, "price": request.price}
+    asked |= {"over": request.over}
     robot, tool = tasks.first.robot, tasks.first.tool
     asked["robot"] = [robot.placements, robot.axes, robot.inertial, robot.gravity, tool.joint, tool.position]
     return asked | {"version": __version__, "code": code()}
@@ -642,7 +654,7 @@ def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, in
     for at, value in scenario.theta:
         w[at] = value / solution.problem.p_scale[at]
     case = replace(solution, w=w)
-    there = replace(design, task=replace(task, payload=task.payload * scenario.payload), scenarios=design.scenarios[:1])
+    there = replace(design, task=scenario.task(task), scenarios=(Scenario(),))
     widths = design.widths(solution.problem.data)
     payloads = there.task.payloads
     thetas = [there.engaged(i, case.parameters) for i in range(len(PHASES))]
@@ -655,6 +667,7 @@ def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, in
         "parameters": {names[at]: value for at, value in scenario.theta},
         "E1": measure(torques).E1_total,
         "mujoco": describe(there, resimulate(there, case, motion).metrics, task.moving)["E1"],
+        "says": scenario.says,
     }
 
 

@@ -3,7 +3,7 @@
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast, get_args
 
 import typer
 from rich.markdown import Markdown
@@ -11,6 +11,7 @@ from rich.markdown import Markdown
 from rrr_oc import parallel
 from rrr_oc.codesign.design_file import Configuration
 from rrr_oc.codesign.design_problem import COSTS
+from rrr_oc.codesign.posterior.scenarios import Over
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import allowed_configurations
 from rrr_oc.codesign.study import Request, Study, prepared
@@ -52,12 +53,17 @@ def design(
     repaired: Annotated[
         bool, typer.Option("--repaired", help="design for the arm as --model has it: its masses, payload and link effects")
     ] = False,
+    over: Annotated[
+        str,
+        typer.Option(
+            help=f"with --repaired, whose cost is minimised: {', '.join(get_args(Over))} of what recordings leave open"
+        ),
+    ] = "calibrated",
     front: Annotated[
         int, typer.Option(min=0, max=MOST, help="of a set of tasks: optima between that of the set and that of its first task")
     ] = 0,
     price: Annotated[
-        float | None,
-        typer.Option(help="of a spring, in the unit of the cost: only springs that are worth it are used"),
+        float | None, typer.Option(help="of a spring, in the unit of the cost: only springs that are worth it are used")
     ] = None,
     intervals: Annotated[
         int,
@@ -78,7 +84,7 @@ def design(
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
     search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
     request = Request(
-        task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired, front=front, price=price
+        task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired, front, price, cast(Over, over)
     )
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
     check_apart(read, [out / name for name in FILES])

@@ -15,7 +15,7 @@ FRONT = (
     "The first row is the optimum of the set, the last has the springs of the first task alone; those between favour the first task more "
     "and more, and are on the first fine mesh."
 )
-CASES = "The same springs and the same motion in every scenario; the worst one of a task is its cost."
+CASES = "The same springs and the same motion in every scenario; the {} of a task is its cost."
 FORESEEN = "The same springs and the same motion on every arm that the recordings behind the model allow."
 LEFT_OPEN = (
     "A range holds 95 % of the draws from what is not known of the parameters and the links, of the calibrated model and of every other "
@@ -96,7 +96,8 @@ def _fronts(study: DesignFile) -> Iterator[Part]:
 def _scenarios(study: DesignFile) -> Iterator[Part]:
     for name, c in study.configurations.items():
         if any(m.scenarios for m in c.tasks.values()):
-            yield Part(f"Scenarios of {name}", (CASES,), table=scenarios_table(c), of=name)
+            which = "mean" if study.uncertain.over == "mean" else "worst one"
+            yield Part(f"Scenarios of {name}", (CASES.format(which),), table=scenarios_table(c), of=name)
 
 
 def _open(study: DesignFile) -> Iterator[Part]:
@@ -312,7 +313,7 @@ def scenarios_table(c: Configuration) -> Table:
     rows = []
     for task, m in c.tasks.items():
         for s in m.scenarios:
-            known = ", ".join(f"{k.removeprefix('known ')} {v:.4g}" for k, v in s.parameters.items()) or NONE
+            known = s.says or ", ".join(f"{k.removeprefix('known ')} {v:.4g}" for k, v in s.parameters.items()) or NONE
             rows.append([task, f"{s.payload_kg:.3g}", known, small_too(s.E1), small_too(s.mujoco)])
     return ["task", "payload [kg]", "model", "E1 [N²m²s]", "MuJoCo"], rows
 

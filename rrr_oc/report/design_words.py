@@ -58,6 +58,10 @@ def minimised(study: DesignFile) -> list[str]:
     what += [f"{name} in its 95 % interval" for name in unsure.model]
     if what:
         said.append(f"The cost of a task is that of the worst case of {listed(what)}, with the same motion in all cases.")
+    if unsure.over != "calibrated":
+        said.append(
+            f"The cost of a task is the {unsure.over} over models that the recordings allow, with the same motion in all."
+        )
     return [*said, *ends_in_words(study)]
 
 

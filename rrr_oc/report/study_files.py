@@ -65,7 +65,7 @@ def summary(study: Study, found: Mapping[str, Configuration], wall_s: float, com
         name=tasks.name,
         tasks=tuple(_asked(task, float(weight)) for task, weight in zip(tasks.tasks, tasks.weights, strict=True)),
         objective=tasks.objective,
-        uncertain=Unsure(tasks.payload, tasks.model),
+        uncertain=Unsure(tasks.payload, tasks.model, study.request.over),
         cost=cost_in_words(next(iter(study.designs.values()))[0].first),
         quantity=Quantity(QUANTITIES[cost], COST_UNITS[cost]),
         paper=study.published is not None,

@@ -1,6 +1,8 @@
 """What recordings leave open of a design: ranges of E1 against the same motion on arms that are changed by hand."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -10,14 +12,20 @@ from recorded import Plant, as_set, record
 from rrr_oc.calibration.calibrated_model import Alternative, CalibratedModel, Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.optimum import SAVED, SampledMotion
+from rrr_oc.codesign.optimum import SAVED, SampledMotion, sample_motion
 from rrr_oc.codesign.posterior.foreseen import foreseen
 from rrr_oc.codesign.posterior.members import AS_CALIBRATED, drawn, members
+from rrr_oc.codesign.posterior.scenarios import over_members
+from rrr_oc.codesign.search.multistart import solve_multistart
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import spring_bounds
+from rrr_oc.codesign.study import Request
 from rrr_oc.codesign.task import load_task
-from rrr_oc.codesign.transfer import of_all_joints
+from rrr_oc.codesign.transfer import of_all_joints, repaired
 from rrr_oc.effects import CATALOGUE
+from rrr_oc.errors import UserError
 from rrr_oc.model.metrics import measure
+from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.robot.drives import load_actuators
 from rrr_oc.robot.robot import load_robot
 
@@ -181,3 +189,76 @@ def test_a_model_of_some_joints_keeps_what_it_leaves_open(model):
     for one in (whole, whole.alternatives[0].model):
         assert one.spread is not None
         np.testing.assert_array_equal(one.spread.ravel(), [*np.zeros(10), *np.arange(20.0)])
+
+
+def unsure(model: CalibratedModel) -> CalibratedModel:
+    """With a mass of link 3 that is not known, a harness at joint 2 and a tilted base that may be there, and a heavier payload."""
+    rival = replace(harness(model, 5.0), spread=None)
+    tilt = Term(CATALOGUE["gravity_tilt"](()), (Estimate(0.05), Estimate(0.02)))
+    tilted = replace(model, terms=(*model.terms, tilt), spread=None)
+    heavy = replace(model, terms=(*model.terms, Term(CATALOGUE["payload_mass"](()), (Estimate(0.5),))))
+    others = tuple(Alternative(m, says) for m, says in ((rival, "harness"), (tilted, "tilt"), (heavy, "payload")))
+    return replace(model, spread=spread(model, _20=0.2, _21=0.03), alternatives=others)
+
+
+def test_each_member_is_a_scenario_of_the_search(moved, model):
+    """At random motions the costs of the problem are the squared load torques of each arm, designed for alone."""
+    design, _, theta = moved
+    whole, every = over_members(design, members(unsure(model)), "worst"), members(unsure(model))
+    said = [s.says for s in whole.scenarios]
+    assert said[0] == AS_CALIBRATED
+    assert set(said[1:4]) == {"harness", "tilt", "payload"}
+    assert len(said) == 6  # the mass, to both sides
+    rng, problem = np.random.default_rng(3), whole.problem
+    known = np.concatenate([s.lower for s in whole.springs if s.known])
+    parameters, data = np.r_[theta, known], whole.data(1e-3)
+    mean = over_members(design, every, "mean").problem
+    for phase in (0, 1):
+        x, u = np.r_[design.task.start + rng.uniform(-0.3, 0.3, 2), rng.uniform(-1, 1, 2)], rng.uniform(-2, 2, 2)
+        costs = np.array(problem.phases[phase].rates(x, u, parameters, data)[1]).ravel()
+        expected = []
+        for member in [m for says in said[:4] for m in every if m.says == says]:
+            arm = repaired(design, member.model, ("", ""))
+            own = np.r_[theta, *(s.lower for s in arm.springs if s.known)]
+            tau = arm.torques(x[:2], x[2:], u, arm.task.payloads[phase], own, np.full(arm.model.widths.size, 1e-3))[0]
+            expected.append(float(np.sum(np.array(tau) ** 2)))
+        np.testing.assert_allclose(costs[:4], expected, rtol=1e-9)
+        # of opposite changes of one mass, torques are as far from the calibrated one's
+        assert np.ptp(costs[[0, 4, 5]]) > 1e-3 * costs[0]
+        both = np.array(mean.phases[phase].rates(x, u, parameters, data)[1]).ravel()
+        assert both.shape == (1,)
+        assert both[0] == pytest.approx(costs.mean(), rel=0.01)  # the mass to both sides by less
+    assert problem.groups == (0,) * 6
+    assert mean.groups == (0,)
+
+
+def test_the_worst_member_is_better_served_by_a_design_for_the_worst(model):
+    """Springs and motion of a small search: the greatest cost over the members falls, that of the calibrated arm rises."""
+    task = load_task("paper")
+    design, every = CoDesign(task, spring_bounds(task, "PEA")), members(unsure(model))
+    options = SearchOptions(starts=2, motions=0, coarse=6, fine=8, kept=1, refinement=Refinement(1e-2, rounds=0))
+    found = {}
+    for over in ("calibrated", "worst", "mean"):
+        one = over_members(design, every, over)
+        optimum = solve_multistart(one, options).whole().best
+        motion = sample_motion(one, optimum.solution)
+        left = foreseen(design, motion, optimum.solution.parameters[: len(design.problem.parameters)], every, "PEA.npz")
+        assert left is not None
+        itself = [m.E1_itself for m in left.members]
+        found[over] = {"cost": optimum.cost, "worst": max(itself), "first": itself[0]}
+    assert found["worst"]["worst"] < found["calibrated"]["worst"]
+    assert found["worst"]["first"] > found["calibrated"]["first"]
+    assert found["calibrated"]["cost"] < found["mean"]["cost"] < found["worst"]["cost"]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"over": "best"}, "--over is 'best'; allowed are calibrated, mean, worst"),
+        ({"over": "mean"}, "--over mean needs --model and --repaired"),
+        ({"over": "mean", "repaired": True, "model": Path("m"), "price": 2.0}, "--over is mean and --price is 2"),
+    ],
+)
+def test_what_does_not_go_with_the_members_is_refused(more, said):
+    with pytest.raises(UserError, match=re.escape(said)):
+        Request("paper", Path("out"), **more)

@@ -233,7 +233,7 @@ class SetDesign:
     @cached_property
     def problem(self) -> Problem:
         """The joint optimal-control problem. Its cost is the objective, the costs of a task being those of its scenarios."""
-        alone, size, cases = self.first.problem, len(self.first.data_names), len(self.first.scenarios)
+        alone, size, cases = self.first.problem, len(self.first.data_names), self.first.costs
         shared = self.tasks.objective == "sum" and cases == 1  # then the costs add up and need no levels
         count = 1 if shared else cases * len(self.designs)
         phases = tuple(
