@@ -12,7 +12,6 @@ whether the repaired design is better. An arm that is done is not done again.
 
 import json
 import sys
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,15 +27,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 # pyright: reportAttributeAccessIssue=false
 # (mujoco has no stubs)
 
+from rrr_oc.codesign.design_file import data
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.study import Request, prepared
 from rrr_oc.commands.output import Output
 from rrr_oc.diagnosis.procedure import diagnose
+from rrr_oc.kept import Keeping, kept_motion
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.report.diagnosis_report import write_diagnosis
-from rrr_oc.report.study_files import write_study
-from rrr_oc.storage import Made, read_npz, write_json, write_text
+from rrr_oc.storage import Made, code, read_npz, write_json, write_text
 from validation.engine_plants import reference
 
 STEP, RATE, SECONDS, RECORDINGS = 0.0005, 100, 12.0, 4  # of the engine [s]; of the recordings [1/s], [s], [1]
@@ -171,19 +171,19 @@ def _recorded(one: Arm, rng: np.random.Generator) -> np.ndarray:
     """Rows of t, q and motor torque."""
     model, follow, rows = one.model(), reference("sines", one.n, SECONDS, rng), []
     model.dof_damping[:], model.dof_armature[:] = one.viscous, one.armature
-    data, inertia = mujoco.MjData(model), np.zeros((one.n, one.n))
-    data.qpos[:], data.qvel[:] = follow(0.0)
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, inertia)
+    at, inertia = mujoco.MjData(model), np.zeros((one.n, one.n))
+    at.qpos[:], at.qvel[:] = follow(0.0)
+    mujoco.mj_forward(model, at)
+    mujoco.mj_fullM(model, at, inertia)
     stiffness, damping = 324 * np.diag(inertia), 25 * np.diag(inertia)
     for k in range(round(SECONDS / STEP)):
         q, v = follow(k * STEP)
-        mujoco.mj_forward(model, data)
-        motor = stiffness * (q - data.qpos) + damping * (v - data.qvel) + 0.9 * data.qfrc_bias
-        data.qfrc_applied[:] = motor + one.spring.torque(data.qpos.copy()) - one.dry * np.tanh(data.qvel / WIDTH)
+        mujoco.mj_forward(model, at)
+        motor = stiffness * (q - at.qpos) + damping * (v - at.qvel) + 0.9 * at.qfrc_bias
+        at.qfrc_applied[:] = motor + one.spring.torque(at.qpos.copy()) - one.dry * np.tanh(at.qvel / WIDTH)
         if k % round(1 / STEP / RATE) == 0:
-            rows.append(np.concatenate([[k * STEP], data.qpos, motor]))
-        mujoco.mj_step(model, data)
+            rows.append(np.concatenate([[k * STEP], at.qpos, motor]))
+        mujoco.mj_step(model, at)
     return np.array(rows)
 
 
@@ -220,11 +220,11 @@ def true_E1(one: Arm, motion: Mapping[str, np.ndarray], design: Mapping[str, Any
         q, dq, ddq = (np.zeros((one.n, len(k))) for _ in range(3))
         q[rows], dq[rows], ddq[rows] = (motion[name][:, k] for name in ("q", "dq", "ddq"))
         model = one.model(payload)
-        data, load = mujoco.MjData(model), np.zeros_like(q)
+        at, load = mujoco.MjData(model), np.zeros_like(q)
         for i in range(len(k)):
-            data.qpos[:], data.qvel[:], data.qacc[:] = q[:, i], dq[:, i], ddq[:, i]
-            mujoco.mj_inverse(model, data)
-            load[:, i] = data.qfrc_inverse
+            at.qpos[:], at.qvel[:], at.qacc[:] = q[:, i], dq[:, i], ddq[:, i]
+            mujoco.mj_inverse(model, at)
+            load[:, i] = at.qfrc_inverse
         load -= one.spring.torque(q)
         for label, way in design["mounted"].items():
             joint, theta = int(label.rstrip("]")[-1]) - 1, design["parameters"][label]
@@ -235,16 +235,32 @@ def true_E1(one: Arm, motion: Mapping[str, np.ndarray], design: Mapping[str, Any
 
 
 def design(one: Arm, folder: Path, name: str, repaired: bool) -> dict[str, Any]:
-    """A design for the arm as described or as diagnosed: E1 planned, foreseen and true, and what would narrow the range."""
-    out = folder / name
-    search = SearchOptions(starts=4, motions=4, coarse=8, fine=16, refinement=Refinement(1e-4))
+    """A design for the arm as described or as diagnosed: E1 planned, foreseen and true."""
+    search = SearchOptions(starts=2, motions=2, coarse=8, fine=16, refinement=Refinement(1e-4))
     model = folder / "diagnosis" / "model.json"
-    request = Request(str(folder / "task.json"), out, (CONFIGURATION,), search, model=model, repaired=repaired)
+    request = Request(str(folder / "task.json"), folder / name, (CONFIGURATION,), search, model=model, repaired=repaired)
     study = prepared(request, None, Output(quiet=True))
-    found = write_study(study, dict(study.results()), 0.0, "")[0]["configurations"][CONFIGURATION]
+    found = data(dict(study.results())[CONFIGURATION])
     (moved,) = found["tasks"].values()
-    true = true_E1(one, read_npz(out / f"{CONFIGURATION}.npz"), found)
+    true = true_E1(one, read_npz(kept_motion(study, CONFIGURATION)), found)
     return {"planned": moved["E1"], "true": true, "foreseen": moved["foreseen"]}
+
+
+def diagnosed(number: int, one: Arm, folder: Path) -> dict[str, Any]:
+    """What a diagnosis claims; it goes on from the stages that are done."""
+    file = folder / "claims.json"
+
+    def make() -> None:
+        write_recordings(one, folder, np.random.default_rng([number, 7]))
+        write_task(one, folder / "task.json")
+        quiet = Output(quiet=True)
+        found = diagnose(load_recordings(folder), kept=Keeping(folder / "diagnosis", {"arm": number, "code": code()}, quiet))
+        write_diagnosis(found, folder / "diagnosis")
+        claims = [f"{f.key[0]} of {' and '.join(f'joint{j + 1}' for j in f.key[1])}" for f in found.findings]
+        write_json(file, {"claims": claims, "verdict": found.verdict})
+
+    Made([file, folder / "diagnosis" / "model.json"], number, [Path(__file__)]).once(make)
+    return json.loads(file.read_text())
 
 
 def proved(number: int, out: Path) -> dict[str, Any]:
@@ -252,16 +268,10 @@ def proved(number: int, out: Path) -> dict[str, Any]:
     folder, file = out / f"{number:03d}", out / f"{number:03d}.json"
 
     def prove() -> None:
-        one, began = arm(number), time.process_time()
-        write_recordings(one, folder, np.random.default_rng([number, 7]))
-        write_task(one, folder / "task.json")
-        diagnosis = diagnose(load_recordings(folder))
-        write_diagnosis(diagnosis, folder / "diagnosis")
-        seconds = time.process_time() - began
-        claims = [f"{f.key[0]} of {' and '.join(f'joint{j + 1}' for j in f.key[1])}" for f in diagnosis.findings]
+        one = arm(number)
+        found = diagnosed(number, one, folder)
         designs = {name: design(one, folder, name, name == "repaired") for name in ("described", "repaired")}
-        times = {"diagnosis_s": seconds, "whole_s": time.process_time() - began}
-        write_json(file, {"arm": number, "joints": one.n, "claims": claims, **designs, **times})
+        write_json(file, {"arm": number, "joints": one.n, **found, **designs})
 
     Made([file], number, [Path(__file__)]).once(prove)
     return json.loads(file.read_text())
