@@ -178,6 +178,11 @@ def restored(design: CoDesign, options: SearchOptions, arrays: Mapping[str, np.n
     return Solution(transcription, arrays["variables"], empty, empty, cost, "", 0, 0.0)
 
 
+def known_parameters(design: CoDesign) -> np.ndarray:
+    """Parameters (np,) of the effects of the arm, of a design without springs."""
+    return np.concatenate([np.zeros(0), *(spring.lower for spring in design.springs if spring.known)])
+
+
 def embedded(solution: Solution, inner: CoDesign, outer: CoDesign) -> Guess | None:
     """An optimum as a starting point for a design with more springs, which do nothing there; None where a spring of `inner` is
     missing in `outer` or mounted in another way, and where `outer` has more springs between drives and links: these cannot do nothing.

@@ -32,6 +32,7 @@ from rrr_oc.codesign.optimum import (
     describe_simulation,
     embedded,
     idle_springs,
+    known_parameters,
     mounted,
     resimulate,
     restart_arrays,
@@ -370,7 +371,7 @@ def _with_idle_motion(study: Study, found: dict[str, Configuration]) -> dict[str
     began = time.perf_counter()
     file = read_npz(kept_motion(study, cheapest))
     guess = restored(_chosen(designs[cheapest], found[cheapest]).first, study.options, file).guess()
-    tried = continue_from([(design.first, replace(guess, parameters=np.zeros(0)))], study.options)
+    tried = continue_from([(design.first, replace(guess, parameters=known_parameters(design.first)))], study.options)
     if not tried or tried[0][1].cost >= stiff.cost:
         return {}
     better = _described(study, "SA", SetResult.of_one(design, tried[0][1]), began)

@@ -13,7 +13,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term,
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.driven import DrivenArm, Followed, follow
-from rrr_oc.codesign.optimum import SAVED, SampledMotion
+from rrr_oc.codesign.optimum import SAVED, SampledMotion, known_parameters
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
 from rrr_oc.codesign.transfer import check_transfer, describe_transfer, of_all_joints, reference_phases, repaired
@@ -283,3 +283,13 @@ def test_an_unknown_control_is_refused(arm, moved):
         follow(arm, moved[1], "PID")
     with pytest.raises(UserError, match="resistance_Ohm of joint2, joint3"):
         follow(replace(arm, drives=load_actuators(arm.design.task.joints)), moved[1], "P")
+
+
+def test_a_stiff_arm_with_effects_starts_from_a_motion_with_these(moved):
+    """The motion of a design whose springs do nothing is a start for the stiff arm, whose problem has the arm's own effects as parameters."""
+    task, start = moved[0].task, calibrated()
+    harness = Term(CATALOGUE["cable_harness"]((1,)), (Estimate(3.0), Estimate(0.5)))
+    stiff = repaired(CoDesign(task, ()), replace(start, terms=(*start.terms, harness)), ("", ""))
+    np.testing.assert_array_equal(known_parameters(stiff), [3.0, 0.5])
+    assert len(known_parameters(stiff)) == len(stiff.problem.parameters)
+    assert len(known_parameters(CoDesign(task, ()))) == 0
