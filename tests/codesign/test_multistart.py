@@ -70,7 +70,7 @@ def test_optima_are_distinct_and_sorted(found):
     """Any two differ visibly in cost, durations, springs or path, by the thresholds that `same_optimum` states."""
     costs = [o.solution.cost for o in found.optima]
     assert costs == sorted(costs)
-    assert sum(o.reached for o in found.optima) <= len(found.starts)
+    assert sum(o.reached for o in found.optima) <= [s.layer for s in found.starts].count("sobol")
     for i, a in enumerate(found.optima):
         for b in found.optima[:i]:
             apart = abs(a.solution.cost - b.solution.cost) > 2e-3 * abs(b.solution.cost)
@@ -134,7 +134,6 @@ def test_the_best_motions_never_lose():
     for phase, some in enumerate(motions):
         costs = [o.cost for o in some]
         assert costs == sorted(costs)
-        assert 1 <= sum(o.reached for o in some) <= 8
         np.testing.assert_array_equal(some[0].solution.parameters, springs)
         ends = some[0].solution.at(0, np.array([0.0, 1.0]))[0][:2].T
         np.testing.assert_allclose(ends, TASK.ends(phase), atol=1e-9)

@@ -45,8 +45,8 @@ class Optimum:
     Attributes:
         solution: On its last mesh, with the smallest smoothing width.
         meshes: One row a mesh, as `refine` returns them; a single row where it was not refined.
-        reached: Number of starts that led here. Where motions of single phases were put together, the least number that led to any
-            of them. 0 where it was found from another optimum (hops, `continue_from`).
+        reached: Number of starts from Sobol points that led here, which are independent of one another. 0 where it was put together
+            from motions of single phases, or found from other optima.
     """
 
     solution: Solution

@@ -10,6 +10,7 @@ import numpy as np
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import SOLVED, Optimum, distinct
 from rrr_oc.codesign.search.proposals import SearchOptions, phase_guess, sobol_points
+from rrr_oc.codesign.search.swings import with_other_swings
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
@@ -66,8 +67,7 @@ class MotionSearch:
         """The motions of each chain with the springs of `parameters` (np,), on the fine mesh.
 
         Proposed motions are solved on the coarse mesh, then hops over the durations of the best ones, as long as these lower a
-        chain's cost. The best are followed to the fine mesh, and hop there, too. `Optimum.reached` is the number of proposed
-        motions that led to each.
+        chain's cost. The best are followed to the fine mesh, and hop there, too.
 
         Args:
             skip: Number of proposed motions that earlier calls have used.
@@ -76,7 +76,7 @@ class MotionSearch:
         coarse = self._hopped(COARSE, parameters, self.proposed(parameters, self.options.motions, skip))
         transcriptions = [solvers[FINE].transcription for solvers in self.solver.solvers]
         starts = [
-            [(t.pack(o.solution.guess()), o.reached) for o in (*some[:FOLLOWED], *others[:FOLLOWED])]
+            [t.pack(o.solution.guess()) for o in (*some[:FOLLOWED], *others[:FOLLOWED])]
             for t, some, others in zip(transcriptions, coarse, known or [[] for _ in coarse], strict=True)
         ]
         return self._hopped(FINE, parameters, self._solved(FINE, parameters, starts))
@@ -85,10 +85,23 @@ class MotionSearch:
         """The motions of each chain on the coarse mesh to which `count` proposed ones lead, the first `skip` left out, and those of
         known solutions, which may have other springs."""
         starts = [
-            [(w, 1) for w in self._starts(i, parameters, count, skip)] + [(self._packed(i, s), 0) for s in known]
+            self._starts(i, parameters, count, skip) + [self._packed(i, s) for s in known]
             for i in range(len(self.solver.solvers))
         ]
         return self._solved(COARSE, parameters, starts)
+
+    def with_other_swings(self, guess: Guess) -> Motions:
+        """The motions of each chain on the fine mesh with a guess's springs: its own, and those with a swing more or less."""
+        parameters, task, starts = guess.parameters, self.design.task, []
+        for chain, solvers in zip(self.design.problem.chains, self.solver.solvers, strict=True):
+            own = tuple(guess.phases[i] for i in chain)
+            others = [
+                (*own[:k], other, *own[k + 1 :])
+                for k, phase in enumerate(own)
+                for other in with_other_swings(phase, len(task.moving), task.duration)
+            ]
+            starts.append([solvers[FINE].transcription.pack(Guess(some, parameters)) for some in (own, *others)])
+        return self._solved(FINE, parameters, starts)
 
     def _packed(self, chain: int, solution: Solution) -> np.ndarray:
         """Scaled variables of a solution's motion of one chain on the coarse mesh."""
@@ -112,7 +125,7 @@ class MotionSearch:
         hopping = [True] * len(motions)
         for _ in range(HOPS):
             starts = [
-                [(w, 0) for o in some[: LEADING[mesh]] for w in self._stretched(o)] if hops else []
+                [w for o in some[: LEADING[mesh]] for w in self._stretched(o)] if hops else []
                 for some, hops in zip(motions, hopping, strict=True)
             ]
             new = self._solved(mesh, parameters, starts)
@@ -134,16 +147,15 @@ class MotionSearch:
                 starts.append(w)
         return starts
 
-    def _solved(self, mesh: int, parameters: np.ndarray, starts: Sequence[Sequence[tuple[np.ndarray, int]]]) -> Motions:
-        """The motions to which starts of each chain lead, each reached as often as its start and those of equal ones were."""
+    def _solved(self, mesh: int, parameters: np.ndarray, starts: Sequence[Sequence[np.ndarray]]) -> Motions:
+        """The distinct motions to which starts of each chain lead, cheapest first."""
         calls = [(i, some[k : k + AT_ONCE]) for i, some in enumerate(starts) for k in range(0, len(some), AT_ONCE)]
         shared = self.key, self.design, self.options
-        found = ordered(_solve, [(*shared, (mesh, i), parameters, [w for w, _ in some]) for i, some in calls])
         optima: Motions = [[] for _ in starts]
-        for (i, some), results in zip(calls, found, strict=True):
-            for (_, reached), result in zip(some, results, strict=True):
-                if result is not None:
-                    optima[i].append(Optimum(self.solver.solution(mesh, i, *result), [], reached))
+        for (i, _), found in zip(
+            calls, ordered(_solve, [(*shared, (mesh, i), parameters, some) for i, some in calls]), strict=True
+        ):
+            optima[i] += [Optimum(self.solver.solution(mesh, i, *one), []) for one in found if one is not None]
         return [distinct(some) for some in optima]
 
 
@@ -164,20 +176,13 @@ def _scheme(options: SearchOptions):
     return scheme(options.scheme, options.stages)
 
 
-def combined(motions: Motions, parameters: np.ndarray, next_best: int = 2) -> list[tuple[Guess, int]]:
-    """Motions put together: the best of every chain, then those with one of the next best of one chain.
-
-    Returns:
-        Each with the least number of starts that led to any of its motions; nothing where a chain has no motion.
-    """
+def combined(motions: Motions, parameters: np.ndarray, next_best: int = 2) -> list[Guess]:
+    """Motions put together: the best of every chain, then those with one of the next best of one chain; none where a chain has no
+    motion."""
     if not all(motions):
         return []
     choices = [[0] * len(motions)]
     for rank in range(1, next_best + 1):
         choices += [[rank * (i == j) for i in range(len(motions))] for j, some in enumerate(motions) if rank < len(some)]
-    result = []
-    for choice in choices:
-        chosen = [some[i] for some, i in zip(motions, choice, strict=True)]
-        guess = Guess(tuple(phase for o in chosen for phase in o.solution.guess().phases), parameters)
-        result.append((guess, min(o.reached for o in chosen)))
-    return result
+    chosen = [[some[i].solution.guess() for some, i in zip(motions, choice, strict=True)] for choice in choices]
+    return [Guess(tuple(phase for guess in guesses for phase in guess.phases), parameters) for guesses in chosen]

@@ -3,6 +3,7 @@
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -50,8 +51,9 @@ SHARES = {
     "starts": 0.05,
     "other springs": 0.2,
     "fine mesh": 0.1,
-    "best motions": 0.45,
-    "refined meshes": 0.1,
+    "best motions": 0.35,
+    "refined meshes": 0.05,
+    "swings": 0.15,
     "certificate": 0.1,
 }
 TRIED = 4  # starts for each way to mount the springs; doubled, choosing among them takes twice as long and errs less often
@@ -288,23 +290,32 @@ def _best_optima(
     """The distinct optima on a fine mesh, the best of them refined; cheapest first."""
     design, options = polisher.design, polisher.options
     found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
-    coarse = distinct(Optimum(polisher.solution(s), [], 1) for s in found)[: 1 if interrupted else None]
+    coarse = distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)[: 1 if interrupted else None]
     search = None if interrupted or not options.motions else MotionSearch(design, options)
     if search is not None:
         coarse = _with_better_springs(polisher, search, coarse, progress)
     progress.tell("fine mesh")
-    guesses = [(o.solution.guess(), o.reached) for o in _promising(coarse)[: options.kept]] + [(guess, 0) for guess in known]
-    optima = _followed(design, options, guesses)
+    kept = _promising(coarse)[: options.kept]
+    guesses = [*(o.solution.guess() for o in kept), *known]
+    optima = _followed(design, options, guesses, [o.reached for o in kept])
     if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
     if search is not None:
         optima = _with_best_motions(search, optima, progress)
     progress.tell("refined meshes", 0.0, f"best so far {optima[0].cost:.6g}")
-    for rounds, within in ((FEW, options.within), (options.refinement.rounds, options.within / 5)):
-        some = replace(options, refinement=replace(options.refinement, rounds=min(rounds, options.refinement.rounds)))
-        close = sum(o.cost <= optima[0].cost * (1 + within) for o in optima)
-        optima = distinct([*refined(design, some, optima[:close]), *optima[close:]])
-    return tuple(optima)
+    optima = _refined_close(design, options, optima, FEW, options.within)
+    if search is not None:
+        optima = _with_other_swings(search, optima, progress)
+    return tuple(_refined_close(design, options, optima, options.refinement.rounds, options.within / 5))
+
+
+def _refined_close(
+    design: CoDesign, options: SearchOptions, optima: list[Optimum], rounds: int, within: float
+) -> list[Optimum]:
+    """Optima, cheapest first; those `within` a relative distance of the best on finer meshes, of which there are at most `rounds`."""
+    some = replace(options, refinement=replace(options.refinement, rounds=min(rounds, options.refinement.rounds)))
+    close = sum(o.cost <= optima[0].cost * (1 + within) for o in optima)
+    return distinct([*refined(design, some, optima[:close]), *optima[close:]])
 
 
 def _promising(optima: list[Optimum]) -> list[Optimum]:
@@ -312,11 +323,10 @@ def _promising(optima: list[Optimum]) -> list[Optimum]:
     return [o for o in optima if o.cost <= optima[0].cost * (1 + PROMISING)]
 
 
-def _followed(design: CoDesign, options: SearchOptions, guesses: list[tuple[Guess, int]]) -> list[Optimum]:
-    """The distinct optima on the fine mesh near guesses, each reached as often as is said beside its guess."""
-    found = ordered(follow_to_fine_mesh, [(design, options, guess) for guess, _ in guesses])
-    pairs = [(o, reached) for o, (_, reached) in zip(found, guesses, strict=True) if o is not None]
-    return distinct(replace(attached(design, options, o), reached=reached) for o, reached in pairs)
+def _followed(design: CoDesign, options: SearchOptions, guesses: Sequence[Guess], reached: Sequence[int] = ()) -> list[Optimum]:
+    """The distinct optima on the fine mesh near guesses, the first of which so many starts have reached."""
+    found = zip_longest(ordered(follow_to_fine_mesh, [(design, options, guess) for guess in guesses]), reached, fillvalue=0)
+    return distinct(replace(attached(design, options, o), reached=count) for o, count in found if o is not None)
 
 
 def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[Optimum], progress: Progress) -> list[Optimum]:
@@ -338,8 +348,8 @@ def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[
         best = optima[0].cost
         parameters, known = new.solution.parameters, [o.solution for o in optima[:SHARED]]
         guesses = combined(search.proposed(parameters, options.motions // FEWER, known=known), parameters)
-        starts = [(polisher.polished("motions", guess), reached) for guess, reached in guesses]
-        optima = distinct([*optima, *(Optimum(polisher.solution(s), [], reached) for s, reached in starts if s.w.size)])
+        starts = [polisher.polished("motions", guess) for guess in guesses]
+        optima = distinct([*optima, *(Optimum(polisher.solution(s), []) for s in starts if s.w.size)])
         idle = 0 if optima[0].cost < best * (1 - LEAST_GAIN) else idle + 1
     return optima
 
@@ -360,6 +370,25 @@ def _with_best_motions(search: MotionSearch, optima: list[Optimum], progress: Pr
             motions = search.best(parameters, number * options.motions, motions)
             optima = distinct([*optima, *_followed(design, final, combined(motions, parameters))])
         if number and optima[0].cost > best * (1 - LEAST_GAIN):
+            break
+    return optima
+
+
+def _with_other_swings(search: MotionSearch, optima: list[Optimum], progress: Progress) -> list[Optimum]:
+    """Refined optima, and those to which a swing more or less leads; cheapest first.
+
+    The first fine mesh misjudges a motion by more than a swing changes its cost. So the swings begin from the refined springs and
+    motions of the best optimum, and what they lead to is refined before it is compared; again, as long as the cost falls.
+    """
+    design, options = search.design, search.options
+    final = replace(options, widths=options.widths[-1:])
+    for number in range(options.rounds):
+        best = optima[0]
+        progress.count("swings", number, options.rounds, f"best so far {best.cost:.6g}", "rounds")
+        guesses = combined(search.with_other_swings(best.solution.guess()), best.solution.parameters)
+        found = _refined_close(design, options, _followed(design, final, guesses), FEW, options.within)
+        optima = distinct([*optima, *found])
+        if optima[0].cost > best.cost * (1 - LEAST_GAIN):
             break
     return optima
 

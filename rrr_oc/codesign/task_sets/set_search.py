@@ -223,7 +223,7 @@ def _held(design: CoDesign, options: SearchOptions, starts: list[Guess], skip: i
     followed = [follow_to_fine_mesh(design, options, replace(guess, parameters=springs)) for guess in starts]
     if options.motions:
         together = combined(MotionSearch(design, options).best(springs, skip), springs, 0)
-        followed += [follow_to_fine_mesh(design, final, guess) for guess, _ in together]
+        followed += [follow_to_fine_mesh(design, final, guess) for guess in together]
     return min((one for one in followed if one is not None), key=lambda o: o.cost, default=None)
 
 
