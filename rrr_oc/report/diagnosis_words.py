@@ -77,7 +77,7 @@ def _undecided(found: Mapping[str, Any]) -> str:
     still = {e["joint"] for e in found.get("idle", ())}
     names = [_missed(m, found) for m in found["mismatch"] if m["significant"] and m["joint"] not in still]
     parts = parts_of_unexplained(found)
-    none = "" if parts else ": nothing that would explain it holds on recordings left out of the search"
+    none = "" if parts else ": nothing was found that explains it"
     missed = f"Something is missing on {'; on '.join(names)}. These recordings do not decide what it is{none}."
     only_still = still and not parts
     moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if only_still else ""

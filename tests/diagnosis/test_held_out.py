@@ -130,7 +130,7 @@ def test_the_page_holds_its_figures_and_says_what_was_not_simulated(diagnosis, t
     write_diagnosis(diagnosis, tmp_path, simulated)
     text = (tmp_path / "report.html").read_text()
     assert "The extended model was not simulated: a &lt;gap&gt; moves the link by itself." in text
-    assert ">0.2500 → –</td>" in text
+    assert ">25.0 % → –</td>" in text
 
 
 def test_the_page_says_for_which_recordings_nothing_could_be_foretold(diagnosis, tmp_path):
@@ -168,7 +168,7 @@ def test_the_verdict_is_a_sentence(diagnosis):
     }
     silent = {"verdict": "nothing_missing", "nrmse": errors}
     assert sentence(silent).startswith("Nothing is missing: the calibrated model explains these recordings to their noise. But")
-    assert "(joint2: NRMSE 0.8 against 0.1)" in sentence(silent)
+    assert "(an error of 80.0 % against 10.0 % on joint2)" in sentence(silent)
     errors["held_out"]["before"]["joint2"] = 0.12
     assert sentence(silent).endswith("noise.")
 

@@ -103,7 +103,7 @@ def test_a_mismatch_that_nothing_explains_is_said_to_be_one(planar, tmp_path):
     assert found.verdict == "cannot_tell"
     assert found.mismatch[0]["significant"]
     content = write_diagnosis(found, tmp_path)
-    assert "these recordings do not decide what" in (tmp_path / "report.html").read_text()
+    assert "These recordings do not decide what it is" in (tmp_path / "report.html").read_text()
     (suggested,) = content["suggested_recordings"]
     assert (tmp_path / suggested["trajectory"]).exists()
 
