@@ -343,7 +343,7 @@ def out(tmp_path_factory) -> Path:
 def test_a_summary_says_what_was_asked_and_found(out):
     summary = json.loads((out / "summary.json").read_text())
     assert [t["name"] for t in summary["tasks"]] == ["a", "b"]
-    assert summary["uncertain"] == {"payload": 0.1, "model": []}
+    assert summary["uncertain"] == {"payload": 0.1, "model": [], "over": "calibrated"}
     assert summary["objective"] == "sum"
     for name, c in summary["configurations"].items():
         assert c["cost"] == pytest.approx(sum(t["cost"] for t in c["tasks"].values()))
