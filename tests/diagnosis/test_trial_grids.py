@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from recorded import Plant, as_set, multisine, record
 
 from rrr_oc.calibration.regression import rows
@@ -43,25 +44,53 @@ def beyond(plain: np.ndarray, columns: np.ndarray) -> float:
     return float(np.sum((columns[:, 0] - every @ np.linalg.lstsq(every, columns[:, 0], rcond=1e-9)[0]) ** 2))
 
 
-def test_a_shape_between_two_trials_is_seen_from_one_of_them():
-    plant = Plant("rrr_prototype", np.full(3, 5.0), np.full(3, 20.0), np.full(3, 0.2))
-    rng = np.random.default_rng(0)
-    made = [record(plant, f"{i}.csv", rng, 10.0, 0.005, multisine(3, np.arange(1000) / 100, rng, 0.4)) for i in range(3)]
-    _, fitter, every, model = ready(as_set(plant, made), Priors())
-    prepared = fitter.data.prepared
-    plain = np.concatenate(rows(prepared, model, True).jacobian)  # (n M, p), joint by joint
-    hidden = {}
-    for name in NAMES:
-        pairs = list(neighbours([t for t in every if t.effect.name == name]))
-        assert pairs
-        middle = [
-            replace(a, points=tuple({k: half(p[k], q[k]) for k in p} for p, q in zip(a.points, b.points, strict=True)))
-            for a, b in pairs
+class Seen:
+    """By how much some trials explain others on the recordings of one arm."""
+
+    def __init__(self) -> None:
+        plant = Plant("rrr_prototype", np.full(3, 5.0), np.full(3, 20.0), np.full(3, 0.2))
+        rng = np.random.default_rng(0)
+        motions = (multisine(3, np.arange(1000) / 100, rng, 0.4) for _ in range(3))
+        made = [record(plant, f"{i}.csv", rng, 10.0, 0.005, motion) for i, motion in enumerate(motions)]
+        _, self.fitter, self.trials, self.model = ready(as_set(plant, made), Priors())
+        # (n M, p), joint by joint
+        self.plain = np.concatenate(rows(self.fitter.data.prepared, self.model, True).jacobian)
+
+    def shares(self, trials: Sequence[Trial], others: Sequence[Sequence[Trial]]) -> list[float]:
+        """Of each trial's squares beyond the plain model the largest share that one of its others explains."""
+        own, theirs = self._columns(trials), iter(self._columns([t for some in others for t in some]))
+        pairs = [(x, [next(theirs) for _ in some]) for x, some in zip(own, others, strict=True)]
+        return [
+            1 - min(beyond(self.plain, np.hstack([x[:, :1], y])) for y in ys) / beyond(self.plain, x[:, :1]) for x, ys in pairs
         ]
-        found = [table(prepared, model, some) for some in (middle, [a for a, _ in pairs], [b for _, b in pairs])]
-        for k, one in enumerate(middle):
-            x, a, b = (np.concatenate(t.of(k)) for t in found)
-            share = 1 - min(beyond(plain, np.hstack([x[:, :1], y])) for y in (a, b)) / beyond(plain, x[:, :1])
-            if share < SEEN:
-                hidden[name, one.effect.joints, *one.points[0].values()] = share
-    assert not hidden
+
+    def _columns(self, trials: Sequence[Trial]) -> list[np.ndarray]:
+        found = table(self.fitter.data.prepared, self.model, trials)
+        return [np.concatenate(found.of(k)) for k in range(len(trials))]
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return Seen()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shape_between_two_trials_is_seen_from_one_of_them(seen, name):
+    pairs = list(neighbours([t for t in seen.trials if t.effect.name == name]))
+    middle = [
+        replace(a, points=tuple({k: half(p[k], q[k]) for k in p} for p, q in zip(a.points, b.points, strict=True)))
+        for a, b in pairs
+    ]
+    shares = seen.shares(middle, pairs)
+    assert min(shares) > SEEN, [(t.effect, t.points[0], s) for t, s in zip(middle, shares, strict=True) if s <= SEEN]
+
+
+@pytest.mark.parametrize("taut", [0.1, 0.3, 0.6, 0.9])
+def test_a_spring_across_two_joints_is_seen_however_seldom_it_is_taut(seen, taut):
+    view, some, others = seen.fitter.view, [], []
+    for kind in {t.effect for t in seen.trials if t.effect.name == "biarticular_spring"}:
+        (a, b), (wa, wb) = kind.joints, kind.winding
+        stretch = -wa * view.positions[a] - wb * 0.75 * view.positions[b]
+        some.append(kind.trial(view, rho=0.75, phi=float(np.quantile(stretch, 1 - taut))))
+        others.append([t for t in seen.trials if t.effect == kind])
+    assert min(seen.shares(some, others)) > SEEN

@@ -235,7 +235,7 @@ class BiarticularSpring(Biarticular, ListedSpring):
             for winding in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
                 for rho in (0.35, 0.6, 0.9, 1.3, 1.9):
                     stretch = -winding[0] * view.positions[a] - winding[1] * rho * view.positions[a + 1]
-                    for share in (0.05, 0.25, 0.45, 0.65):
+                    for share in (0.05, 0.25, 0.45, 0.65, 0.8, 0.92):
                         phi = float(np.quantile(stretch, share))
                         yield cls((a, a + 1), winding).trial(view, rho=rho, phi=phi)
 
