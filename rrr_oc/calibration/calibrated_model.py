@@ -98,6 +98,8 @@ class CalibratedModel:
         spread: Covariance of the p parameters of all terms and of the links' inertial parameters, link by link, as a matrix
             (p + 10 n, r) whose product with its transpose it is; None where it is not known.
         alternatives: Other models that the recordings do not tell from this one.
+        unexplained: Rms of the torque that is left beyond noise where a joint's error is far above it, else 0, one per joint (n,) [Nm];
+            None where it is not known.
         versions: Of the packages that made it.
     """
 
@@ -115,6 +117,7 @@ class CalibratedModel:
     versions: Mapping[str, str] = field(default_factory=dict)
     spread: np.ndarray | None = None
     alternatives: tuple["Alternative", ...] = ()
+    unexplained: np.ndarray | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -161,6 +161,8 @@ class ModelFile(msgspec.Struct):
         spread: What is not known of the estimates: independent changes, of one standard deviation each, of the parameters of all
             effects and then of the inertial parameters of all links, in their order; null where that is not known.
         alternatives: Other models that the recordings do not tell from this one.
+        unexplained: Rms of the torque that is left beyond noise, by joint, 0 where its error is not far above noise [Nm]; empty where
+            it is not known.
     """
 
     format: Literal["rrr_oc-model/1"]
@@ -178,6 +180,7 @@ class ModelFile(msgspec.Struct):
     report: dict[str, Any]
     spread: Spread | None = None
     alternatives: list[AlternativeEntry] = []
+    unexplained: dict[str, NonNegative] = {}
 
 
 def save_model(model: CalibratedModel, path: str | Path) -> None:
@@ -199,6 +202,7 @@ def save_model(model: CalibratedModel, path: str | Path) -> None:
         report=dict(model.report),
         spread=spread_entry(model.spread),
         alternatives=[alternative_entry(one) for one in model.alternatives],
+        unexplained={} if model.unexplained is None else dict(zip(robot.joints, model.unexplained.tolist(), strict=True)),
     )
     write_json(path, msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item()))  # of numpy
 
@@ -308,7 +312,8 @@ def _model(data: ModelFile) -> CalibratedModel:
         spread=spread_of(data.spread, terms, robot),
     )
     others = [alternative_of(one, model, f"alternatives[{i}]") for i, one in enumerate(data.alternatives)]
-    return replace(model, alternatives=tuple(others))
+    left = np.array(_by_name("unexplained", data.unexplained, joints), float) if data.unexplained else None
+    return replace(model, alternatives=tuple(others), unexplained=left)
 
 
 def _inertial(where: str, given: Links, robot: Robot) -> np.ndarray:

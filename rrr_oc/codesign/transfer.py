@@ -101,8 +101,12 @@ def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
         links = np.zeros((robot.n, 10, spread.shape[1]))
         links[at] = spread[size:].reshape(own.n, 10, -1)
         spread = np.concatenate([spread[:size], links.reshape(10 * robot.n, -1)])
-    noise, nrmse = np.full((2, robot.n), np.nan)
-    noise[at], nrmse[at] = calibrated.noise, calibrated.nrmse
+    noise, nrmse, left = np.full((3, robot.n), np.nan)
+    noise[at], nrmse[at], left[at] = (
+        calibrated.noise,
+        calibrated.nrmse,
+        0.0 if calibrated.unexplained is None else calibrated.unexplained,
+    )
     constants = dict(zip(at, calibrated.torque_constant, strict=True))
     return replace(
         calibrated,
@@ -113,6 +117,7 @@ def of_all_joints(task: Task, calibrated: CalibratedModel) -> CalibratedModel:
         noise=noise,
         nrmse=nrmse,
         spread=spread,
+        unexplained=np.nan_to_num(left),
         alternatives=tuple(replace(a, model=of_all_joints(task, a.model)) for a in calibrated.alternatives),
     )
 

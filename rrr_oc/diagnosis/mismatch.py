@@ -88,6 +88,12 @@ def above_noise(bench: Data, fitted: Fitted) -> np.ndarray:
     return np.sqrt(np.sum(fitted.residual**2, axis=1) / count) / filtered_noise(bench, fitted.model)
 
 
+def unexplained(bench: Data, fitted: Fitted) -> np.ndarray:
+    """Rms of each joint's filtered residual beyond that of noise, 0 where it is not `FAR` above that, (n,) [Nm]."""
+    left = above_noise(bench, fitted)
+    return np.where(left > FAR, np.sqrt(np.maximum(left**2 - 1, 0)), 0.0) * filtered_noise(bench, fitted.model)
+
+
 def filtered_noise(bench: Data, model: CalibratedModel) -> np.ndarray:
     """Standard deviation of the noise of each joint's samples, filtered as the rows of the fit are, (n,) [Nm]."""
     gains = [np.asarray(p.matrix.multiply(p.matrix).sum(axis=1)).ravel() for p in bench.prepared]

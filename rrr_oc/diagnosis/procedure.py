@@ -34,7 +34,7 @@ from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, furth
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
 from rrr_oc.diagnosis.knobs import MATTERS
-from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch
+from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch, unexplained
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion, suggest
@@ -250,7 +250,8 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
     left = above_noise(fitter.data, final)
     calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
     shares, failed = Shares.of(checks, [*findings, *small], fitter.data.n), dict[str, str]()
-    model = replace(model, alternatives=alternatives(fitter, as_good, model, closest))
+    others = alternatives(fitter, as_good, model, closest)
+    model = replace(model, alternatives=others, unexplained=unexplained(fitter.data, closest))
     with noted(failed, "suggested recordings"):
         contested = [*findings, *(u.contested for u in undecided)]
         suggestions = suggest(recordings, plain, contested, bool(np.any(left > FAR)), fitter.view)

@@ -59,9 +59,7 @@ def minimised(study: DesignFile) -> list[str]:
     if what:
         said.append(f"The cost of a task is that of the worst case of {listed(what)}, with the same motion in all cases.")
     if unsure.over != "calibrated":
-        said.append(
-            f"Minimised is its {unsure.over} over the models that the recordings allow, with the same motion in all."
-        )
+        said.append(f"Minimised is its {unsure.over} over the models that the recordings allow, with the same motion in all.")
     return [*said, *ends_in_words(study)]
 
 

@@ -143,6 +143,19 @@ def test_what_no_recording_tells_apart_has_none_that_narrows(moved, model):
     assert found.narrowed_by is None
 
 
+def test_what_the_model_leaves_unexplained_may_act_on_the_links(moved, model):
+    """Any torque of that rms, whatever its course: E1 of the most adverse and of the most helpful one, in proportion to the load."""
+    design, motion, theta = moved
+    left = replace(model, unexplained=np.array([9.0, 3.0, 4.0]))  # joint 1 does not move
+    found = foreseen(design, motion, theta, members(left), "PEA.npz")
+    assert found is not None
+    usual, seconds = cost_of(design, motion, theta), 4.0
+    share = 5.0 * np.sqrt(seconds / usual)  # of the load torque, by which one of that rms is as large
+    assert tuple(found.E1) == pytest.approx((usual * (1 - share) ** 2, usual * (1 + share) ** 2), rel=1e-9)
+    assert found.widened_by == "with the torques on its links that no effect explains"
+    assert found.narrowed_by == "PEA.npz"
+
+
 def test_the_other_costs_have_ranges(moved, model):
     design, motion, theta = moved
     motors = replace(design, cost="motor", actuators=load_actuators(design.task.joints))

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import chains
 import numpy as np
@@ -11,6 +12,7 @@ from recorded import Plant, as_set, record
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.posterior.members import members, moved
+from rrr_oc.diagnosis import mismatch
 from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.errors import UserError
 from rrr_oc.report.diagnosis_report import write_diagnosis
@@ -73,6 +75,17 @@ def test_the_file_holds_what_is_not_known(found):
     ]
 
 
+def test_what_is_far_above_noise_is_unexplained(monkeypatch, found):
+    """Of residuals of 1, 2.9 and 5 times the noise of 0.1 Nm the last one, less the noise itself."""
+    monkeypatch.setattr(mismatch, "above_noise", lambda *_: np.array([1.0, 2.9, 5.0]))
+    monkeypatch.setattr(mismatch, "filtered_noise", lambda *_: np.full(3, 0.1))
+    unknown = SimpleNamespace(model=None)
+    np.testing.assert_allclose(mismatch.unexplained(unknown, unknown), [0, 0, 0.1 * np.sqrt(24)])
+    diagnosis, read = found
+    np.testing.assert_array_equal(read.unexplained, diagnosis.model.unexplained)
+    assert read.unexplained.tolist() == [0.0, 0.0]  # a spring explains all
+
+
 def test_draws_predict_the_recordings(found):
     """What the recordings leave open changes what they show by no more than their noise, 0.003 of the torque."""
     diagnosis, read = found
@@ -86,10 +99,10 @@ def test_an_older_file_is_read(found, tmp_path):
     folder = tmp_path / "model.json"
     save_model(found[1], folder)
     content = json.loads(folder.read_text())
-    del content["spread"], content["alternatives"]
+    del content["spread"], content["alternatives"], content["unexplained"]
     folder.write_text(json.dumps(content))
     older = load_model(folder)
-    assert older.spread is None
+    assert older.spread is older.unexplained is None
     assert older.alternatives == ()
     assert members(older)[0].draws == ()
 

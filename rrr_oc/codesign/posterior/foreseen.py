@@ -20,6 +20,7 @@ from rrr_oc.model.shared_model import shared_model
 from rrr_oc.numerics.along import along
 from rrr_oc.recordings.recording import Recording
 
+UNEXPLAINED = "with the torques on its links that no effect explains"
 CENTRAL = (0.025, 0.975)  # quantiles of the draws that are the ends of a range
 DECISIVE = 25.0  # χ² of the difference of recorded torques above which a recording tells two models apart
 SPACING = 0.08  # [s] between rows that count as independent
@@ -47,10 +48,31 @@ def foreseen(design: CoDesign, motion: SampledMotion, theta: np.ndarray, every: 
         ranges = {name: (low[i], high[i]) for i, name in enumerate(("E1", "cost"))}
         shows = file if member.model is every[0].model or _told_apart(every[0].model, member.model, phases) else None
         rows.append(ranges | {"says": member.says, "E1_itself": costs[0, 0], "decided_by": member.decided_by or shows})
+    rows += _unexplained(design, every[0].model, motion, rows, file)
     whole = {key: (min(r[key][0] for r in rows), max(r[key][1] for r in rows)) for key in ("E1", "cost")}
     widest = _widest(rows) if whole["cost"][1] > WIDE * whole["cost"][0] else None
     narrowed = None if widest is None else widest["decided_by"]
     return typed(whole | {"members": rows, "widened_by": widest and widest["says"], "narrowed_by": narrowed}, Foreseen)
+
+
+def _unexplained(
+    design: CoDesign, model: CalibratedModel, motion: SampledMotion, rows: Sequence[Mapping[str, Any]], file: str
+) -> list[dict[str, Any]]:
+    """The range of E1 on an arm on whose links act, besides, the torques that the model leaves unexplained, or none if it leaves none.
+
+    The norm of a sum of torques is between the difference and the sum of their norms, and E1 is a norm's square. Of costs other than
+    E1 the range stays as it is, since they depend on the drives as well.
+    """
+    left = np.zeros(model.robot.n) if model.unexplained is None else model.unexplained
+    seconds = sum(float(np.ptp(motion.t[k])) for k in motion.phases())
+    norm = float(np.sqrt(seconds) * np.linalg.norm(left[list(design.task.moving)]))
+    if not norm:
+        return []
+    ends = {key: (min(r[key][0] for r in rows), max(r[key][1] for r in rows)) for key in ("E1", "cost")}
+    for key in ("E1", "cost") if design.cost == "load" else ("E1",):
+        low, high = np.sqrt(ends[key])
+        ends[key] = (max(low - norm, 0.0) ** 2, (high + norm) ** 2)
+    return [ends | {"says": UNEXPLAINED, "E1_itself": rows[0]["E1_itself"], "decided_by": file}]
 
 
 def _widest(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:

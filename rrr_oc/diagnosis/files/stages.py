@@ -98,12 +98,14 @@ class ModelData(Struct):
     report: dict[str, Any]
     spread: list[list[float]] | None = None
     alternatives: list[AlternativeEntry] = []
+    unexplained: list[float] | None = None
 
     @classmethod
     def of(cls, model: CalibratedModel) -> "ModelData":
         robot = model.robot
         links, errors = robot.inertial.tolist(), (model.noise.tolist(), model.nrmse.tolist())
-        unknown = spread_entry(model.spread), [alternative_entry(one) for one in model.alternatives]
+        left = None if model.unexplained is None else model.unexplained.tolist()
+        unknown = spread_entry(model.spread), [alternative_entry(one) for one in model.alternatives], left
         return cls([term_entry(t, robot) for t in model.terms], links, *errors, dict(model.report), *unknown)
 
     def model(self, start: CalibratedModel) -> CalibratedModel:
@@ -114,7 +116,8 @@ class ModelData(Struct):
         own = replace(
             start, robot=robot, terms=terms, report=self.report, spread=spread_of(self.spread, terms, robot), **errors
         )
-        return replace(own, alternatives=tuple(alternative_of(one, own) for one in self.alternatives))
+        left = None if self.unexplained is None else np.array(self.unexplained)
+        return replace(own, alternatives=tuple(alternative_of(one, own) for one in self.alternatives), unexplained=left)
 
 
 class NoiseData(Struct):
