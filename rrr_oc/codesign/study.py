@@ -240,7 +240,8 @@ def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | No
     ways = arrangements(tasks.first, name)
     if request.price is not None:
         ways = [tuple(way for each in ways_to_mount(tasks.first, name) for way in each)]
-    made, known = [], twin.model if twin is not None and request.repaired else None
+    arm = twin if request.repaired else None
+    made, known = [], None if arm is None else arm.model
     unsure = tasks.payload or tasks.model
     if unsure and request.over != "calibrated":
         raise UserError(f"--over is {request.over} and set {tasks.name!r} has 'uncertain'; only one of them is allowed")
@@ -250,7 +251,7 @@ def _designs(request: Request, tasks: TaskSet, name: str, drives: Actuators | No
             raise UserError(
                 f"--price chooses among springs that can be left out; in {name}, those between drives and links cannot"
             )
-        alone = alone if known is None else [over_members(one, twin.members, request.over) for one in alone]
+        alone = alone if arm is None else [over_members(one, arm.members, request.over) for one in alone]
         made.append(SetDesign(tasks, tuple(with_uncertainty(one, tasks, known) if unsure else one for one in alone)))
     return made
 

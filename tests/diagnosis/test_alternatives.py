@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import chains
 import numpy as np
@@ -79,7 +80,7 @@ def test_what_is_far_above_noise_is_unexplained(monkeypatch, found):
     """Of residuals of 1, 2.9 and 5 times the noise of 0.1 Nm the last one, less the noise itself."""
     monkeypatch.setattr(mismatch, "above_noise", lambda *_: np.array([1.0, 2.9, 5.0]))
     monkeypatch.setattr(mismatch, "filtered_noise", lambda *_: np.full(3, 0.1))
-    unknown = SimpleNamespace(model=None)
+    unknown: Any = SimpleNamespace(model=None)
     np.testing.assert_allclose(mismatch.unexplained(unknown, unknown), [0, 0, 0.1 * np.sqrt(24)])
     diagnosis, read = found
     np.testing.assert_array_equal(read.unexplained, diagnosis.model.unexplained)

@@ -8,7 +8,7 @@ import pytest
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import load_task
-from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects.elastic.biarticular_spring import BiarticularSpring
 from rrr_oc.model.metrics import measure
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.storage import write_text
@@ -28,7 +28,7 @@ def test_true_costs_are_those_of_the_true_links_with_all_springs(number, tmp_pat
     apart = np.abs(truth.inertial - task.robot.inertial)[0] / task.robot.inertial[0]
     assert 0.001 < apart.max() < 0.1  # a URDF is never exact
     s = one.spring
-    hidden = CATALOGUE["biarticular_spring"](s.joints, s.winding), np.array([s.kappa, s.rho, s.phi])
+    hidden = BiarticularSpring(s.joints, s.winding), np.array([s.kappa, s.rho, s.phi])
     alone = CoDesign(replace(task, robot=truth), spring_bounds(task, "PEA"))
     design, t, motions, torques = alone.with_physics([hidden]), np.linspace(0, 2, 300), [], []
     theta = np.concatenate([*(list(p.values()) for p in SPRINGS), hidden[1]])
