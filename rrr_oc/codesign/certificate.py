@@ -11,7 +11,6 @@ from rrr_oc.codesign.bounds.on_motion import SpringBound, solution_bound
 from rrr_oc.codesign.bounds.over_motions import task_bound
 from rrr_oc.codesign.design_problem import COST_UNITS, FLOOR, CoDesign, torque_path
 from rrr_oc.codesign.search.local_optima import Optimum
-from rrr_oc.codesign.search.multistart import SearchResult
 from rrr_oc.optimal_control.optimality import Kkt
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.solver import Solution
@@ -89,7 +88,7 @@ class Certificate(Struct, frozen=True):
         smoothing: Relative change of the cost with exact, non-smooth springs on the same motion [1].
         exact_cost: The cost with exact springs, in the cost's unit.
         reintegration: How far an adaptive integration of the controls is from the plan.
-        reached: Number of starts that led to it; 0 where it was found from another optimum.
+        reached: Number of independent starts that led to it; 0 where it was put together from motions or found from other optima.
         bound: What no springs can be better than on the same motion; null where that is not known.
         least: What no springs and no motion of the task can be better than; null where that is not known [N²m²s].
     """
@@ -112,9 +111,9 @@ class Certificate(Struct, frozen=True):
     least: float | None
 
 
-def certify(result: SearchResult, optimum: Optimum, offered: CoDesign | None = None) -> Certificate:
-    """The certificate of one of a search's optima; `offered` has the springs that it is compared with, by default the design's own."""
-    solution, design = optimum.solution, result.design
+def certify(design: CoDesign, optimum: Optimum, offered: CoDesign | None = None) -> Certificate:
+    """The certificate of an optimum of a design; `offered` has the springs that it is compared with, by default the design's own."""
+    solution = optimum.solution
     kkt = Kkt(solution)
     second_order, curvature, direction = kkt.second_order()
     exact = exact_cost(design, solution)

@@ -8,6 +8,7 @@ from msgspec import Struct
 
 from rrr_oc.codesign.certificate import Certificate
 from rrr_oc.codesign.purchasable import Coverage
+from rrr_oc.codesign.search.motions import Covered
 from rrr_oc.storage import plain
 
 FORMAT = "rrr_oc-design/1"
@@ -160,7 +161,7 @@ class LocalOptimum(Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         cost: Its cost, in the cost's unit.
-        reached: Number of starts that led to it; 0 where it was found from another.
+        reached: Number of independent starts that led to it; 0 where it was found from others.
         refined: Whether its mesh was refined; others carry the error of their mesh.
         durations: Of each phase [s].
         springs: By a designer's names, in SI units and radians.
@@ -294,18 +295,6 @@ class Compromise(Struct, frozen=True, forbid_unknown_fields=True):
     springs: dict[str, float]
 
 
-class JointStart(Struct, frozen=True, forbid_unknown_fields=True):
-    """A start of the search for all tasks together.
-
-    Attributes:
-        layer: Where its springs come from.
-        polished: The objective on the coarse mesh; null where it led to no optimum.
-    """
-
-    layer: str
-    polished: float | None
-
-
 class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The best springs of one configuration and the motions for them.
 
@@ -318,8 +307,8 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         parameters: Values by label and name, of the springs and of effects that the arm has, in SI units.
         tasks: The motions, by task.
         optima: The distinct local optima of a task that is designed for alone, cheapest first.
-        layers: Starts of such a task, by their source.
-        starts: Starts for several tasks together.
+        layers: Starts, by their source; none without springs that several tasks share.
+        covered: What the search for motions of held springs has solved; null where several tasks share the springs.
         change: By how much springs and motions fell when they were solved together on the refined meshes, relative; null where that
             problem was not solved [1].
         front: Optima between that of the set and that of the first task.
@@ -340,7 +329,7 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     tasks: dict[str, Moved]
     optima: tuple[LocalOptimum, ...] = ()
     layers: dict[str, Layer] = {}
-    starts: tuple[JointStart, ...] = ()
+    covered: Covered | None = None
     change: float | None = None
     front: tuple[Compromise, ...] = ()
     choice: Choice | None = None

@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from rrr_oc.codesign.catalogue import Catalogue, Choices, Kinds, choices_of
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.search.local_optima import Optimum, transcribed
+from rrr_oc.codesign.search.local_optima import ACCEPTED, Optimum, transcribed
 from rrr_oc.codesign.search.multistart import continue_from
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.task_sets.task_set import SetDesign
@@ -26,7 +26,6 @@ from rrr_oc.parallel import once_per_process, ordered
 FINALISTS = 6  # best choices to be found, of which the refined mesh decides; doubled, fewer parts of the catalogue are excluded
 BATCH = 8  # parts that are halved at once; doubled, more processes are busy and more problems are solved in vain
 MOST = 2000  # problems solved before the search gives up the rest; doubled, a hopeless search takes twice as long
-ACCEPTED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 class Coverage(Struct, frozen=True):

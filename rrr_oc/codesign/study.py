@@ -44,7 +44,7 @@ from rrr_oc.codesign.posterior.members import Member, members
 from rrr_oc.codesign.posterior.scenarios import Over, over_members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
 from rrr_oc.codesign.search.local_optima import Optimum
-from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, solve_multistart
+from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, layers, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
 from rrr_oc.codesign.task import PHASES, PRESETS, Task
@@ -376,7 +376,7 @@ def _with_idle_motion(study: Study, found: dict[str, Configuration]) -> dict[str
     if not tried or tried[0][1].cost >= stiff.cost:
         return {}
     better = _described(study, "SA", SetResult.of_one(design, tried[0][1]), began)
-    better = msgspec.structs.replace(better, optima=stiff.optima, layers=stiff.layers)
+    better = msgspec.structs.replace(better, optima=stiff.optima, layers=stiff.layers, covered=stiff.covered)
     save(study, "SA", data(better), ["SA"])
     return {"SA": _compared(study, "SA", design, better)}
 
@@ -452,7 +452,7 @@ def _solve_one(study: Study, name: str, design: SetDesign, before: Mapping[str, 
         }
         for o in found.optima
     ]
-    more = {"optima": optima, "layers": found.layers(), "interrupted": found.interrupted}
+    more = {"optima": optima, "layers": layers(found.starts), "interrupted": found.interrupted, "covered": found.covered}
     return typed(data(described) | more | {"wall_s": time.perf_counter() - began}, Configuration)
 
 
@@ -613,7 +613,7 @@ def _described(study: Study, name: str, result: SetResult, began: float, compare
         "mounted": mounted(design.first),
         "parameters": design.first.model.values(parameters),
         "tasks": tasks,
-        "starts": [{"layer": start.layer, "polished": start.polished} for start in result.starts],
+        "layers": layers(result.starts),
         "change": result.change,
         "front": [{"share": p.share, "first": p.costs[0], "total": p.total, "springs": p.springs} for p in points],
         "wall_s": time.perf_counter() - began,
@@ -639,7 +639,7 @@ def _moved(
         "lowest_tool_m": min(float(held.model.tool_height(q)) for q in held.task.full(motion.q).T[::7]),
         "idle": idle_springs(own, motion, solution.parameters),
         "beyond": beyond_known(own, motion, solution.parameters),
-        "certificate": certify(SearchResult(held, (optimum,), (), False), optimum, compared),
+        "certificate": certify(held, optimum, compared),
         "meshes": optimum.meshes,
         "mujoco": describe_simulation(held, solution, motion),
         "scenarios": [_in_scenario(held, solution, motion, i) for i in range(cases)] if cases > 1 else [],

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from rrr_oc.codesign.design_file import Bought, Choice, Configuration, DesignFile, Foreseen, Moved, Priced, Quantity
+from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.transfer import uncalibrated
 from rrr_oc.effects import design_forms
 from rrr_oc.effects.words import joint_words, listed, words
@@ -16,6 +17,8 @@ OVER = 0.05  # [1] of a limit's scale by which it may be exceeded between the no
 FAR = 0.1  # [1] of E1 by which the calibrated twin may differ from the plan before a reader is warned
 FOLLOWED = 0.05  # [rad] of tracking error in the twin above which a reader is warned
 UNDERCUT = 1e-5  # [1] of the cost by which a bound may have been undercut before it is said; doubled, less of IPOPT's tolerance is told
+# of a search by default, and what it is; where there are fewer, a reader is warned
+USUAL = {"starts": (SearchOptions.starts, "starts"), "motions": (SearchOptions.motions, "proposed motions")}
 SECOND_ORDER = {
     "strict": "The second-order condition is strict, which is sufficient for a local optimum.",
     "weak": "The second-order condition is weak: some bound is touched with next to no multiplier, and a local optimum is not proved.",
@@ -219,15 +222,13 @@ def of_set(c: Configuration) -> list[str]:
     """What is known of springs that several tasks share."""
     if not c.springs:
         return ["Without springs nothing is shared: every task is solved by itself."]
-    costs = [start.polished for start in c.starts if start.polished is not None]
-    near = sum(cost <= min(costs) * 1.01 for cost in costs)
     worst = max((m.certificate.second_order for m in c.tasks.values()), key=list(SECOND_ORDER).index)
     again = "On the refined meshes, springs and motions together could not be solved once more; only the motions were."
     if c.change is not None:
         fell = f"fell by {c.change:.1e} (relative)" if c.change else "fell no further"
         again = f"Springs and motions were solved once more on the refined meshes, and the objective {fell}."
-    began = f"{near} of {len(c.starts)} starts ended within 1 % of the best on the coarse mesh."
-    if not c.starts:
+    began = f"All tasks were solved together from {sum(layer.starts for layer in c.layers.values())} starts."
+    if not c.layers:
         began = "The springs were chosen by their price; the search began at the stiff arm alone." if c.choice else _origin(c)
     return [
         began,
@@ -272,8 +273,23 @@ def _origin(c: Configuration) -> str:
     if c.choice is not None:
         return "Found from the choice of springs by their price."
     if reached == 0:
-        return "No start led to it: it was found from other optima, by changes of their durations."
-    return "One start led to it." if reached == 1 else f"{reached} starts led to it."
+        said = "No start led to it: it was found from other optima, by other motions for their springs."
+    else:
+        said = "One start led to it." if reached == 1 else f"{reached} independent starts led to it."
+    return f"{said} {_covered(c)}".strip()
+
+
+def _covered(c: Configuration) -> str:
+    """What the search has solved; "" where that is not known."""
+    starts, found = sum(layer.starts for layer in c.layers.values()), c.covered
+    if found is None or not starts:
+        return ""
+    if not found.motions:
+        return f"Solved were {starts} starts, and no motions for held springs."
+    return (
+        f"Solved were {starts} starts, and {found.motions} motions for {found.springs} different springs, {found.swings} of them with a "
+        "swing more or less than others."
+    )
 
 
 def coverage(cover: Bought) -> str:
@@ -347,6 +363,13 @@ def cautions(study: DesignFile) -> list[str]:
     """What a reader should know before using the results, a sentence each; none where there is nothing."""
     found = study.configurations
     said = [f"{name}: {sentence}." for name, c in found.items() for sentence in _of_configuration(c)]
+    fewer = [
+        f"{study.options[key]} {what} in the place of {n}" for key, (n, what) in USUAL.items() if study.options.get(key, n) < n
+    ]
+    if fewer:
+        said.append(
+            f"The search was small, with {' and '.join(fewer)}; a longer one may find designs that need some per cent less."
+        )
     best = best_of(found)
     if best is None or found[best].catalogue is not None or found[best].choice is not None or not study.single:
         return said

@@ -17,7 +17,6 @@ from rrr_oc.codesign.certificate import Certificate, certify, exact_cost, reinte
 from rrr_oc.codesign.design_file import data
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import Optimum
-from rrr_oc.codesign.search.multistart import SearchResult
 from rrr_oc.optimal_control.optimality import Kkt, _factor
 from rrr_oc.optimal_control.problem import Guess, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import Refinement, mesh_error, refine
@@ -31,7 +30,7 @@ TIGHT = Options(tolerance=1e-10)
 
 def certificate_of(design: CoDesign, solution: Solution) -> Certificate:
     optimum = Optimum(solution, refine(solution, Refinement(rounds=0))[1], 1)
-    return certify(SearchResult(design, (optimum,), (), False), optimum)
+    return certify(design, optimum)
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +212,7 @@ def test_how_often_an_optimum_was_reached_is_said():
     design = design_of("SA")
     solution = solved(design, 8)
     optimum = Optimum(solution, refine(solution, Refinement(rounds=0))[1], 3)
-    assert certify(SearchResult(design, (optimum,), (), False), optimum).reached == 3
+    assert certify(design, optimum).reached == 3
 
 
 def valley(potential: Callable, lower: float = -2.0, upper: float = 2.0, place: float = 1.0) -> Problem:

@@ -13,8 +13,8 @@ from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.search.local_optima import same_optimum
-from rrr_oc.codesign.search.motions import MotionSearch
-from rrr_oc.codesign.search.multistart import SearchResult, Springs, Start, solve_multistart
+from rrr_oc.codesign.search.motions import Covered, MotionSearch
+from rrr_oc.codesign.search.multistart import SearchResult, Springs, Start, layers, solve_multistart
 from rrr_oc.codesign.search.proposals import decode, dimensions, motion_guess
 from rrr_oc.errors import UserError
 from rrr_oc.optimal_control.refinement import Refinement
@@ -47,7 +47,7 @@ def test_every_start_is_polished_and_both_layers_take_part(found):
 
 
 def test_layers_count_what_the_starts_say(found):
-    rows = found.layers()
+    rows = layers(found.starts)
     for layer, row in rows.items():
         starts = [s for s in found.starts if s.layer == layer]
         costs = sorted(s.polished for s in starts)
@@ -55,15 +55,15 @@ def test_layers_count_what_the_starts_say(found):
         assert row["median"] == costs[1]
         assert row["best_proposal"] == min(s.proposed for s in starts)
     lost = Start("sobol", 1.0, float("inf"), "Infeasible_Problem_Detected", 0.1, np.empty(0))
-    rows = SearchResult(PEA, (), (lost, *found.starts), False).layers()
+    rows = layers((lost, *found.starts))
     assert (rows["sobol"]["starts"], rows["sobol"]["failed"]) == (4, 1)
-    assert SearchResult(PEA, (), (lost,), False).layers()["sobol"]["best"] == float("inf")
+    assert layers((lost,))["sobol"]["best"] == float("inf")
 
 
 def test_odd_starts_go_to_sobol_and_one_start_is_enough():
     result = solve_multistart(PEA, replace(OPTIONS, starts=1, within=0.0))
     assert [s.layer for s in result.starts] == ["sobol"]
-    assert list(result.layers()) == ["sobol"]
+    assert list(layers(result.starts)) == ["sobol"]
 
 
 def test_optima_are_distinct_and_sorted(found):
@@ -128,6 +128,11 @@ def test_the_best_motions_never_lose():
     """Neither the whole search, nor each phase alone with the springs of an optimum."""
     without, with_them = (solve_multistart(PEA, replace(OPTIONS, starts=1, within=0.0, motions=n)) for n in (0, 8))
     assert with_them.best.cost <= without.best.cost * (1 + 1e-3)  # refined on other meshes, each to 1e-3
+    assert without.covered == Covered()
+    assert with_them.covered.springs >= 2
+    assert (
+        with_them.covered.motions >= 2 * 8 + with_them.covered.swings
+    )  # eight proposed ones for each phase, and what they led to
     springs = with_them.best.solution.parameters
     motions = MotionSearch(PEA, replace(OPTIONS, motions=8)).best(springs, skip=0)
     assert sum(some[0].cost for some in motions) <= with_them.best.cost * (1 + 0.02)  # on the fine mesh of 12 intervals
@@ -151,7 +156,7 @@ def test_the_motion_of_a_cycle_is_searched_as_a_whole():
     for solution in (some[0].solution, result.best.solution):
         go, back = (solution.at(i, np.array([0.0, 1.0]))[0][2:] for i in range(2))
         np.testing.assert_allclose(go, back[:, ::-1], atol=1e-6)
-    known = certify(result, result.best)
+    known = certify(result.design, result.best)
     assert known.least is None
     assert known.second_order != "violated"
     assert max(known.primal, known.dual) < 1e-6

@@ -17,6 +17,7 @@ import pea_bpea as study
 import pytest
 from chains import arm
 from commands import rrr_oc, run
+from msgspec import structs
 from own_arm import OWN, own_model, own_task
 from plotly.offline import get_plotlyjs
 from recorded import Plant, as_set, record
@@ -330,6 +331,17 @@ def test_costs_of_light_arms_keep_their_digits():
     ]
     _, rows = optima_table(designs.summary(SA=STIFF, PEA=designs.design(0.0001241794)))
     assert rows[1][1] == "0.000124"
+
+
+@pytest.mark.parametrize("few", [{"starts": 4}, {"motions": 0}, {"starts": 4, "motions": 12}])
+def test_a_small_search_is_warned_of(few):
+    """However often its starts led to the optimum: they may all have missed the motions of a better one."""
+    study = structs.replace(designs.summary(SA=STIFF, PEA=designs.design(100.0)), options={"starts": 20, "motions": 48} | few)
+    (said,) = cautions(study)
+    assert said.startswith("The search was small, with ")
+    assert [f"{n} {what} in the place of" in said for n, what in ((4, "starts"), (few.get("motions"), "proposed motions"))] == [
+        key in few for key in ("starts", "motions")
+    ]
 
 
 @pytest.mark.parametrize(("changes", "said"), CAUTIONS.values(), ids=CAUTIONS.keys())

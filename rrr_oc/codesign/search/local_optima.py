@@ -18,6 +18,7 @@ from rrr_oc.optimal_control.transcription import Transcription
 from rrr_oc.parallel import ordered
 
 SOLVED = "Solve_Succeeded"
+ACCEPTED = (SOLVED, "Solved_To_Acceptable_Level")  # statuses of an optimum that is refined later
 
 
 class Solvable(Protocol):

@@ -5,7 +5,9 @@ hundredths of a second."""
 import uuid
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
+from msgspec import Struct
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import SOLVED, Optimum, distinct
@@ -56,10 +58,29 @@ class ChainSolver:
         return Solution(self.solvers[chain][mesh].transcription, w, np.empty(0), np.empty(0), cost, SOLVED, 0, 0.0)
 
 
+class Covered(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the search for motions of held springs has solved.
+
+    Attributes:
+        springs: Number of different springs for which motions were solved.
+        motions: Number of motions, each of one phase, or of both where the arm does not rest in between.
+        swings: How many of these began from another motion with a swing more or less.
+    """
+
+    springs: int = 0
+    motions: int = 0
+    swings: int = 0
+
+
 class MotionSearch:
-    """The search for the motions of a design's chains of phases."""
+    """The search for the motions of a design's chains of phases.
+
+    Attributes:
+        covered: What has been solved.
+    """
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
+        self.covered, self._springs = Covered(), set[bytes]()
         self.design, self.options, self.key = design, options, uuid.uuid4().hex
         self.solver = ChainSolver(design, options)  # for its transcriptions; worker processes have one of their own
 
@@ -101,6 +122,8 @@ class MotionSearch:
                 for other in with_other_swings(phase, len(task.moving), task.duration)
             ]
             starts.append([solvers[FINE].transcription.pack(Guess(some, parameters)) for some in (own, *others)])
+        swings = self.covered.swings + sum(len(some) - 1 for some in starts)
+        self.covered = msgspec.structs.replace(self.covered, swings=swings)
         return self._solved(FINE, parameters, starts)
 
     def _packed(self, chain: int, solution: Solution) -> np.ndarray:
@@ -151,6 +174,9 @@ class MotionSearch:
         """The distinct motions to which starts of each chain lead, cheapest first."""
         calls = [(i, some[k : k + AT_ONCE]) for i, some in enumerate(starts) for k in range(0, len(some), AT_ONCE)]
         shared = self.key, self.design, self.options
+        self._springs.add(parameters.tobytes())
+        motions = self.covered.motions + sum(map(len, starts))
+        self.covered = msgspec.structs.replace(self.covered, springs=len(self._springs), motions=motions)
         optima: Motions = [[] for _ in starts]
         for (i, _), found in zip(
             calls, ordered(_solve, [(*shared, (mesh, i), parameters, some) for i, some in calls]), strict=True

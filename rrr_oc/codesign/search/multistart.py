@@ -9,6 +9,7 @@ import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.local_optima import (
+    ACCEPTED,
     Optimum,
     Solvable,
     attached,
@@ -17,7 +18,7 @@ from rrr_oc.codesign.search.local_optima import (
     refined,
     transcribed,
 )
-from rrr_oc.codesign.search.motions import LEAST_GAIN, MotionSearch, combined
+from rrr_oc.codesign.search.motions import LEAST_GAIN, Covered, MotionSearch, combined
 from rrr_oc.codesign.search.proposals import (
     LAYERS,
     SearchOptions,
@@ -64,7 +65,8 @@ class Start:
     """A starting point and the optimum that IPOPT found from it.
 
     Attributes:
-        layer: Its source: of `LAYERS`, or "motions" for the best motions of each phase put together.
+        layer: Its source: of `LAYERS`, or "motions" for the best motions of each phase put together; of several tasks that share the
+            springs "alone" for the springs of one of them.
         proposed: Cost of the starting point itself; its motion may exceed limits.
         polished: Cost after IPOPT, on the coarse mesh; infinite where IPOPT found no optimum.
         message: IPOPT's status.
@@ -89,12 +91,14 @@ class SearchResult:
         optima: Distinct local optima, cheapest first.
         starts: All starting points, in the order of their polishes' ends.
         interrupted: Whether Ctrl-C ended the search early.
+        covered: What the search for motions of held springs has solved.
     """
 
     design: CoDesign
     optima: tuple[Optimum, ...]
     starts: tuple[Start, ...]
     interrupted: bool
+    covered: Covered
 
     @property
     def best(self) -> Optimum:
@@ -107,33 +111,55 @@ class SearchResult:
             raise KeyboardInterrupt
         return self
 
-    def layers(self) -> dict[str, dict[str, float]]:
-        """By layer: number of starts and of failures, best and median cost, best cost before IPOPT, wall time [s]."""
-        rows = {}
-        for layer in LAYERS:
-            starts = [s for s in self.starts if s.layer == layer]
-            costs = [s.polished for s in starts if np.isfinite(s.polished)]
-            if starts:
-                rows[layer] = {
-                    "starts": len(starts),
-                    "failed": len(starts) - len(costs),
-                    "best": min(costs, default=float("inf")),
-                    "median": float(np.median(costs or [np.inf])),
-                    "best_proposal": min(s.proposed for s in starts),
-                    "seconds": float(sum(s.seconds for s in starts)),
-                }
-        return rows
+
+def layers(starts: Sequence[Start]) -> dict[str, dict[str, float]]:
+    """By layer: number of starts and of failures, best and median cost, best cost before IPOPT, wall time [s]."""
+    rows = {}
+    for layer in dict.fromkeys(s.layer for s in starts):
+        own = [s for s in starts if s.layer == layer]
+        costs = [s.polished for s in own if np.isfinite(s.polished)]
+        rows[layer] = {
+            "starts": len(own),
+            "failed": len(own) - len(costs),
+            "best": min(costs, default=float("inf")),
+            "median": float(np.median(costs or [np.inf])),
+            "best_proposal": min(s.proposed for s in own),
+            "seconds": float(sum(s.seconds for s in own)),
+        }
+    return rows
 
 
-class Polisher:
-    """Solves the coarse problem from vectors in [0, 1]. Built once a process."""
+class CoarseSolver:
+    """Solves a problem, of one task or of several, on the coarse mesh, with some initial barrier parameters."""
 
-    def __init__(self, design: CoDesign, options: SearchOptions) -> None:
-        self.design, self.options = design, options
-        settings, barriers = Options(tolerance=1e-6, iterations=200), {None, *BARRIERS}
+    def __init__(self, design: Solvable, options: SearchOptions, barriers: Iterable[float | None], iterations: int) -> None:
+        settings = Options(tolerance=1e-6, iterations=iterations)
         self.transcription = transcribed(design, options, options.coarse)
         self.solvers = {b: Solver(self.transcription, replace(settings, barrier=b)) for b in barriers}
-        self.data = design.data(options.width)
+        self.data, self.unit = design.data(options.width), design.problem.cost_scale
+
+    def started(self, layer: str, w: np.ndarray, barriers: Iterable[float | None]) -> Start:
+        """The best optimum from scaled variables, solved once with each of some of the barrier parameters."""
+        proposed = float(self.transcription.functions["nlp"](w, self.data)[0]) * self.unit
+        tries = [self.solvers[b].solve(w, self.data, check=False) for b in barriers]
+        seconds, found = sum(s.seconds for s in tries), [s for s in tries if s.status in ACCEPTED]
+        best = min(found, key=lambda s: s.cost, default=None)
+        if best is None:
+            return Start(layer, proposed, float("inf"), tries[0].status, seconds, np.empty(0))
+        return Start(layer, proposed, best.cost, best.status, seconds, best.w)
+
+    def solution(self, start: Start) -> Solution:
+        """The optimum on the coarse mesh that a start led to, without multipliers."""
+        empty = np.empty(0)
+        return Solution(self.transcription, start.w, empty, empty, start.polished, start.message, 0, 0.0)
+
+
+class Polisher(CoarseSolver):
+    """Solves the coarse problem of one task from vectors in [0, 1]. Built once a process."""
+
+    def __init__(self, design: CoDesign, options: SearchOptions) -> None:
+        super().__init__(design, options, {None, *BARRIERS}, 200)
+        self.design, self.options = design, options
 
     def __call__(self, layer: str, index: int, vector: np.ndarray) -> Start:
         """Polish one starting point of a layer, of the index that it has there."""
@@ -142,18 +168,7 @@ class Polisher:
 
     def polished(self, layer: str, guess: Guess, barrier: float | None = None) -> Start:
         """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`, or IPOPT's adaptive one."""
-        w = self.transcription.pack(guess)
-        cost = float(self.transcription.functions["nlp"](w, self.data)[0]) * self.design.problem.cost_scale
-        try:
-            solution = self.solvers[barrier].solve(w, self.data)
-        except SolverFailure as failure:
-            return Start(layer, cost, float("inf"), str(failure), 0.0, np.empty(0))
-        return Start(layer, cost, solution.cost, solution.status, solution.seconds, solution.w)
-
-    def solution(self, start: Start) -> Solution:
-        """The optimum on the coarse mesh that a start led to, without multipliers."""
-        empty = np.empty(0)
-        return Solution(self.transcription, start.w, empty, empty, start.polished, start.message, 0, 0.0)
+        return self.started(layer, self.transcription.pack(guess), (barrier,))
 
 
 def solve_multistart(
@@ -188,8 +203,10 @@ def solve_multistart(
         interrupted = True
     if not any(s.w.size for s in starts):
         _raise_failure(design, options, starts)
-    optima = _best_optima(polisher, starts, known, interrupted, progress)
-    return SearchResult(design, optima, tuple(starts), interrupted)
+    search = None if interrupted or not options.motions else MotionSearch(design, options)
+    kept = 1 if interrupted else options.kept
+    optima = _best_optima(polisher, starts, known, search, kept, progress)
+    return SearchResult(design, optima, tuple(starts), interrupted, search.covered if search else Covered())
 
 
 def best_arranged(designs: Sequence[CoDesign], options: SearchOptions) -> CoDesign:
@@ -285,19 +302,23 @@ def _coarse_cost(starts: Sequence[Start]) -> str:
 
 
 def _best_optima(
-    polisher: Polisher, starts: list[Start], known: Sequence[Guess], interrupted: bool, progress: Progress
+    polisher: Polisher,
+    starts: list[Start],
+    known: Sequence[Guess],
+    search: MotionSearch | None,
+    kept: int,
+    progress: Progress,
 ) -> tuple[Optimum, ...]:
-    """The distinct optima on a fine mesh, the best of them refined; cheapest first."""
+    """The distinct optima on a fine mesh, of no more than `kept` on the coarse one, the best of them refined; cheapest first."""
     design, options = polisher.design, polisher.options
     found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
-    coarse = distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)[: 1 if interrupted else None]
-    search = None if interrupted or not options.motions else MotionSearch(design, options)
+    coarse = distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)
     if search is not None:
         coarse = _with_better_springs(polisher, search, coarse, progress)
     progress.tell("fine mesh")
-    kept = _promising(coarse)[: options.kept]
-    guesses = [*(o.solution.guess() for o in kept), *known]
-    optima = _followed(design, options, guesses, [o.reached for o in kept])
+    some = _promising(coarse)[:kept]
+    guesses = [*(o.solution.guess() for o in some), *known]
+    optima = _followed(design, options, guesses, [o.reached for o in some])
     if not optima:
         raise SolverFailure("lost on the fine mesh", 0, 0.0, "")
     if search is not None:

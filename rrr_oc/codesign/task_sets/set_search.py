@@ -17,6 +17,7 @@ from rrr_oc.codesign.search.local_optima import (
     transcribed,
 )
 from rrr_oc.codesign.search.motions import MotionSearch, combined
+from rrr_oc.codesign.search.multistart import CoarseSolver, Start
 from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task_sets.task_set import SetDesign
@@ -37,6 +38,7 @@ SHARES = {
 LAYERS = ("alone", "sobol")  # sources of starting springs: tasks alone, and the whole of their bounds
 # Initial barrier parameters of a start: from the middle of all bounds, and nearer to the tasks' own motions.
 BARRIERS = (0.1, 1e-2)
+ITERATIONS = 300  # of a start at most; doubled, starts that lead nowhere take twice as long
 # From motions that are good, and where others may be better; to a tolerance that the solve on refined meshes makes up for.
 THOROUGH = (Options(tolerance=1e-6, barrier=1e-6), Options(tolerance=1e-6, barrier=BARRIERS[1]))
 QUICK = (Options(tolerance=1e-6, barrier=BARRIERS[0]),)  # for one of many sets of springs
@@ -45,21 +47,6 @@ CHEAPER = 1e-6  # [1] by which a cost must be lower to count as another optimum'
 GAIN = 1e-4  # [1] of the objective that a round of better motions must promise for another one; doubled, fewer rounds are made
 FEW = 12  # proposed motions of each phase at most for one of many sets of springs; doubled, the front of a price takes longer
 ROUNDS = 4  # in which motions found for held springs and springs for these motions improve each other, at most
-
-
-@dataclass(frozen=True)
-class SetStart:
-    """Springs from which the joint problem was solved on the coarse mesh.
-
-    Attributes:
-        layer: Their source (`LAYERS`).
-        polished: The objective after IPOPT; infinite where it found no optimum.
-        w: Scaled variables of the joint optimum; empty where there is none.
-    """
-
-    layer: str
-    polished: float
-    w: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +69,7 @@ class SetResult:
     motions: tuple[Optimum, ...]
     alone: tuple[Optimum, ...]
     first: tuple[Optimum, ...]
-    starts: tuple[SetStart, ...]
+    starts: tuple[Start, ...]
     change: float | None
 
     @classmethod
@@ -153,7 +140,7 @@ def _compared(
     alone: Sequence[Optimum],
     first: Sequence[Optimum],
     options: SearchOptions,
-    starts: tuple[SetStart, ...],
+    starts: tuple[Start, ...],
 ) -> SetResult:
     """The result of a joint optimum, on refined meshes, beside the tasks alone and the springs of the first."""
     parameters, motions, change = _refined(design, best, options)
@@ -241,7 +228,7 @@ def _springs(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions
     return [("alone", alone[t].solution.parameters) for t in picked] + drawn
 
 
-def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions, progress: Progress) -> list[SetStart]:
+def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOptions, progress: Progress) -> list[Start]:
     """All starts on the coarse mesh, with the motions of the tasks alone, cheapest first."""
     transcription, key = transcribed(design, options, options.coarse), uuid.uuid4().hex
     springs = _springs(design, alone, options)
@@ -260,20 +247,12 @@ def _polished(design: SetDesign, alone: Sequence[Optimum], options: SearchOption
     return sorted(starts, key=lambda s: (s.polished, s.layer))
 
 
-def _polish(key: str, design: SetDesign, options: SearchOptions, layer: str, w: np.ndarray) -> SetStart:
-    solvers = once_per_process(key, lambda: _coarse_solvers(design, options))
-    tries = [solver.solve(w, design.data(options.width), check=False) for solver in solvers]
-    found = [s for s in tries if s.status == SOLVED]
-    best = min(found, key=lambda s: s.cost, default=None)
-    return SetStart(layer, np.inf, np.empty(0)) if best is None else SetStart(layer, best.cost, best.w)
+def _polish(key: str, design: SetDesign, options: SearchOptions, layer: str, w: np.ndarray) -> Start:
+    solver = once_per_process(key, lambda: CoarseSolver(design, options, BARRIERS, ITERATIONS))
+    return solver.started(layer, w, BARRIERS)
 
 
-def _coarse_solvers(design: SetDesign, options: SearchOptions) -> list[Solver]:
-    transcription = transcribed(design, options, options.coarse)
-    return [Solver(transcription, Options(tolerance=1e-6, iterations=300, barrier=barrier)) for barrier in BARRIERS]
-
-
-def _fine(design: SetDesign, starts: Sequence[SetStart], options: SearchOptions) -> Optimum:
+def _fine(design: SetDesign, starts: Sequence[Start], options: SearchOptions) -> Optimum:
     """The best joint optimum on the fine mesh from the distinct best starts; raises `SolverFailure` where there is none."""
     transcription, empty = transcribed(design, options, options.coarse), np.empty(0)
     coarse = [Solution(transcription, s.w, empty, empty, s.polished, SOLVED, 0, 0.0) for s in starts if s.w.size]
