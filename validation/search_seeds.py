@@ -3,8 +3,8 @@
     python validation/search_seeds.py paper prototype arm/task.json --seeds 10 --out results/seeds
 
 Every configuration of every task is searched from every seed with the defaults of `rrr-oc design`, but a looser mesh. For each the
-table has the best cost of all seeds, how many seeds came within 0.1 % of it, the worst, and the median time of a processor. Results
-are kept seed by seed: the same command goes on where it was.
+table has the best cost of all seeds, how many seeds came within 0.1 % of it, the worst, to how many bests one start or none led, and
+the median time of a processor. Results are kept seed by seed: the same command goes on where it was.
 """
 
 import json
@@ -72,7 +72,7 @@ def main(
         made.once(partial(_write, file, task, name, options))
         results.setdefault((task, name), []).append(json.loads(file.read_text()))
         rows = [row(load_task(t).name, n, results[t, n]) for t in tasks for n in wanted[t] if (t, n) in results]
-        header = ["task", "springs", "best E1", "within 0.1 %", "worst", "reached once", "processor [s]"]
+        header = ["task", "springs", "best E1", "within 0.1 %", "worst", "one start or none", "processor [s]"]
         write_text(out / "seeds.md", markdown(header, rows) + "\n")
     print((out / "seeds.md").read_text())
 

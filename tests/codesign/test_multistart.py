@@ -12,6 +12,7 @@ from small_searches import OPTIONS, PEA, TASK, design_of
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
+from rrr_oc.codesign.search import multistart
 from rrr_oc.codesign.search.local_optima import same_optimum
 from rrr_oc.codesign.search.motions import Covered, MotionSearch
 from rrr_oc.codesign.search.multistart import SearchResult, Springs, Start, layers, solve_multistart
@@ -142,6 +143,20 @@ def test_the_best_motions_never_lose():
         np.testing.assert_array_equal(some[0].solution.parameters, springs)
         ends = some[0].solution.at(0, np.array([0.0, 1.0]))[0][:2].T
         np.testing.assert_allclose(ends, TASK.ends(phase), atol=1e-9)
+
+
+def test_the_best_optimum_is_one_that_was_refined(monkeypatch):
+    """A finer mesh may make the best one worse than another, which was too far away to be refined until then."""
+    finer = {1.0: 1.05, 1.02: 1.03, 1.2: 1.1}
+
+    def refined(_, __, optima):
+        return [SimpleNamespace(cost=finer[o.cost], meshes=[{}, {"converged": True}]) for o in optima]
+
+    monkeypatch.setattr(multistart, "refined", refined)
+    monkeypatch.setattr(multistart, "distinct", lambda optima: sorted(optima, key=lambda o: o.cost))
+    optima = [SimpleNamespace(cost=cost, meshes=[{}]) for cost in finer]
+    found = multistart._refined_close(PEA, OPTIONS, optima, 12, 1e-3)
+    assert [(o.cost, len(o.meshes)) for o in found] == [(1.03, 2), (1.05, 2), (1.2, 1)]
 
 
 def test_the_motion_of_a_cycle_is_searched_as_a_whole():

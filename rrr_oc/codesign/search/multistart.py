@@ -42,6 +42,7 @@ IDLE = 5  # springs tried one after the other without a lower cost, before no mo
 PROMISING = 0.15
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
 SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
+AGAIN = 3  # times that optima are refined because others have become the best; doubled, one that is lost is tried for longer
 FEW = 1  # meshes to which all optima close to the best are refined; more tell them apart better and take longer
 # Initial barrier parameters of the starts from Sobol points, in turn; None is IPOPT's adaptive strategy, which all other starts have. A
 # large one leads every start to the middle of all bounds first, and from there to one good optimum or few; more of them, and the
@@ -325,18 +326,29 @@ def _best_optima(
         optima = _with_best_motions(search, optima, progress)
     progress.tell("refined meshes", 0.0, f"best so far {optima[0].cost:.6g}")
     optima = _refined_close(design, options, optima, FEW, options.within)
-    if search is not None:
-        optima = _with_other_swings(search, optima, progress)
-    return tuple(_refined_close(design, options, optima, options.refinement.rounds, options.within / 5))
+    optima = _refined_close(design, options, optima, options.refinement.rounds, options.within / 5)
+    return tuple(optima if search is None else _with_other_swings(search, optima, progress))
 
 
 def _refined_close(
     design: CoDesign, options: SearchOptions, optima: list[Optimum], rounds: int, within: float
 ) -> list[Optimum]:
-    """Optima, cheapest first; those `within` a relative distance of the best on finer meshes, of which there are at most `rounds`."""
-    some = replace(options, refinement=replace(options.refinement, rounds=min(rounds, options.refinement.rounds)))
-    close = sum(o.cost <= optima[0].cost * (1 + within) for o in optima)
-    return distinct([*refined(design, some, optima[:close]), *optima[close:]])
+    """Optima, cheapest first, those `within` a relative distance of the best on finer meshes, of which there are at most `rounds`; again,
+    where finer meshes have made others the best."""
+    rounds = min(rounds, options.refinement.rounds)
+    some = replace(options, refinement=replace(options.refinement, rounds=rounds))
+    for _ in range(AGAIN):
+        close = [o.cost <= optima[0].cost * (1 + within) and not _fine(o, rounds) for o in optima]
+        if not any(close):
+            break
+        new = refined(design, some, [o for o, is_close in zip(optima, close, strict=True) if is_close])
+        optima = distinct([*new, *(o for o, is_close in zip(optima, close, strict=True) if not is_close)])
+    return optima
+
+
+def _fine(optimum: Optimum, rounds: int) -> bool:
+    """Whether an optimum has been solved on as many finer meshes as its tolerance needs, or as are allowed."""
+    return len(optimum.meshes) > rounds or optimum.meshes[-1].get("converged", False)
 
 
 def _promising(optima: list[Optimum]) -> list[Optimum]:
@@ -407,8 +419,10 @@ def _with_other_swings(search: MotionSearch, optima: list[Optimum], progress: Pr
         best = optima[0]
         progress.count("swings", number, options.rounds, f"best so far {best.cost:.6g}", "rounds")
         guesses = combined(search.with_other_swings(best.solution.guess()), best.solution.parameters)
-        found = _refined_close(design, options, _followed(design, final, guesses), FEW, options.within)
-        optima = distinct([*optima, *found])
+        if not (found := _followed(design, final, guesses)):
+            break
+        found = _refined_close(design, options, found, FEW, options.within)
+        optima = _refined_close(design, options, distinct([*optima, *found]), options.refinement.rounds, options.within / 5)
         if optima[0].cost > best.cost * (1 - LEAST_GAIN):
             break
     return optima
