@@ -180,8 +180,8 @@ def solve_multistart(
     report: Callable[[Step], None] = lambda _: None,
 ) -> SearchResult:
     """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
-    fine one, the best motions for their springs are looked for phase by phase, and the best optima are refined. Ctrl-C ends the
-    search early with what has been found.
+    fine one, the best motions for their springs are looked for phase by phase, the best optima are refined, and motions with a swing
+    more or less are tried. Ctrl-C ends the search early with what has been found.
 
     Args:
         known: Further starting points, such as optima of designs with fewer springs; they are solved on the fine mesh.
@@ -326,8 +326,9 @@ def _best_optima(
         optima = _with_best_motions(search, optima, progress)
     progress.tell("refined meshes", 0.0, f"best so far {optima[0].cost:.6g}")
     optima = _refined_close(design, options, optima, FEW, options.within)
-    optima = _refined_close(design, options, optima, options.refinement.rounds, options.within / 5)
-    return tuple(optima if search is None else _with_other_swings(search, optima, progress))
+    if search is not None:
+        optima = _with_other_swings(search, optima, progress)
+    return tuple(_refined_close(design, options, optima, options.refinement.rounds, options.within / 5))
 
 
 def _refined_close(
@@ -421,8 +422,7 @@ def _with_other_swings(search: MotionSearch, optima: list[Optimum], progress: Pr
         guesses = combined(search.with_other_swings(best.solution.guess()), best.solution.parameters)
         if not (found := _followed(design, final, guesses)):
             break
-        found = _refined_close(design, options, found, FEW, options.within)
-        optima = _refined_close(design, options, distinct([*optima, *found]), options.refinement.rounds, options.within / 5)
+        optima = distinct([*optima, *_refined_close(design, options, found, FEW, options.within)])
         if optima[0].cost > best.cost * (1 - LEAST_GAIN):
             break
     return optima
