@@ -3,7 +3,6 @@
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 
 import numpy as np
 
@@ -359,7 +358,8 @@ def _promising(optima: list[Optimum]) -> list[Optimum]:
 
 def _followed(design: CoDesign, options: SearchOptions, guesses: Sequence[Guess], reached: Sequence[int] = ()) -> list[Optimum]:
     """The distinct optima on the fine mesh near guesses, the first of which so many starts have reached."""
-    found = zip_longest(ordered(follow_to_fine_mesh, [(design, options, guess) for guess in guesses]), reached, fillvalue=0)
+    counts = [*reached, *[0] * (len(guesses) - len(reached))]
+    found = zip(ordered(follow_to_fine_mesh, [(design, options, guess) for guess in guesses]), counts, strict=True)
     return distinct(replace(attached(design, options, o), reached=count) for o, count in found if o is not None)
 
 
