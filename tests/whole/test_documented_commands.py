@@ -98,6 +98,7 @@ NOT_RUN = {
     "validation/peers/": ("hours, and needs other tools", "tests/validation/test_peers.py"),
     "validation/engine_plants.py": ("minutes to hours", "tests/diagnosis/test_dry_friction.py"),
     "validation/open_world.py": ("half an hour", "tests/validation/test_open_world.py"),
+    "validation/hidden_springs.py": ("an hour", "tests/validation/test_hidden_springs.py"),
     "validation/every_arm.py": ("minutes, and needs robot files of others", "tests/validation/test_every_arm.py"),
     "validation/fuzz_inputs.py": ("an hour", "tests/validation/test_fuzz_inputs.py"),
 }
