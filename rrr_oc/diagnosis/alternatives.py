@@ -11,7 +11,7 @@ from rrr_oc.calibration.calibrated_model import Alternative, CalibratedModel, Te
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Key, equal_terms
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Key, equal_terms, shown_as
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import NEGLIGIBLE
 from rrr_oc.diagnosis.suggestion import Suggestion
@@ -44,11 +44,11 @@ def beside(
     """The fit of all effects of a complete one that are not refuted, if the reported model lacks one of them.
 
     Args:
-        claimed, worse: What is in the reported model, and what raises the error.
+        claimed, worse: What is in the reported model, and what does not lower the error.
         undecided: Whether links stand for one of these effects there.
     """
     (known, gone) = ({id(f.term) for f in some} for some in (claimed, worse))
-    more = tuple(key_of(t) for t in complete.extra if id(t) not in known | gone)
+    more = tuple(shown_as(t) for t in complete.extra if id(t) not in known | gone)
     if not more:
         return []
     terms = tuple(t for t in complete.model.terms if id(t) not in gone)
@@ -72,7 +72,7 @@ def alternatives(
         result.append(_alternative(model, one.has, one.lacks))
     for i, term in enumerate(told.terms[closest.base :]):
         for other in equal_terms(fitter.data, closest, i):
-            result.append(_alternative(_with(told, term, other), (key_of(other),), (key_of(term),)))
+            result.append(_alternative(_with(told, term, other), (shown_as(other),), (shown_as(term),)))
     return (*result, *pretensions(fitter.data, told))
 
 
@@ -94,7 +94,7 @@ def pretensions(data: Data, told: CalibratedModel) -> list[Alternative]:
         start = min(MOVES, key=missed)
         x = float(np.ravel(fminbound(missed, start - STEP, start + STEP, xtol=CLOSE))[0])
         if np.all(np.sqrt(np.mean(change(x) ** 2, axis=1)) < NEGLIGIBLE * data.torque):
-            own, gone = (_named(key_of(t), told.joints) for t in (spring, other))
+            own, gone = (_named(shown_as(t), told.joints) for t in (spring, other))
             says = f"{own} with another equilibrium in the place of {gone}"
             model = replace(one.at(x), spread=one.spread(x))
             result.append(Alternative(model, says, (spring.effect.name, other.effect.name)))
@@ -177,8 +177,3 @@ def _with(model: CalibratedModel, term: Term, other: Term) -> CalibratedModel:
             spread = np.concatenate([spread[: own.start], signs[:, None] * spread[own], spread[own.stop :]])
     terms = tuple(other if t is term else t for t in model.terms)
     return replace(model, terms=terms, spread=spread)
-
-
-def key_of(term: Term) -> Key:
-    """Name and joints of a term's effect."""
-    return term.effect.name, term.effect.joints

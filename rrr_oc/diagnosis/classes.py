@@ -14,9 +14,9 @@ from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.link_findings import link_findings
-from rrr_oc.diagnosis.alternatives import Exchange, key_of
+from rrr_oc.diagnosis.alternatives import Exchange
 from rrr_oc.diagnosis.effect_size import block_edges, in_shape, squares
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, wald
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as, wald
 from rrr_oc.diagnosis.fitting import EXACT
 from rrr_oc.diagnosis.knobs import CLAIM, EXCESS, MATTERS
 from rrr_oc.diagnosis.structures.linear import Level
@@ -52,7 +52,7 @@ def separated(
                 if as_good(squared(exact), squared(fitted)):
                     found += described(exact).terms[-1:]
                     fits.append(exact)
-        rivals = tuple(dict.fromkeys([*f.rivals, *((t.effect.name, t.effect.joints) for t in found)]))
+        rivals = tuple(dict.fromkeys([*f.rivals, *map(shown_as, found)]))
         by_links = near.linear.fitter.data.free and as_good(squares(blocks, less, far_off(hyper), "free").sum(axis=0), with_all)
         if not by_links:
             told.append(replace(f, rivals=rivals))
@@ -62,7 +62,7 @@ def separated(
             others = tuple(t for t in found if not is_link_error(t.effect))
             undecided.append(Undecided((shown[id(f.term)], *others), f.probability))
         lacks = (LINK_ERRORS,) if undecided and undecided[-1].terms[0] is shown[id(f.term)] else (f.key,)
-        exchanges += [Exchange(one, (key_of(one.extra[-1]),), lacks) for one in fits]
+        exchanges += [Exchange(one, (shown_as(one.extra[-1]),), lacks) for one in fits]
     return told, undecided, exchanges
 
 
@@ -93,7 +93,7 @@ def instead_of_links(search: Search, fitted: Fitted) -> list[Exchange]:
         exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
         there = wald(exact, len(exact.extra) - 1) < 1 - CLAIM
         if there and as_good(squared(exact), squared(fitted)) and not link_findings(exact):
-            result.append(Exchange(exact, (key_of(exact.extra[-1]),), (LINK_ERRORS,)))
+            result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
     return result
 
 

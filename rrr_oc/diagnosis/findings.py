@@ -22,6 +22,11 @@ Key = tuple[str, tuple[int, ...]]  # name and joints of an effect, by which it i
 LINK_ERRORS: Key = ("link_errors", ())  # as the links stand among what an effect cannot be told from
 
 
+def shown_as(term: Term) -> Key:
+    """Name and joints of a term's effect."""
+    return term.effect.name, term.effect.joints
+
+
 @dataclass(frozen=True)
 class Fall:
     """By how much an effect lowers the held-out rms of a joint, as a share of what it is without it, and its 95 % interval.
@@ -68,11 +73,11 @@ class Finding:
     @property
     def key(self) -> Key:
         """Name and joints."""
-        return self.term.effect.name, self.term.effect.joints
+        return shown_as(self.term)
 
     def met_by(self, term: Term) -> bool:
         """Whether a term is this effect, one that may be in its place, or black-box as it is."""
-        return kind(term.effect) == kind(self.term.effect) or (term.effect.name, term.effect.joints) in self.rivals
+        return kind(term.effect) == kind(self.term.effect) or shown_as(term) in self.rivals
 
     @property
     def rests_on_prior(self) -> bool:
@@ -98,8 +103,8 @@ class Undecided:
     @property
     def contested(self) -> Finding:
         """The first effect with the others as its rivals."""
-        keys = [(t.effect.name, t.effect.joints) for t in self.terms[1:]]
-        return Finding(self.terms[0], self.probability, self.probability, 0.0, 1.0, (*keys, LINK_ERRORS))
+        rivals = (*map(shown_as, self.terms[1:]), LINK_ERRORS)
+        return Finding(self.terms[0], self.probability, self.probability, 0.0, 1.0, rivals)
 
 
 @dataclass(frozen=True)
@@ -205,7 +210,7 @@ def contribution(data: Data, fitted: Fitted, i: int) -> float:
 
 def equal(data: Data, fitted: Fitted, i: int) -> list[Key]:
     """Effects that, in the place of an added one, predict the same over these recordings, so that nothing can tell them apart."""
-    return [(t.effect.name, t.effect.joints) for t in equal_terms(data, fitted, i)]
+    return [shown_as(t) for t in equal_terms(data, fitted, i)]
 
 
 def equal_terms(data: Data, fitted: Fitted, i: int) -> list[Term]:

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.estimator.knobs import DECISIVE
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import Prepared
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding
@@ -31,7 +32,6 @@ FASTER = 1.3  # largest speed of a suggested motion over the speed recorded; twi
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # amplitudes that are tried until torque limits and floor are kept
 OPTIMISED = 4  # joints up to which a motion is optimised, which takes a second; of more joints the best random one is suggested
 ITERATIONS = 10  # of IPOPT; twice as many take a second more for a little more information
-DECISIVE = 25.0  # χ² of the difference, above which a motion is said to decide; doubled, 7 standard deviations are asked for
 
 
 @dataclass(frozen=True)

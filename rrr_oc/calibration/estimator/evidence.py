@@ -357,7 +357,7 @@ def _likelihood(one: Joint, sigma: float, left: np.ndarray) -> float:
 
 def gain_of_other_noise(data: Data, j: int, one: Joint, sigma: float, discrepancy: float, residual: np.ndarray) -> float:
     """By how much the log likelihood of a joint's residual (M,) rises, all else being estimated, if its noise is estimated anew."""
-    left = (residual - one.explained(data.features[j], residual, (sigma / discrepancy) ** 2)) * (data.place[j] >= 0)
+    left = _noise(data, j, one, (sigma / discrepancy) ** 2, residual)
     return max(_likelihood(*Joint.estimated(data, j, left), left) - _likelihood(one, sigma, left), 0.0)
 
 
@@ -420,8 +420,12 @@ def _contiguous(x: np.ndarray) -> np.ndarray:
 
 def _left(data: Data, found: Posterior, j: int) -> np.ndarray:
     """Residual of a joint without parameters' step and discrepancy, (M,)."""
-    r = found.residual[j] - found.columns[j] @ found.step
-    return (r - found.joints[j].explained(data.features[j], r, found.ratio(j))) * (data.place[j] >= 0)
+    return _noise(data, j, found.joints[j], found.ratio(j), found.residual[j] - found.columns[j] @ found.step)
+
+
+def _noise(data: Data, j: int, one: Joint, rho: float, residual: np.ndarray) -> np.ndarray:
+    """A joint's residual (M,) without the mean of its discrepancy; 0 at rows that do not count."""
+    return (residual - one.explained(data.features[j], residual, rho)) * (data.place[j] >= 0)
 
 
 def _taken(data: Data, found: Posterior, j: int, root: np.ndarray) -> np.ndarray:

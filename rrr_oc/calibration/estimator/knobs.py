@@ -1,4 +1,4 @@
-"""The numbers, set by hand, that decide what an estimate takes for noise, for an imperfect law, and for an imperfect URDF."""
+"""The numbers, set by hand, that decide what an estimate takes for noise, for an imperfect law or URDF, and for told apart."""
 
 # Time over which a joint's noise stays alike [s]; doubled, slow disturbances are rather taken for noise.
 MEMORY = 0.5
@@ -14,3 +14,5 @@ MASS_ERROR = 0.03
 CENTRE_ERROR = 0.01
 # Share by which a link's inertia in the URDF may be wrong; doubled, laws of the acceleration are claimed later.
 INERTIA_ERROR = 0.05
+# χ² of the difference of recorded torques above which a recording tells two models apart; doubled, 7 standard deviations are asked for.
+DECISIVE = 25.0

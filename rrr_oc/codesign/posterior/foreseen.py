@@ -8,6 +8,9 @@ import casadi as ca
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.estimator.data import EVERY
+from rrr_oc.calibration.estimator.knobs import DECISIVE
+from rrr_oc.calibration.samples import STRIDE
 from rrr_oc.codesign.design_file import Foreseen, typed
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SampledMotion
@@ -22,8 +25,6 @@ from rrr_oc.recordings.recording import Recording
 
 UNEXPLAINED = "with the torques on its links that no effect explains"
 CENTRAL = (0.025, 0.975)  # quantiles of the draws that are the ends of a range
-DECISIVE = 25.0  # χ² of the difference of recorded torques above which a recording tells two models apart
-SPACING = 0.08  # [s] between rows that count as independent
 WIDE = 1.5  # upper over lower end of a range from which a recording is named; doubled, only ranges of three times are wide
 
 
@@ -84,14 +85,14 @@ def _widest(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
 
 
 def _told_apart(one: CalibratedModel, other: CalibratedModel, phases: Sequence[Motion]) -> bool:
-    """Whether recorded torques tell two models apart, by more than their noise, when the phases of a motion are recorded."""
+    """Whether recorded torques tell two models apart, by more than noise at the rows of a fit, when the phases of a motion are recorded."""
     apart = 0.0
     for phase in phases:
         recording = Recording.planned("designed", phase)
         change = (one.output_torque(recording) - other.output_torque(recording)) / np.where(one.noise > 0, one.noise, 1.0)[
             :, None
         ]
-        apart += float(np.trapezoid(np.nansum(change**2, axis=0), phase.t)) / SPACING
+        apart += float(np.trapezoid(np.nansum(change**2, axis=0), phase.t)) / (STRIDE * EVERY)
     return apart > DECISIVE
 
 
