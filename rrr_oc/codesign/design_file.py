@@ -295,6 +295,34 @@ class Compromise(Struct, frozen=True, forbid_unknown_fields=True):
     springs: dict[str, float]
 
 
+class Balancing(Struct, frozen=True, forbid_unknown_fields=True):
+    """Springs of the same kinds that balance the arm at rest, and the best motion that was found for them.
+
+    Attributes:
+        springs: By a designer's names, in SI units and radians.
+        cost: In the cost's unit.
+        cycle_s: Duration of both phases together.
+    """
+
+    springs: dict[str, float]
+    cost: float
+    cycle_s: float
+
+
+class AtCycleTime(Struct, frozen=True, forbid_unknown_fields=True):
+    """The least costs that were found where both phases together take a given time; null where no motion was found.
+
+    Attributes:
+        cycle_s: The time.
+        cost: Of springs that are designed for it, in the cost's unit.
+        balancing: Of the springs that balance the arm at rest.
+    """
+
+    cycle_s: float
+    cost: float | None
+    balancing: float | None
+
+
 class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The best springs of one configuration and the motions for them.
 
@@ -316,6 +344,9 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         catalogue: How the catalogue was searched; null for springs that are made.
         not_bought: Why no choice of the catalogue could be solved; null otherwise.
         published_springs: Cost with the hardware that was published for the task, motion re-optimised; null where there is none.
+        balancing: Springs that balance the arm at rest, to compare with; null where there are none, and where several tasks share the
+            springs.
+        at_cycle_times: The configuration at cycle times that all configurations have in common.
         interrupted: Whether the search was ended before all starts were made.
         wall_s: Wall time.
     """
@@ -336,6 +367,8 @@ class Configuration(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     catalogue: Bought | None = None
     not_bought: str | None = None
     published_springs: float | None = None
+    balancing: Balancing | None = None
+    at_cycle_times: tuple[AtCycleTime, ...] = ()
     interrupted: bool = False
     wall_s: float
 
@@ -374,6 +407,7 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
         weight: Factor on its cost [1].
         payload_kg: What it carries from start to release.
         duration_s: Least and greatest duration of each phase.
+        cycle_s: Least and greatest duration of both phases together; null where only `duration_s` bounds it.
         start: Angles by joint where the arm takes the payload [rad].
         release: Angles by joint where it lets it go [rad].
         speeds: Whether the arm is at rest, moving or free at start and release.
@@ -384,6 +418,7 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
     weight: float
     payload_kg: float
     duration_s: tuple[float, float]
+    cycle_s: tuple[float, float] | None
     start: dict[str, float]
     release: dict[str, float]
     speeds: dict[str, str]

@@ -13,7 +13,7 @@ from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Bounded, Guess, Link, Phase, Problem
+from rrr_oc.optimal_control.problem import Bounded, Cycle, Guess, Link, Phase, Problem
 from rrr_oc.robot.drives import Actuators
 
 COSTS = ("load", "motor", "energy")
@@ -173,6 +173,7 @@ class CoDesign:
             cost_scale=self._holding_cost(),
             groups=(0,) * self.costs,
             links=tuple(Link(1 - i, i, speeds) for i, speed in enumerate(self.task.speeds) if speed == "moving"),
+            cycles=() if self.task.cycle is None else (Cycle(tuple(range(len(PHASES))), self.task.cycle),),
         )
 
     def _phase(self, index: int) -> Phase:

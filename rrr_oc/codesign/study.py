@@ -43,6 +43,7 @@ from rrr_oc.codesign.posterior.foreseen import foreseen
 from rrr_oc.codesign.posterior.members import Member, members
 from rrr_oc.codesign.posterior.scenarios import Over, over_members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
+from rrr_oc.codesign.search.comparisons import at_cycle_times, balancing_springs, cycle_times
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, layers, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -60,7 +61,7 @@ from rrr_oc.codesign.transfer import (
 )
 from rrr_oc.effects import Clutched
 from rrr_oc.errors import UserError
-from rrr_oc.kept import Listener, kept_motion, once, save, taken
+from rrr_oc.kept import Keeping, Listener, kept_motion, once, save, taken
 from rrr_oc.model.metrics import measure
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Solution, SolverFailure
@@ -90,6 +91,7 @@ class Request:
         front: Number of optima between that of a set of tasks and that of its first task.
         price: Of a spring, in the unit of the objective; None if all offered springs are used.
         over: Whether the cost on the calibrated arm is minimised, or the "mean" or the "worst" over the members of its posterior.
+        cycle_times: At which all configurations of a task are compared [s]; () for none, None for those of their optima.
     """
 
     task: str
@@ -104,6 +106,7 @@ class Request:
     front: int = 0
     price: float | None = None
     over: Over = "calibrated"
+    cycle_times: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.configurations == ():
@@ -208,7 +211,11 @@ class Study:
                 found[key] = result
                 yield key, result
         if self.single and "SA" in found:
-            yield from _with_idle_motion(self, found).items()
+            better = _with_idle_motion(self, found)
+            found |= better
+            yield from better.items()
+        if self.single and self.request.price is None:
+            yield from _beside_others(self, found).items()
 
 
 def files_of(name: str, tasks: int) -> list[str]:
@@ -273,6 +280,10 @@ def _check_combined(request: Request, tasks: TaskSet) -> None:
     several, worst = len(tasks.tasks) > 1, tasks.objective != "sum"
     if request.front and not several:
         raise UserError(f"--front is {request.front}; it needs a set of tasks, and {request.task} is a task")
+    if several and request.cycle_times:
+        raise UserError(f"--cycle-times compares designs of one task; {request.task} is a set of {len(tasks.tasks)}")
+    if not several:
+        _check_cycle_times(request.cycle_times or (), tasks.first)
     if request.front and worst:
         raise UserError(f"--front needs a set whose objective is 'sum'; that of {tasks.name!r} is {tasks.objective!r}")
     if request.price is None:
@@ -282,6 +293,17 @@ def _check_combined(request: Request, tasks: TaskSet) -> None:
     if worst or tasks.payload or tasks.model:
         found = f"the objective {tasks.objective!r}" if worst else "something uncertain"
         raise UserError(f"--price needs a set whose objective is 'sum', without 'uncertain'; {tasks.name!r} has {found}")
+
+
+def _check_cycle_times(times: Sequence[float], task: Task) -> None:
+    """Raise `UserError` for a cycle time that the task does not allow."""
+    least, most = (len(PHASES) * bound for bound in task.duration)
+    if task.cycle is not None:
+        least, most = max(least, task.cycle[0]), min(most, task.cycle[1])
+    for seconds in times:
+        if not least <= seconds <= most:
+            allowed = f"{least:g} … {most:g} s for both ways together"
+            raise UserError(f"--cycle-times has {seconds:g} s; task {task.name!r} allows {allowed}")
 
 
 def _check_clutches(tasks: TaskSet, name: str) -> None:
@@ -379,6 +401,67 @@ def _with_idle_motion(study: Study, found: dict[str, Configuration]) -> dict[str
     better = msgspec.structs.replace(better, optima=stiff.optima, layers=stiff.layers, covered=stiff.covered)
     save(study, "SA", data(better), ["SA"])
     return {"SA": _compared(study, "SA", design, better)}
+
+
+def _beside_others(study: Study, found: Mapping[str, Configuration]) -> dict[str, Configuration]:
+    """The configurations with springs that balance the arm at rest, and at equal cycle times; starred designs are left out."""
+    own = {name: c for name, c in found.items() if name in study.designs and not c.interrupted}
+    asked = study.request.cycle_times
+    run = Keeping(study.out, study.asked | {"configurations": list(own), "cycle times": asked}, study.listener)
+    make = partial(_compared_at_times, study, own)
+    made = once(run, "equal cycle times", make, files=()) if own and asked != () else {}
+    return {name: typed(data(own[name]) | more, Configuration) for name, more in made.items()}
+
+
+def _compared_at_times(study: Study, own: Mapping[str, Configuration]) -> dict[str, Any]:
+    """`balancing` and `at_cycle_times` of each configuration."""
+    made, inner, options = {}, [], study.options
+    solved = {name: _saved_optimum(study, name, c) for name, c in own.items()}
+    took = {name: float(solution.durations.sum()) for name, (_, solution) in solved.items()}
+    asked, best = study.request.cycle_times, min(own, key=lambda name: own[name].cost)
+    times = cycle_times(took.get("SA"), took[best]) if asked is None else tuple(sorted(set(asked)))
+    with study.listener.count("equal cycle times", len(own)) as count:
+        for name, (design, solution) in solved.items():
+            costs = at_cycle_times(design, solution, times, inner, options)
+            inner.append((design, costs))
+            balancing, others = _balancing(study, name, design), dict[float, Solution]()
+            if balancing is not None:
+                held, best = balancing
+                others = at_cycle_times(held, best, times, [(design, costs)], options)
+                best = _from_times(held, best, others, options)
+                told = {"springs": held.hardware(best.parameters), "cost": best.cost, "cycle_s": float(best.durations.sum())}
+                made[name] = {"balancing": told}
+            rows = [[time, *(of[time].cost if time in of else None for of in (costs, others))] for time in times]
+            keys = ("cycle_s", "cost", "balancing")
+            made[name] = made.get(name, {}) | {"at_cycle_times": [dict(zip(keys, row, strict=True)) for row in rows]}
+            count(len(made), "configurations")
+    return plain(made)
+
+
+def _saved_optimum(study: Study, name: str, found: Configuration) -> tuple[CoDesign, Solution]:
+    """The design of a configuration of one task with its springs as mounted, and the optimum that is kept."""
+    design = _chosen(study.designs[name], found).first
+    return design, restored(design, study.options, read_npz(kept_motion(study, name)))
+
+
+def _from_times(held: CoDesign, best: Solution, others: Mapping[float, Solution], options: SearchOptions) -> Solution:
+    """The cheaper of a solution and of the one near the best of those at given cycle times, where that is cheaper."""
+    cheapest = min(others.values(), key=lambda solution: solution.cost, default=best)
+    found = continue_from([(held, cheapest.guess())], options) if cheapest.cost < best.cost else []
+    return min([best, *(optimum.solution for _, optimum in found)], key=lambda solution: solution.cost)
+
+
+def _balancing(study: Study, name: str, design: CoDesign) -> tuple[CoDesign, Solution] | None:
+    """The design with its springs held as they balance the arm at rest, with its best motion; None where there is no such."""
+    springs = balancing_springs(design)
+    if springs is None:
+        return None
+    held = design.with_fixed(design.hardware(springs))
+    try:
+        return held, _moved_best(held, study.options)
+    except SolverFailure as failure:
+        study.listener.show(f"{name}: no motion was found with springs that balance the arm at rest: {failure}")
+        return None
 
 
 def _compared(study: Study, name: str, design: SetDesign, solved: Configuration) -> Configuration:
@@ -676,12 +759,16 @@ def _in_scenario(design: CoDesign, solution: Solution, motion: SampledMotion, in
 def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str, float]) -> dict[str, float | None]:
     """The cost of published springs on this model, motion and durations re-optimised; None where there are none, or no motion is
     found."""
-    options = study.options
     if not hardware:
         return {"cost": None}
-    few = replace(options, starts=max(4, options.starts // 4), kept=3, motions=0)
     try:
-        return {"cost": solve_multistart(design.with_fixed(hardware), few).whole().best.cost}
+        return {"cost": _moved_best(design.with_fixed(hardware), study.options).cost}
     except SolverFailure as failure:
         study.listener.show(f"{name}: no motion was found with the published springs: {failure}")
         return {"cost": None}
+
+
+def _moved_best(held: CoDesign, options: SearchOptions) -> Solution:
+    """The best motion for springs that are held; raises `SolverFailure` where none is found."""
+    few = replace(options, starts=max(4, options.starts // 4), kept=3, springs=1, rounds=1)
+    return solve_multistart(held, few).whole().best.solution

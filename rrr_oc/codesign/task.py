@@ -98,6 +98,7 @@ class TaskFile(Schema, frozen=True):
         payload_kg: Mass that it carries from start to release.
         duration_s: Least and greatest duration of each way, above 0.
         limits: Limits by moving joint.
+        cycle_s: Least and greatest duration of both ways together, above 0; by default what `duration_s` allows.
         name: Name in reports; by default the file's.
         gravity: Acceleration of gravity in the base frame [m/s²]. Default: the MJCF's; of a URDF [0, 0, -9.81].
         tool: Where the payload is held; by default the last link's tool frame.
@@ -117,6 +118,7 @@ class TaskFile(Schema, frozen=True):
     payload_kg: Payload
     duration_s: Interval
     limits: dict[str, Limits]
+    cycle_s: Interval | None = None
     name: Text | None = None
     gravity: Vector | None = None
     tool: Tool | None = None
@@ -130,6 +132,10 @@ class TaskFile(Schema, frozen=True):
         check_interval("duration_s", self.duration_s)
         if not self.duration_s[0] > 0:
             raise ValueError(f"duration_s: found {list(self.duration_s)}; durations above 0 are required")
+        check_interval("cycle_s", self.cycle_s)
+        least, most = (2 * side for side in self.duration_s)
+        if self.cycle_s is not None and not (self.cycle_s[0] <= most and self.cycle_s[1] >= least):
+            raise ValueError(f"cycle_s: found {list(self.cycle_s)}; two ways of duration_s take {least:g} … {most:g} s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +158,7 @@ class Task:
         springs: The springs that a design may use, as in the file, with the rows of tables that stand in files of their own.
         locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
         speeds: Of the arm at start and release, as in the file.
+        cycle: Bounds of the duration of both phases together [s], if there are some beside theirs.
         files: The files that it was read from.
     """
 
@@ -172,6 +179,7 @@ class Task:
     springs: tuple[Mapping[str, Any], ...]
     locked: tuple[float, ...] = ()
     speeds: tuple[Speed, Speed] = ("rest", "rest")
+    cycle: Interval | None = None
     files: tuple[Path, ...] = ()
 
     @property
@@ -249,6 +257,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         springs=springs,
         locked=_locked(where, robot, given),
         speeds=(given.start.speed, given.release.speed),
+        cycle=given.cycle_s,
         files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
         **_limits(where, robot, given),
     )
@@ -295,12 +304,12 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
     ):
         lost = rests * speed / acceleration / 2 if rests and np.isfinite(acceleration) else 0.0  # time at less than full speed
         needed = way / speed + lost if not lost or way > speed * lost else np.sqrt(2 * rests * way / acceleration)
-        if needed > task.duration[1]:
-            raise UserError(
-                f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}° at "
-                f"{np.degrees(speed):.1f} °/s and {np.degrees(acceleration):.4g} °/s², and duration_s allows "
-                f"{task.duration[1]:g} s"
-            )
+        for ways, (_, most), key in ((1, task.duration, "duration_s"), (2, task.cycle or (0.0, np.inf), "cycle_s")):
+            if ways * needed > most:
+                raise UserError(
+                    f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}°{' each way' * (ways - 1)} "
+                    f"at {np.degrees(speed):.1f} °/s and {np.degrees(acceleration):.4g} °/s², and {key} allows {most:g} s"
+                )
     for end, q in (("start", task.start), ("release", task.release)):
         height = float(body.tool_height(task.full(q), task.tool, task.robot.gravity))
         if height < task.floor:

@@ -19,13 +19,22 @@ from rrr_oc.codesign.task import PRESETS
 from rrr_oc.codesign.task_sets.task_set import SETS
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import MOST, Jobs, Workers, check_apart, command_line
-from rrr_oc.errors import printable
+from rrr_oc.errors import UserError, printable
 from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.paper.published import published_springs
 from rrr_oc.report.design_report import CERTIFICATES
 from rrr_oc.report.study_files import FILES, write_study
 
 PROTOTYPES = "a JSON file, 'prototype' or 'none'; default: the prototype's for the bundled tasks, none for others"
+Front = Annotated[
+    int, typer.Option(min=0, max=MOST, help="of a set of tasks: optima between that of the set and that of its first task")
+]
+CycleTimes = Annotated[
+    str | None,
+    typer.Option(
+        help="comma-separated [s], at which all configurations of a task are compared, or 'none'; default: stiff's and the best one's"
+    ),
+]
 app = typer.Typer(add_completion=False)
 
 
@@ -59,12 +68,11 @@ def design(
             help=f"with --repaired, whose cost is minimised: {', '.join(get_args(Over))} of what recordings leave open"
         ),
     ] = "calibrated",
-    front: Annotated[
-        int, typer.Option(min=0, max=MOST, help="of a set of tasks: optima between that of the set and that of its first task")
-    ] = 0,
+    front: Front = 0,
     price: Annotated[
         float | None, typer.Option(help="of a spring, in the unit of the cost: only springs that are worth it are used")
     ] = None,
+    cycle_times: CycleTimes = None,
     intervals: Annotated[
         int,
         typer.Option(min=8, max=MOST, help="of a phase on the first fine mesh, which the tolerance refines; fewer are faster"),
@@ -84,8 +92,9 @@ def design(
     search = SearchOptions(starts=starts, seed=seed, motions=motions, refinement=Refinement(tolerance))
     search = replace(search, fine=intervals, coarse=intervals * search.coarse // search.fine)
     request = Request(
-        task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired, front, price, cast(Over, over)
-    )
+        task, out, _names(configurations), search, cost, actuators, catalogue, model, repaired, front, price, cast(Over, over),
+        _times(cycle_times),
+    )  # fmt: skip
     read = [Path(file) for file in (task, actuators, catalogue, model) if file is not None]
     check_apart(read, [out / name for name in FILES])
     with parallel.workers(jobs, workers):
@@ -94,6 +103,15 @@ def design(
 
 def _names(configurations: str | None) -> tuple[str, ...] | None:
     return None if configurations is None else tuple(name.strip() for name in configurations.split(",") if name.strip())
+
+
+def _times(cycle_times: str | None) -> tuple[float, ...] | None:
+    """The numbers of --cycle-times; raises `UserError` for what is none."""
+    names = () if cycle_times == "none" else _names(cycle_times)
+    try:
+        return None if names is None else tuple(float(name) for name in names)
+    except ValueError:
+        raise UserError(f"--cycle-times is {cycle_times!r}; numbers above 0 [s] or 'none' are allowed") from None
 
 
 def _run(study: Study, output: Output, command: str) -> None:

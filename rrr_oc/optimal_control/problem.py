@@ -103,6 +103,19 @@ class Link:
     states: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class Cycle:
+    """Phases whose durations together have bounds.
+
+    Attributes:
+        phases: Their indices.
+        duration: Least and greatest sum of their durations [s].
+    """
+
+    phases: tuple[int, ...]
+    duration: tuple[float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Minimise a cost: the integral of the cost rates, summed over the phases.
@@ -119,6 +132,7 @@ class Problem:
         cost_scale: Typical magnitude of the cost.
         groups: For each cost the index of its group.
         links: States that phases have in common.
+        cycles: Durations that phases have together.
     """
 
     phases: tuple[Phase, ...]
@@ -132,13 +146,14 @@ class Problem:
     cost_scale: float = 1.0
     groups: tuple[int, ...] = (0,)
     links: tuple[Link, ...] = ()
+    cycles: tuple[Cycle, ...] = ()
 
     @property
     def chains(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of the phases that links join, directly or through others; two chains share nothing but the parameters."""
+        """Indices of the phases that links and cycles join, directly or through others; two chains share nothing but the parameters."""
         chain = list(range(len(self.phases)))
-        for link in self.links:
-            joined = {chain[link.before], chain[link.after]}
+        for together in [*((link.before, link.after) for link in self.links), *(cycle.phases for cycle in self.cycles)]:
+            joined = {chain[i] for i in together}
             chain = [min(joined) if c in joined else c for c in chain]
         return tuple(tuple(i for i, c in enumerate(chain) if c == first) for first in sorted(set(chain)))
 
@@ -146,7 +161,11 @@ class Problem:
         """The problem of one chain, without the inequalities on the parameters."""
         own = [link for link in self.links if link.before in chain]
         links = tuple(Link(chain.index(link.before), chain.index(link.after), link.states) for link in own)
-        return replace(self, phases=tuple(self.phases[i] for i in chain), links=links, design=None, designs=())
+        cycles = tuple(
+            replace(c, phases=tuple(chain.index(i) for i in c.phases)) for c in self.cycles if set(c.phases) <= set(chain)
+        )
+        phases = tuple(self.phases[i] for i in chain)
+        return replace(self, phases=phases, links=links, cycles=cycles, design=None, designs=())
 
     def cost(self, costs: np.ndarray) -> float:
         """What is minimised, from the costs: the sum over the groups of the greatest in each."""
@@ -161,11 +180,20 @@ class Problem:
                 raise UserError(f"phase {phase.name!r} adds to cost {unknown[0]}; there are {len(self.groups)}, from 0")
         for link in self.links:
             self._check_link(link)
+        for cycle in self.cycles:
+            self._check_cycle(cycle)
         if np.shape(self.p_scale) != (len(self.parameters),):
             raise UserError(f"p_scale has shape {np.shape(self.p_scale)}, and there are {len(self.parameters)} parameters")
         _check_bounds("", "p", self.parameters, self.p_lower, self.p_upper)
         if self.design is not None and self.design.numel_out(0) != len(self.designs):
             raise UserError(f"design returns {self.design.numel_out(0)} inequalities, and there are {len(self.designs)} names")
+
+    def _check_cycle(self, cycle: Cycle) -> None:
+        if not cycle.phases or not all(0 <= i < len(self.phases) for i in cycle.phases):
+            raise UserError(f"a cycle has the phases {cycle.phases}; there are {len(self.phases)}, from 0")
+        least, most = (sum(self.phases[i].duration[side] for i in cycle.phases) for side in (0, 1))
+        if not cycle.duration[0] <= cycle.duration[1] or cycle.duration[1] < least or cycle.duration[0] > most:
+            raise UserError(f"a cycle takes {cycle.duration} s, and its phases {least:g} … {most:g} s")
 
     def _check_link(self, link: Link) -> None:
         for i in (link.before, link.after):

@@ -145,7 +145,8 @@ class Transcription:
 
     @cached_property
     def row_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of the constraints, phase by phase, then the design's, those of the links, of the phases' boundaries, and of the costs."""
+        """Bounds of the constraints, phase by phase, then the design's, those of the links, of the phases' boundaries,
+        of the cycles, and of the costs."""
         sides = [], []
         for phase, fractions in zip(self.problem.phases, self.mesh, strict=True):
             first, paths = self._defects(phase), len(phase.path)
@@ -155,8 +156,10 @@ class Transcription:
                     rows[first : first + paths, 1:] = none
                 side.append(rows.ravel(order="F"))
         designs, equal = len(self.problem.designs), len(self._linked[0]) + sum(len(names) for *_, names in self._boundaries)
-        least = np.r_[np.full(designs, -np.inf), np.zeros(equal), np.full(self.leveled, -np.inf)]
-        return np.concatenate([*sides[0], least]), np.concatenate([*sides[1], np.zeros(least.size)])
+        cycles = np.array([cycle.duration for cycle in self.problem.cycles], float).reshape(-1, 2).T
+        least = np.r_[np.full(designs, -np.inf), np.zeros(equal), cycles[0], np.full(self.leveled, -np.inf)]
+        most = np.r_[np.zeros(designs + equal), cycles[1], np.zeros(self.leveled)]
+        return np.concatenate([*sides[0], least]), np.concatenate([*sides[1], most])
 
     @cached_property
     def _linked(self) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +203,8 @@ class Transcription:
             for i in link.states
         ]
         bounded = [name for *_, names in self._boundaries for name in names]
-        names = [*self.problem.designs, *ends, *bounded, *(f"cost {k + 1}" for k in range(self.leveled))]
+        cycles = [f"duration of {' and '.join(phases[i].name for i in cycle.phases)}" for cycle in self.problem.cycles]
+        names = [*self.problem.designs, *ends, *bounded, *cycles, *(f"cost {k + 1}" for k in range(self.leveled))]
         return names[row - self.blocks[-1].rows.stop]
 
     @property
@@ -276,6 +280,7 @@ class Transcription:
         self._add_design(program)
         self._add_links(program)
         self._add_boundaries(program)
+        self._add_cycles(program)
         cost, gradient = self._objective(w, costs, gradients, program)
         total_rows, triu = self.row_bounds[0].size, hessian.matrix(self.size, self.size)
         g, jac = ca.vertcat(*rows), jacobian.matrix(total_rows, self.size)
@@ -332,6 +337,14 @@ class Transcription:
             own = ca.Function("boundary", [ca.vertcat(p, x), data], [boundary(x, p, of_phase)])
             self._add_rows(program, own, np.r_[:n_p, nodes], at)
             at += len(names)
+
+    def _add_cycles(self, program: _Program) -> None:
+        """Rows with the durations of cycles."""
+        at = self.row_bounds[0].size - self.leveled - len(self.problem.cycles)
+        for k, cycle in enumerate(self.problem.cycles):
+            own = [self.blocks[i].duration for i in cycle.phases]
+            program.rows.append(ca.sum1(program.value[own]))
+            program.jacobian.add(np.full(len(own), at + k), np.array(own), ca.MX(ca.DM(self.scale[own])))
 
     def _add_rows(self, program: _Program, function: ca.Function, indices: np.ndarray, at: int) -> None:
         """Rows from `at` on: a function of the variables at `indices`, in increasing order, in their own units, and of the data."""

@@ -37,6 +37,8 @@ def draw_all(folder: Path, tasks: Sequence[Task]) -> list[Path]:
         drawn["tasks"] = draw_tasks(study)
     if any(c.front for c in found.values()):
         drawn["front"] = draw_front(study)
+    if any(c.at_cycle_times for c in found.values()):
+        drawn["cycle_times"] = draw_cycle_times(study)
     if any(c.choice for c in found.values()):
         drawn["choice"] = draw_choice(study)
     return [save_figure(figure, folder / f"{name}.png") for name, figure in drawn.items()]
@@ -227,6 +229,30 @@ def draw_tasks(study: DesignFile) -> Any:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="upper center", ncols=3, fontsize=9, frameon=False, bbox_to_anchor=(0.5, 1.02))
     figure.tight_layout(rect=(0, 0, 1, 0.95))
+    return figure
+
+
+def draw_cycle_times(study: DesignFile) -> Any:
+    """The cost over the cycle time: of each configuration, and dashed of springs of the same kinds that balance the arm at rest."""
+    figure, axis = plt.subplots(figsize=(7, 4.6))
+    for i, (name, c) in enumerate((n, c) for n, c in study.configurations.items() if c.at_cycle_times):
+        colour = plt.cm.tab10(i % 10)
+        own = [(sum(c.first.durations.values()), c.cost)]
+        rows = [(at.cycle_s, at.cost) for at in c.at_cycle_times if at.cost is not None]
+        axis.plot(*zip(*sorted({*rows, *own}), strict=True), "o-", color=colour, lw=1.5, ms=4, label=name)
+        axis.plot(*own[0], "*", color=colour, ms=13)
+        held = [(at.cycle_s, at.balancing) for at in c.at_cycle_times if at.balancing is not None]
+        held += [(c.balancing.cycle_s, c.balancing.cost)] if c.balancing is not None else []
+        if held:
+            label = f"{name}, balanced at rest"
+            axis.plot(*zip(*sorted(set(held)), strict=True), "o--", color=colour, lw=1.2, ms=4, mfc="none", label=label)
+    axis.set_yscale("log")
+    axis.set_xlabel("cycle time, both phases together [s]")
+    axis.set_ylabel(study.quantity.title)
+    axis.grid(which="both", color="0.92", lw=0.6)
+    axis.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    figure.text(0.5, -0.02, "star: the optimum where the cycle time is free", ha="center", **FOOTER)
+    figure.tight_layout()
     return figure
 
 

@@ -17,6 +17,15 @@ FRONT = (
 )
 CASES = "The same springs and the same motion in every scenario; the {} of a task is its cost."
 FORESEEN = "The same springs and the same motion on every arm that the recordings behind the model allow."
+AT_TIMES = (
+    "Springs and motions where both phases together take a given time. The rows “balanced at rest” have springs of the same kinds that "
+    "leave the least torque where the arm stands still on the straight way between start and release, as they would be chosen without "
+    "an optimal motion; their motions are the best that were found."
+)
+AT_TIMES_NOTE = (
+    "In brackets the decrease against SA at the same time. The search at a given time goes from those of the optima from time to time, "
+    "and its optima are local ones."
+)
 LEFT_OPEN = (
     "A range holds 95 % of the draws from what is not known of the parameters and the links, of the calibrated model and of every other "
     "that the recordings do not tell from it."
@@ -38,8 +47,9 @@ def sections(study: DesignFile) -> list[Section]:
     moved = Part(figures=MOTION)
     made = [
         Section("Optima", tuple(_optima(study))),
+        Section("At equal cycle times", tuple(_at_times(study))),
         Section("The motion and what the springs do", (moved, *_pictures(study))),
-        Section("Hardware and durations", (_hardware(study),)),
+        Section("Hardware and durations", (_hardware(study), *_mounted(study))),
         Section("Which springs are worth their price", tuple(_choices(study))),
         Section("Between the set and its first task", tuple(_fronts(study))),
         Section("Scenarios", tuple(_scenarios(study))),
@@ -62,6 +72,12 @@ def _optima(study: DesignFile) -> Iterator[Part]:
             yield Part(f"Every task with {name}", table=tasks_table(study, c), of=name)
 
 
+def _at_times(study: DesignFile) -> Iterator[Part]:
+    table = cycle_times_table(study)
+    if table is not None:
+        yield Part(said=(AT_TIMES,), table=table, note=AT_TIMES_NOTE, figures=("cycle_times",))
+
+
 def _pictures(study: DesignFile) -> Iterator[Part]:
     """Where the page shows the arm."""
     for name in study.configurations if study.single else ():
@@ -75,6 +91,12 @@ def _hardware(study: DesignFile) -> Part:
         [f"{symbol}: {words}" for symbol, words in symbols] + ["t_go, t_return: durations with and without the payload."]
     )
     return Part(said=beside, table=hardware_table(study), note=note if symbols else "")
+
+
+def _mounted(study: DesignFile) -> Iterator[Part]:
+    for name, c in study.configurations.items():
+        if c.mounted and c.catalogue is None:
+            yield Part(f"How the springs of {name} are mounted", points=tuple(say.mounts(c)), of=name)
 
 
 def _choices(study: DesignFile) -> Iterator[Part]:
@@ -290,6 +312,34 @@ def layers_table(c: Configuration) -> Table:
         cells = [NONE if value is None else f"{value:.{n}f}" for value, n in numbers]  # none where all starts failed
         rows.append([name, str(layer.starts), str(layer.failed), *cells])
     return ["layer", "starts", "failed", "best proposal", "best after IPOPT", "median after IPOPT"], rows
+
+
+def cycle_times_table(study: DesignFile) -> Table | None:
+    """Costs at the optimum's own cycle time and at equal ones, also of springs that balance the arm; None where nothing was compared."""
+    found = {name: c for name, c in study.configurations.items() if c.at_cycle_times}
+    if not found:
+        return None
+    times = [at.cycle_s for at in next(iter(found.values())).at_cycle_times]
+    stiff = [at.cost for at in found["SA"].at_cycle_times] if "SA" in found else [None] * len(times)
+    rows = []
+    for name, c in found.items():
+        own = sum(c.first.durations.values())
+        rows.append(
+            [name, *_at_each(c.cost, own, [at.cost for at in c.at_cycle_times], [None if name == "SA" else s for s in stiff])]
+        )
+        if c.balancing is not None:
+            costs = [at.balancing for at in c.at_cycle_times]
+            rows.append([f"{name}, balanced at rest", *_at_each(c.balancing.cost, c.balancing.cycle_s, costs, stiff)])
+    return ["", "at its own cycle time", *(f"{seconds:.3g} s" for seconds in times)], rows
+
+
+def _at_each(cost: float, own: float, costs: Sequence[float | None], stiff: Sequence[float | None]) -> list[str]:
+    """A cost at its own cycle time [s], and those at others with their decrease against stiff actuation."""
+    cells = [f"{small_too(cost)} ({own:.2f} s)"]
+    for one, other in zip(costs, stiff, strict=True):
+        less = "" if one is None or other is None else f" ({100 * decrease(one, other):.1f} %)"
+        cells.append(NONE if one is None else small_too(one) + less)
+    return cells
 
 
 def front_table(points: Sequence[Compromise], study: DesignFile) -> Table:

@@ -110,7 +110,21 @@ def _gain(study: DesignFile, name: str) -> str:
     said = f"{quantity.name} is {_cost(c, quantity)}{what}"
     if stiff is None:
         return f"{said}, without stiff actuation among the configurations to compare it with"
-    return f"{said}, {100 * decrease(c.cost, stiff.cost):.1f} % less than the {_cost(stiff, quantity)} of stiff actuation"
+    said = f"{said}, {100 * decrease(c.cost, stiff.cost):.1f} % less than the {_cost(stiff, quantity)} of stiff actuation"
+    return said + _at_its_time(c, stiff)
+
+
+def _at_its_time(c: Configuration, stiff: Configuration) -> str:
+    """By how much a design is better than stiff actuation in the same cycle time; "" where that was not compared."""
+    own, other = (sum(one.first.durations.values()) for one in (c, stiff))
+    pairs = zip(c.at_cycle_times, stiff.at_cycle_times, strict=True)
+    shares = {a.cycle_s: 100 * decrease(a.cost, b.cost) for a, b in pairs if a.cost is not None and b.cost is not None}
+    if not shares:
+        return ""
+    times, (least, most) = list(shares), (min(shares.values()), max(shares.values()))
+    span = f"{times[0]:.3g} s" if len(times) == 1 else f"{times[0]:.3g} to {times[-1]:.3g} s"
+    said = f"{least:.1f} %" if most - least < 0.05 else f"{least:.1f} to {most:.1f} %"
+    return f", though in {own:.3g} s in the place of {other:.3g} s; where both take equally long, {span}, it is {said}"
 
 
 def _shared(study: DesignFile, c: Configuration) -> str:
@@ -155,6 +169,30 @@ def placed(label: str) -> str:
     """A spring's label in words: "parallel spring of joint2" for "parallel_spring[joint2]"."""
     name, _, joints = label.removesuffix("]").partition("[")
     return f"{words(name)} of {listed(joints.split(','))}"
+
+
+def mounts(c: Configuration) -> list[str]:
+    """How each spring of a design is mounted, so that it can be built: where it acts, and where it pulls; a sentence each."""
+    told = []
+    for label, ways in c.mounted.items():
+        joints = [joint_words(joint) for joint in label.removesuffix("]").partition("[")[2].split(",")]
+        said = [f"in the phase “{ways.get('phase')}” only"] * ("phase" in ways)
+        if "active" in ways:
+            sign, where = (1, "below") if ways["active"] == "below" else (-1, "above")
+            said.append(
+                f"where {joints[0]} is {where} the angle at which it is slack; there it turns {_turned(joints, [sign])}"
+            )
+        if "winding" in ways:
+            said.append(f"while its cable is taut; then it turns {_turned(joints, ways['winding'])}")
+        others = [f"with {words(key)} {value}" for key, value in ways.items() if key not in ("phase", "active", "winding")]
+        if said or others:
+            told.append(f"The {placed(label)} acts {', '.join([*said, *others])}.")
+    return told
+
+
+def _turned(joints: Sequence[str], signs: Sequence[int]) -> str:
+    towards = {1: "larger", -1: "smaller"}
+    return listed([f"{joint} towards {towards[sign]} angles" for joint, sign in zip(joints, signs, strict=True)])
 
 
 def bound(sentence: str) -> str:

@@ -25,7 +25,7 @@ from rrr_oc.storage import new_files, plain, write_csv, write_json, write_text
 
 COSTS = {"load": "load torque²", "motor": "motor torque²", "energy": "electrical energy"}  # in the summary
 QUANTITIES = {"load": "E1", "motor": "motor torque²", "energy": "energy"}  # names of the costs in tables and figures
-FIGURES = ("torques", "landscape", "trajectory_*", "arm_*", "tasks", "front", "choice")
+FIGURES = ("torques", "landscape", "trajectory_*", "arm_*", "tasks", "front", "choice", "cycle_times")
 FILES = ("summary.json", "report.md", "report.html", *(f"{name}.png" for name in FIGURES))
 PACKAGES = ("casadi", "pin", "mujoco", "numpy", "scipy", "cma")  # whose versions a result may depend on
 
@@ -89,6 +89,7 @@ def _asked(task: Task, weight: float) -> TaskAsked:
         "weight": weight,
         "payload_kg": task.payload,
         "duration_s": task.duration,
+        "cycle_s": task.cycle,
         "speeds": dict(zip(("start", "release"), task.speeds, strict=True)),
         "limits": {joint: dict(zip(keys, ([low, high], *others), strict=True)) for joint, low, high, *others in rows},
     }

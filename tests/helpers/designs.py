@@ -44,7 +44,7 @@ def design(cost: float, motions: dict[str, Moved] | None = None, **changes: Any)
 
 def of_task(name: str = "t") -> TaskAsked:
     """A task of this name."""
-    return TaskAsked(name, 1.0, 5.0, (1.0, 5.0), {"b": 0.0}, {"b": 1.0}, {"start": "rest", "release": "rest"}, {})
+    return TaskAsked(name, 1.0, 5.0, (1.0, 5.0), None, {"b": 0.0}, {"b": 1.0}, {"start": "rest", "release": "rest"}, {})
 
 
 def summary(**found: Configuration) -> DesignFile:

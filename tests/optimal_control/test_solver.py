@@ -9,7 +9,7 @@ import pytest
 from phases import changed, unbounded
 from scipy.integrate import solve_ivp
 
-from rrr_oc.optimal_control.problem import Bounded, Guess, Link, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Bounded, Cycle, Guess, Link, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import MeshError, Refinement, mesh_error, refine
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import Options, Solution, Solver, SolverFailure, solve
@@ -342,3 +342,22 @@ def test_a_cycle_at_the_natural_frequency_needs_no_push():
     rest = oscillator((), speed=0.0)
     assert rest.cost > 1
     np.testing.assert_allclose(rest.at(0, np.array([0.0, 1.0]))[0][1], 0, atol=1e-12)
+
+
+def test_phases_share_the_time_of_a_cycle():
+    """A mass m = 2 kg moved by a from rest to rest within T costs ∫ u² = 12 m² a² / T³. Within 3 s together, ways of 0.3 m and 1.2 m take
+    T ∝ √a, 1 s and 2 s; a tight bound of the first alone leaves the second the rest."""
+
+    def law(x, u, p, d):
+        return (x[1], u / 2), u**2, ()
+
+    ways, lines = (0.3, 1.2), []
+    for a in ways:
+        lines.append(PhaseGuess(1.2, lambda s, a=a: np.array([a * s, 0 * s]), lambda s: 0 * s[None]))
+    for longest, times in ((9.0, (1.0, 2.0)), (0.8, (0.8, 2.2))):
+        phases = tuple(phase(law, [0.0, 0.0], [a, 0.0], (0.1, most)) for a, most in zip(ways, (longest, 9.0), strict=True))
+        problem = Problem(phases, cycles=(Cycle((0, 1), (0.0, 3.0)),))
+        found = solve(problem, Guess(tuple(lines), np.zeros(0)), 4, scheme("lobatto", 4), TIGHT)
+        np.testing.assert_allclose(found.durations, times, rtol=1e-6)
+        cost = sum(12 * 4 * a**2 / T**3 for a, T in zip(ways, times, strict=True))
+        assert found.cost == pytest.approx(cost, rel=1e-6)

@@ -11,7 +11,7 @@ from phases import changed
 from scipy.interpolate import BPoly
 
 from rrr_oc.errors import UserError
-from rrr_oc.optimal_control.problem import Bounded, Guess, Link, Phase, PhaseGuess, Problem
+from rrr_oc.optimal_control.problem import Bounded, Cycle, Guess, Link, Phase, PhaseGuess, Problem
 from rrr_oc.optimal_control.refinement import mesh_error
 from rrr_oc.optimal_control.scheme import scheme, uniform_mesh
 from rrr_oc.optimal_control.solver import solve
@@ -147,6 +147,7 @@ def problem() -> Problem:
         designs=("product", "growth", "difference"),
         cost_scale=7.0,
         links=(Link(0, 1, (0, 1)), Link(1, 0, (1,))),
+        cycles=(Cycle((0, 1), (1.2, 2.9)), Cycle((1,), (0.1, 9.0))),
     )
 
 
@@ -199,10 +200,14 @@ def test_program_is_what_a_plain_loop_says(problem, method):
         (go[:2, -1] - back[:2, 0]) / problem.phases[0].x.scale,
         (back[1:2, -1] - go[1:2, 0]) / problem.phases[1].x.scale[1:2],
     ]
+    of_go, of_back = (value[block.duration] for block in t.blocks)
+    rows.append(np.array([of_go + of_back, of_back]))
     f, g = t.functions["nlp"](w, d)
     assert float(f) == pytest.approx(cost / problem.cost_scale, rel=1e-12)  # rounding of some hundred additions
     np.testing.assert_allclose(np.array(g).ravel(), np.concatenate(rows), atol=1e-12)
     assert len(t.row_bounds[0]) == g.numel()
+    np.testing.assert_array_equal(np.array(t.row_bounds)[:, -2:], [[1.2, 0.1], [2.9, 9.0]])
+    assert t.row_name(g.numel() - 2) == "duration of go and back"
 
 
 @each_scheme
@@ -320,9 +325,10 @@ def test_row_names_are_found_by_disturbing_rows(problem, method):
     w, d, _, _ = point(t)
     base = np.array(t.functions["nlp"](w, d)[1]).ravel()
     names = [t.row_name(row) for row in range(base.size)]
-    assert names[-6:-3] == ["product", "growth", "difference"]
-    assert names[-3:] == ["go x0 from 'go' to 'back'", "go x1 from 'go' to 'back'", "back x1 from 'back' to 'go'"]
-    np.testing.assert_array_equal(np.array(t.row_bounds)[:, -6:], [[-np.inf] * 3 + [0] * 3, [0] * 6])
+    assert names[-8:-5] == ["product", "growth", "difference"]
+    assert names[-5:-2] == ["go x0 from 'go' to 'back'", "go x1 from 'go' to 'back'", "back x1 from 'back' to 'go'"]
+    assert names[-2:] == ["duration of go and back", "duration of back"]
+    np.testing.assert_array_equal(np.array(t.row_bounds)[:, -8:-2], [[-np.inf] * 3 + [0] * 3, [0] * 6])
     for index, ph in enumerate(problem.phases):
         for output, words in ((0, [f"the motion of {s} " for s in ph.x.names]), (2, [f"{g} " for g in ph.path.names])):
             for row, name in enumerate(words):
@@ -348,7 +354,7 @@ def test_path_constraints_stand_once_at_every_point(problem, method):
     defects = [r for r in range(lower.size) if t.row_name(r).startswith("the motion")]
     assert not lower[defects].any()
     assert not upper[defects].any()
-    np.testing.assert_array_equal((lower[-6:-3], upper[-6:-3]), ([-np.inf] * 3, [0] * 3))
+    np.testing.assert_array_equal((lower[-8:-5], upper[-8:-5]), ([-np.inf] * 3, [0] * 3))
 
 
 def test_uniform_mesh(problem):
@@ -417,6 +423,14 @@ def test_chains_are_what_links_join():
     assert [ph.name for ph in alone.phases] == ["0", "1", "3"]
     assert alone.links == (Link(2, 1, (0,)), Link(0, 2, (1,)))
     assert linked.alone((4,)).links == (Link(0, 0, (1,)),)
+    timed = replace(linked, cycles=(Cycle((2, 3), (1.0, 2.0)),))
+    assert timed.chains == ((0, 1, 2, 3), (4,))
+    assert timed.alone((0, 1, 2, 3)).cycles == timed.cycles
+    assert timed.alone((4,)).cycles == ()
+    with pytest.raises(UserError, match=r"a cycle has the phases \(5,\); there are 5, from 0"):
+        replace(p, cycles=(Cycle((5,), (1.0, 2.0)),))
+    with pytest.raises(UserError, match="a cycle takes"):
+        replace(p, cycles=(Cycle((0, 1), (1e4, 2e4)),))
     with pytest.raises(UserError, match="a link names phase 5; there are 5, from 0"):
         replace(p, links=(Link(0, 5, (0,)),))
     with pytest.raises(UserError, match="a link names state 2 of phase '0', which has 2"):

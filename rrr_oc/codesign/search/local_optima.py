@@ -138,11 +138,12 @@ def leave_saddle(solver: Solver, solution: Solution, rounds: int = 3) -> Solutio
 
 def refined(design: Solvable, options: SearchOptions, optima: list[Optimum]) -> list[Optimum]:
     """Optima refined to the mesh tolerance, in parallel; one that is lost on a finer mesh stays as it was, with its error."""
-    found = ordered(_refine, [(design, options, o) for o in optima])
+    found = ordered(refined_alone, [(design, options, o) for o in optima])
     return [attached(design, options, o) for o in found]
 
 
-def _refine(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optimum:
+def refined_alone(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optimum:
+    """An optimum refined to the mesh tolerance, with the problem of this process; one that is lost on a finer mesh as it was."""
     try:
         solution, rows = refine(attached(design, options, optimum).solution, options.refinement)
         left = leave_saddle(Solver(solution.transcription, Options(barrier=1e-6)), solution)

@@ -257,7 +257,13 @@ class SetDesign:
             for t, design in enumerate(self.designs)
             for link in design.problem.links
         )
-        return replace(alone, phases=phases, links=links, data=self.data(), design=exists, cost_scale=scale, groups=groups)
+        cycles = tuple(
+            replace(cycle, phases=tuple(len(PHASES) * t + i for i in cycle.phases))
+            for t, design in enumerate(self.designs)
+            for cycle in design.problem.cycles
+        )
+        joint = replace(alone, phases=phases, links=links, cycles=cycles, groups=groups)
+        return replace(joint, data=self.data(), design=exists, cost_scale=scale)
 
     def total(self, costs: Sequence[float] | np.ndarray) -> float:
         """The objective from the tasks' costs (T,)."""

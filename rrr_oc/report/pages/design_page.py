@@ -88,6 +88,8 @@ def _of_costs(study: DesignFile) -> list[tuple[Figure, dict[str, dict[str, list[
         made.append((_tasks(study), {name: _costs(c) for name, c in found.items()}))
     if any(c.choice for c in found.values()):
         made.append((_choice(found, study.quantity), {name: _choices(c) for name, c in found.items()}))
+    if any(c.at_cycle_times for c in found.values()):
+        made.append((_cycle_times(found, study.quantity), {name: _times(found, name) for name in found}))
     if any(c.front for c in found.values()):
         made.append((_front(found, study.quantity), {name: _points(c) for name, c in found.items()}))
     return made
@@ -134,6 +136,35 @@ def _choice(found: say.Found, quantity: Quantity) -> Figure:
     captions = {name: said if c.choice else "This configuration offers no springs." for name, c in found.items()}
     layout = {"xaxis": {"dtick": 1}, "yaxis": {"type": "log"}}
     return Figure("choice", "The cost for each number", "choice", ("configuration",), axes, curves, captions, layout)
+
+
+def _times(found: say.Found, name: str) -> dict[str, list[Any]]:
+    c, stiff = found[name], found.get("SA")
+    rows = {"time": [at.cycle_s for at in c.at_cycle_times], "cost": [at.cost for at in c.at_cycle_times]}
+    if c.balancing is not None:
+        rows["balancing"] = [at.balancing for at in c.at_cycle_times]
+    if stiff is not None and name != "SA" and c.at_cycle_times:
+        rows["stiff"] = [at.cost for at in stiff.at_cycle_times]
+    return columns({key: np.array(values, float) for key, values in rows.items()})
+
+
+def _cycle_times(found: say.Found, quantity: Quantity) -> Figure:
+    curves = [
+        Curve("time", key, role, label, mode, width)
+        for key, role, label in (
+            ("stiff", "needed", "stiff actuation"),
+            ("balancing", "spring", "springs that balance the arm at rest"),
+            ("cost", "load", "designed springs"),
+        )
+        for mode, width in (("lines", 2.0), ("markers", 8))
+    ]
+    said = "What is needed where both phases together take the same time."
+    captions = {name: said if c.at_cycle_times else "This configuration was not compared." for name, c in found.items()}
+    axes = ("cycle time [s]", quantity.title)
+    layout = {"yaxis": {"type": "log"}}
+    return Figure(
+        "cycle_times", "The cost over the cycle time", "cycle_times", ("configuration",), axes, tuple(curves), captions, layout
+    )
 
 
 def _points(c: Configuration) -> dict[str, list[Any]]:

@@ -1,0 +1,129 @@
+"""What designs are compared with: springs that balance the arm at rest, and every design at equal cycle times."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.optimum import embedded
+from rrr_oc.codesign.search.local_optima import Optimum, attached, follow_to_fine_mesh, refined_alone
+from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
+from rrr_oc.codesign.springs import drawn_bounds, from_drawn
+from rrr_oc.codesign.task import PHASES
+from rrr_oc.optimal_control.problem import Guess, PhaseGuess
+from rrr_oc.optimal_control.solver import Solution
+from rrr_oc.parallel import ordered
+
+POSTURES = 41  # on the way, in which springs balance the arm; doubled, nothing changes
+TRIED = 32  # springs from which the balance is sought; doubled, slower and surer
+SAME = 0.02  # [1] by which cycle times differ to be others; doubled, two columns say less often the same
+EQUAL = 1e-3  # [1] to which cycle times are equal; with less, IPOPT has no room where the time is the shortest possible
+
+
+def balancing_springs(design: CoDesign) -> np.ndarray | None:
+    """Parameters (np,) of the springs that leave the least mean squared torque where the arm stands still: in postures on the straight
+    way of the joints from start to release, with the payload of each phase. None where there are no springs, or some stand between
+    drives and links, which balance nothing."""
+    if all(spring.known for spring in design.springs) or design.series.rows:
+        return None
+    task, (low, high) = design.task, drawn_bounds(design.springs)
+    way = task.start[:, None] + (task.release - task.start)[:, None] * np.linspace(0, 1, POSTURES)
+    free, still, torques = low < high, np.zeros_like(way), design.torques.map(POSTURES)
+
+    def parameters(x: np.ndarray) -> np.ndarray:
+        drawn = low.copy()
+        drawn[free] += (high - low)[free] * x
+        return from_drawn(design.springs, drawn)
+
+    def left(x: np.ndarray) -> np.ndarray:
+        theta = parameters(x)
+        held = [
+            torques(way, still, still, payload, design.engaged(i, theta), design.model.widths)[0]
+            for i, payload in enumerate(task.payloads)
+        ]
+        return np.array(held).ravel()
+
+    starts = sobol_points(int(free.sum()), TRIED, 0)
+    fits = [least_squares(left, 0.01 + 0.98 * start, bounds=(0, 1)) for start in starts]
+    return parameters(min(fits, key=lambda fit: fit.cost).x)
+
+
+def cycle_times(stiff: float | None, best: float) -> tuple[float, ...]:
+    """The times at which designs are compared where none are asked for [s]: those of stiff actuation and of the best design."""
+    if stiff is None or abs(best / stiff - 1) < SAME:
+        return (best,)
+    return min(stiff, best), max(stiff, best)
+
+
+def at_cycle_times(
+    design: CoDesign,
+    solution: Solution,
+    times: Sequence[float],
+    inner: Sequence[tuple[CoDesign, Mapping[float, Solution]]],
+    options: SearchOptions,
+) -> dict[float, Solution]:
+    """The best springs and motions that are found at each of some cycle times [s], refined; times at which none is found are missing.
+
+    The search goes from time to time, away from that of an optimum and back again.
+
+    Args:
+        inner: Designs with fewer springs or none, with what was found for these; springs that do nothing are where a search starts, too.
+    """
+    own, narrow = float(solution.durations.sum()), replace(options, width=options.widths[-1], widths=())
+    found = {time: Optimum(solution, []) for time in times if time == own}
+
+    def tried(time: float, guesses: Sequence[Guess], widths: SearchOptions) -> None:
+        if time == own:
+            return
+        calls = [(_taking(design, time), widths, guess) for guess in guesses]
+        some = [o for o in (found.get(time), *ordered(follow_to_fine_mesh, calls)) if o is not None]
+        if some:
+            found[time] = min(some, key=lambda o: o.cost)
+
+    later, earlier = sorted(t for t in times if t >= own), sorted((t for t in times if t < own), reverse=True)
+    for side in (later, earlier):
+        before = solution
+        for time in side:
+            there = _taking(design, time)
+            others = [embedded(of[time], one, there) for one, of in inner if time in of]
+            tried(time, [*stretched(design, before, time), *(guess for guess in others if guess is not None)], options)
+            before = found[time].solution if time in found else before
+    order = [*reversed(earlier), *later]
+    for path in (order[::-1], order):
+        for before, time in pairwise(path):
+            if before in found:
+                tried(time, stretched(design, found[before].solution, time)[:1], narrow)
+    coarse = {time: o for time, o in found.items() if time != own}
+    calls = [(_taking(design, time), options, o) for time, o in coarse.items()]
+    refined = zip(coarse, calls, ordered(refined_alone, calls), strict=True)
+    return {time: o.solution for time, o in found.items()} | {
+        time: attached(one, options, o).solution for time, (one, _, _), o in refined
+    }
+
+
+def _taking(design: CoDesign, seconds: float) -> CoDesign:
+    """The same design with a given cycle time [s], to `EQUAL`."""
+    return replace(design, task=replace(design.task, cycle=((1 - EQUAL) * seconds, (1 + EQUAL) * seconds)))
+
+
+def stretched(design: CoDesign, solution: Solution, seconds: float) -> list[Guess]:
+    """A solution run through in another time [s]: both phases by the same factor, and each alone as far as its bounds allow."""
+    now, (shortest, longest) = solution.durations, design.task.duration
+    guess, made = solution.guess(), []
+    for stretched in (np.arange(len(PHASES)), *([i] for i in range(len(PHASES)))):
+        durations = now.copy()
+        rest = seconds - now.sum() + now[stretched].sum()
+        durations[stretched] = np.clip(now[stretched] * rest / now[stretched].sum(), shortest, longest)
+        phases = tuple(_faster(design, phase, float(T)) for phase, T in zip(guess.phases, durations, strict=True))
+        made.append(Guess(phases, guess.parameters))
+    return made
+
+
+def _faster(design: CoDesign, phase: PhaseGuess, duration: float) -> PhaseGuess:
+    """The motion of a phase run through in another duration [s]."""
+    m, e, factor = len(design.task.moving), len(design.series.rows), phase.duration / duration
+    rates = np.r_[np.ones(m), np.full(m, factor), np.ones(e), np.full(e, factor)][:, None]
+    return PhaseGuess(duration, lambda s: rates * phase.states(s), lambda s: factor**2 * phase.controls(s))
