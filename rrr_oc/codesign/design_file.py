@@ -203,6 +203,8 @@ class Moved(Metrics, frozen=True, kw_only=True):
         with_first: The cost with the springs tuned to the first task, and the best motion for these.
         springs_alone: Springs of its own, by a designer's names, in SI units and radians.
         durations: Of each phase [s].
+        start: Angles by joint where the arm takes the payload [rad].
+        release: Angles by joint where it lets it go [rad].
         lowest_tool_m: Height of the lowest point of the tool above the base.
         idle: Springs that do nothing along the motion, by label, and why.
         beyond: Springs that the motion turns further than their law is known, by label, and how far.
@@ -220,6 +222,8 @@ class Moved(Metrics, frozen=True, kw_only=True):
     with_first: float
     springs_alone: dict[str, float]
     durations: dict[str, float]
+    start: dict[str, float]
+    release: dict[str, float]
     lowest_tool_m: float
     idle: dict[str, str]
     beyond: dict[str, str]
@@ -408,8 +412,8 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
         payload_kg: What it carries from start to release.
         duration_s: Least and greatest duration of each phase.
         cycle_s: Least and greatest duration of both phases together; null where only `duration_s` bounds it.
-        start: Angles by joint where the arm takes the payload [rad].
-        release: Angles by joint where it lets it go [rad].
+        start: Angles by joint where the arm takes the payload [rad]; null where the posture is free.
+        release: Angles by joint where it lets it go [rad]; null where the posture is free.
         speeds: Whether the arm is at rest, moving or free at start and release.
         limits: Of the moving joints, by name.
     """
@@ -419,8 +423,8 @@ class TaskAsked(Struct, frozen=True, forbid_unknown_fields=True):
     payload_kg: float
     duration_s: tuple[float, float]
     cycle_s: tuple[float, float] | None
-    start: dict[str, float]
-    release: dict[str, float]
+    start: dict[str, float] | None
+    release: dict[str, float] | None
     speeds: dict[str, str]
     limits: dict[str, Limits]
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import get_args
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,7 @@ from rrr_oc.codesign.task import PHASES, Task
 from rrr_oc.effects import Clutched, Effect
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
-from rrr_oc.optimal_control.problem import Bounded, Cycle, Guess, Link, Phase, Problem
+from rrr_oc.optimal_control.problem import Boundary, Bounded, Cycle, Guess, Link, Phase, Problem, Side
 from rrr_oc.robot.drives import Actuators
 
 COSTS = ("load", "motor", "energy")
@@ -152,15 +153,14 @@ class CoDesign:
         """The optimal-control problem: states q, dq of the moving joints, controls their accelerations; with springs between drives
         and links as `SeriesElastic` says.
 
-        Phase i starts at the task's end i; where the arm moves there, its speed is that at the end of the other phase. Springs
+        Phase i starts at the task's end i; where the arm moves there, its speed is that at the end of the other phase, and where its
+        posture is free, so are its angles. Springs
         between drives and links hold the arm still at both ends, with the payload of the phase.
         """
         lower = np.concatenate([np.zeros(0), *[s.lower for s in self.springs]])
         upper = np.concatenate([np.zeros(0), *[s.upper for s in self.springs]])
         labels = [(f"{'known ' if s.known else ''}{self.model.label(s.effect)}", s.effect.parameters) for s in self.springs]
         design, designs = self._design()
-        m = len(self.task.moving)
-        speeds = tuple(range(m, 2 * m))
         return Problem(
             phases=tuple(self._phase(i) for i in range(len(PHASES))),
             parameters=tuple(f"{label}.{p.name}" for label, parameters in labels for p in parameters),
@@ -172,16 +172,31 @@ class CoDesign:
             designs=designs,
             cost_scale=self._holding_cost(),
             groups=(0,) * self.costs,
-            links=tuple(Link(1 - i, i, speeds) for i, speed in enumerate(self.task.speeds) if speed == "moving"),
+            links=self._links(),
             cycles=() if self.task.cycle is None else (Cycle(tuple(range(len(PHASES))), self.task.cycle),),
         )
+
+    def _links(self) -> tuple[Link, ...]:
+        """What the phases have in common where the arm moves on, and where its posture is free: speeds and angles at the task's ends."""
+        m, made = len(self.task.moving), []
+        for i, (speed, goal) in enumerate(zip(self.task.speeds, self.task.goals, strict=True)):
+            states = tuple(range(m)) * (goal is not None) + tuple(range(m, 2 * m)) * (speed == "moving")
+            made += [Link(1 - i, i, states)] * bool(states)
+        return tuple(made)
 
     def _phase(self, index: int) -> Phase:
         task, m, series = self.task, len(self.task.moving), self.series
         own, torque = list(series.rows), np.sqrt(10 * self._holding_cost() / (4 * m))
         e, ends = len(own), zip(task.ends(index), task.speeds[:: 1 if index == 0 else -1], strict=True)
+        goals = self.task.goals[:: 1 if index == 0 else -1]
         start, end = (
-            np.r_[angles, np.full(m, 0.0 if speed == "rest" else np.nan), [np.nan] * e, np.zeros(e)] for angles, speed in ends
+            np.r_[
+                angles if goal is None else np.full(m, np.nan),
+                np.full(m, 0.0 if speed == "rest" else np.nan),
+                [np.nan] * e,
+                np.zeros(e),
+            ]
+            for (angles, speed), goal in zip(ends, goals, strict=True)
         )
         speed = np.where(np.isfinite(task.speed), task.speed, np.pi)
         of_links, free = task.speed.copy(), np.full(e, np.inf)
@@ -218,9 +233,24 @@ class CoDesign:
                 np.ones(bounded + floor),
             ),
             costs=tuple(range(self.costs)),
-            boundary=self._held_by_springs(index, torque) if e else None,
-            boundaries=tuple(springs),
+            boundaries=self._boundaries(index, torque, tuple(springs)),
         )
+
+    def _boundaries(self, index: int, unit: float, springs: tuple[str, ...]) -> tuple[Boundary, ...]:
+        """At both ends of a phase the springs in series hold the arm, over a unit of torque; the tool is where the task wants it, a
+        condition of the first phase alone, as the other begins and ends in the same postures."""
+        made, sides = list[Boundary](), get_args(Side)
+        if springs:
+            held = self._held_by_springs(index, unit)
+            made += [Boundary(side, held, springs) for side in sides]
+        for side, goal in zip(sides, self.task.goals, strict=True):
+            if goal is not None and index == 0:
+                x, p, d = (ca.SX.sym(name, size) for name, size in self._sizes.items() if name != "u")
+                q = self._all_joints(x[: len(self.task.moving)], self.task.locked)
+                there = goal.equalities(self.model.body, self.task.tool, q)
+                names = tuple(f"place of the tool, direction {k + 1}" for k in range(there.numel()))
+                made.append(Boundary(side, ca.Function("place", [x, p, d], [there]), names))
+        return tuple(made)
 
     def _held_by_springs(self, index: int, unit: float) -> ca.Function:
         """(x, p, d) -> torque of the springs in series less what holds the arm still, over a unit (e,)."""

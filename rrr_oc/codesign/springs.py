@@ -161,6 +161,8 @@ def _with_energy(task: Task, ways: list[SpringBounds]) -> list[SpringBounds]:
     for way in ways:
         try:
             if isinstance(way.effect, Clutched):
+                if any(task.goals):
+                    raise UserError('its clutch needs postures that are known: "posture": "held", or angles_deg')
                 lower, upper = way.effect.kept_energy(way.lower, way.upper, ends)
                 way = replace(way, lower=lower, upper=upper)
             kept.append(way)

@@ -719,6 +719,8 @@ def _moved(
     found = describe(held, motion.metrics()) | {
         "cost": solution.cost,
         "durations": dict(zip(PHASES, solution.durations.tolist(), strict=True)),
+        "start": dict(zip(held.task.joints, motion.q[:, 0].tolist(), strict=True)),
+        "release": dict(zip(held.task.joints, motion.q[:, motion.segments[0].stop - 1].tolist(), strict=True)),
         "lowest_tool_m": min(float(held.model.tool_height(q)) for q in held.task.full(motion.q).T[::7]),
         "idle": idle_springs(own, motion, solution.parameters),
         "beyond": beyond_known(own, motion, solution.parameters),

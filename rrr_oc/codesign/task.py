@@ -5,14 +5,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
+import casadi as ca
 import numpy as np
 from msgspec import Meta, field
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
 from rrr_oc.effects import design_forms
 from rrr_oc.errors import UserError
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.recordings.csv_table import read_table
+from rrr_oc.robot.goals import Goal
 from rrr_oc.robot.rigid_body import RigidBody, rigid_body, upwards
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot, resting_angle
 from rrr_oc.schema import (
@@ -32,6 +34,7 @@ from rrr_oc.schema import (
 PRESETS = ("paper", "prototype", "more_springs", "further_springs", "series_springs")
 PHASES = ("go", "return")
 NEAR = 1e-3  # [m] between the tool and a position that it reaches; angles and positions in files are rounded; doubled, nothing changes
+TRIED = 8  # postures from which the one of least torque is sought; doubled, slower and surer
 NO_LIMIT = 1e6  # [Nm]; a robot file's torque limit of this or more means that none is known
 Speed = Literal["rest", "moving", "free"]
 
@@ -48,23 +51,47 @@ class Tool(Schema, frozen=True):
     position_m: Position
 
 
+class Direction(Schema, frozen=True):
+    """Which way the tool points.
+
+    Attributes:
+        axis: An axis of the tool's link, of any length above 0.
+        towards: Where it points, in the base frame, of any length above 0.
+    """
+
+    axis: Vector
+    towards: Vector
+
+    def __post_init__(self) -> None:
+        for name in ("axis", "towards"):
+            if not any(getattr(self, name)):
+                raise ValueError(f"{name}: found {list(getattr(self, name))}; a length above 0 is required")
+
+
 class End(Schema, frozen=True):
     """Where a phase starts or ends, by angles or by position.
 
     Attributes:
         angles_deg: Angles of the moving joints, in their order.
         position_m: Position of the tool in the base frame.
+        direction: Which way the tool points at that position; by default any.
+        posture: Of joints that reach the position in many postures: "free", and it is designed with the motion, or "held", and it is the one
+            in which the arm needs the least torque to stand still, without springs.
         speed: Whether the arm rests there; or moves, at the end of one phase as at the start of the next; or has any speed before and
             any other after, as in the code of the paper's authors ("free").
     """
 
     angles_deg: tuple[float, ...] | None = None
     position_m: Position | None = None
+    direction: Direction | None = None
+    posture: Literal["free", "held"] = "free"
     speed: Speed = "rest"
 
     def __post_init__(self) -> None:
         if (self.angles_deg is None) == (self.position_m is None):
             raise ValueError('give either "angles_deg" or "position_m"')
+        if self.direction is not None and self.position_m is None:
+            raise ValueError("direction: a direction needs a position_m; angles_deg say it already")
 
 
 class Limits(Schema, frozen=True):
@@ -147,7 +174,7 @@ class Task:
         robot: The whole arm.
         tool: Where it holds the payload.
         moving: Indices of the joints that move (m); the others are locked.
-        start, release: Angles of the moving joints [rad], (m,).
+        start, release: Angles of the moving joints [rad], (m,); where their posture is free, those at which a search begins.
         payload: Carried in the go phase only [kg].
         duration: Bounds of each phase's duration [s].
         lower, upper: Angles allowed [rad], (m,).
@@ -158,6 +185,7 @@ class Task:
         springs: The springs that a design may use, as in the file, with the rows of tables that stand in files of their own.
         locked: Angles of all joints while the moving ones stand at zero [rad], (n,); empty where all are locked at zero.
         speeds: Of the arm at start and release, as in the file.
+        goals: Places of the tool at start and release where the posture is free there.
         cycle: Bounds of the duration of both phases together [s], if there are some beside theirs.
         files: The files that it was read from.
     """
@@ -179,6 +207,7 @@ class Task:
     springs: tuple[Mapping[str, Any], ...]
     locked: tuple[float, ...] = ()
     speeds: tuple[Speed, Speed] = ("rest", "rest")
+    goals: tuple[Goal | None, Goal | None] = (None, None)
     cycle: Interval | None = None
     files: tuple[Path, ...] = ()
 
@@ -262,8 +291,8 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         **_limits(where, robot, given),
     )
     body = rigid_body(robot)
-    start, release = (_angles(f"{where}: {end}", task, body, getattr(given, end)) for end in ("start", "release"))
-    task = replace(task, start=start, release=release)
+    (start, first), (release, last) = (_end(f"{where}: {end}", task, body, getattr(given, end)) for end in ("start", "release"))
+    task = replace(task, start=start, release=release, goals=(first, last))
     if given.path_margin is not None:  # the ranges become the one between the ends, widened by this share of it on each side
         ends = np.array([start, release])
         width = given.path_margin * np.ptp(ends, axis=0)
@@ -298,9 +327,10 @@ def _with_tables(
 
 def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
     """Raise `UserError` where the limits leave no motion: too little time for the way, or an end below the floor."""
+    held = np.array([0.0 if any(task.goals) else 1.0])  # a free posture may make the way shorter
     rests = task.speeds.count("rest")  # ends at which a motion starts or stops
     for joint, way, speed, acceleration in zip(
-        task.joints, np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
+        task.joints, held * np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
     ):
         lost = rests * speed / acceleration / 2 if rests and np.isfinite(acceleration) else 0.0  # time at less than full speed
         needed = way / speed + lost if not lost or way > speed * lost else np.sqrt(2 * rests * way / acceleration)
@@ -361,7 +391,8 @@ def _torque_limit(own: Limits, effort: float) -> float:
 def overloads(task: Task) -> dict[str, str]:
     """By joint, a sentence on the torque that it needs to stand at an end of a phase where its limit is less; without springs."""
     gravity_torque, found = task.model().inverse, dict[str, str]()
-    for end, q in (("start", task.start), ("release", task.release)):
+    ends = (("start", task.start), ("release", task.release))
+    for end, q in [one for one, goal in zip(ends, task.goals, strict=True) if goal is None]:
         for payload in task.payloads:
             torque, _ = gravity_torque(task.full(q), np.zeros(task.robot.n), np.zeros(task.robot.n), payload, [], [])
             needed = np.abs(np.array(torque).ravel()[list(task.moving)])
@@ -372,10 +403,12 @@ def overloads(task: Task) -> dict[str, str]:
     return found
 
 
-def _angles(where: str, task: Task, body: RigidBody, end: End) -> np.ndarray:
-    """Angles of the moving joints at an end of a phase [rad], (m,)."""
-    if end.angles_deg is None:
-        return inverse_kinematics(task, body, np.array(end.position_m), where)
+def _end(where: str, task: Task, body: RigidBody, end: End) -> tuple[np.ndarray, Goal | None]:
+    """Angles of the moving joints at an end of a phase [rad], (m,), and the place of the tool where its posture is free."""
+    if end.position_m is not None:
+        goal, angles = inverse_kinematics(task, body, _goal(end), where)
+        return angles, goal if end.posture == "free" and len(goal.rows) < len(task.moving) else None
+    assert end.angles_deg is not None
     angles = np.radians(end.angles_deg)
     if len(angles) != len(task.moving):
         raise UserError(f"{where}.angles_deg: found {list(end.angles_deg)}; one number per moving joint is required")
@@ -383,24 +416,40 @@ def _angles(where: str, task: Task, body: RigidBody, end: End) -> np.ndarray:
         if not low <= angle <= high:
             outside = f"outside its range {np.degrees(low):.2f}° … {np.degrees(high):.2f}°"
             raise UserError(f"{where}: {joint} would stand at {np.degrees(angle):.2f}°, {outside}")
-    return angles
+    return angles, None
 
 
-def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where: str = "position") -> np.ndarray:
-    """Angles of the moving joints that put the tool at `position` [m], within `NEAR`, elbow up, within the joint ranges.
+def _goal(end: End) -> Goal:
+    assert end.position_m is not None
+    if end.direction is None:
+        return Goal(end.position_m)
+    axis, towards = (tuple((np.array(v) / np.linalg.norm(v)).tolist()) for v in (end.direction.axis, end.direction.towards))
+    return Goal(end.position_m, axis, towards)
 
-    Of all solutions, the one whose joints lie highest against gravity is taken, which is what "elbow up" means.
+
+def inverse_kinematics(task: Task, body: RigidBody, goal: Goal, where: str = "position") -> tuple[Goal, np.ndarray]:
+    """The goal with what the moving joints can change of it, and angles of these that put the tool there, within `NEAR`, within the
+    joint ranges.
+
+    Of several postures, the one whose joints lie highest against gravity is taken, which is what "elbow up" means. Where there is a
+    continuum of them, the one in which the arm needs the least torque to stand still with and without its payload.
     Raises `UserError` with the nearest distance if the tool does not reach the position.
     """
     if task.tool.joint != task.robot.n - 1:
         raise UserError(f"{where}: a position needs the tool on the last link; give angles_deg")
-    jacobian, columns = body.tool_jacobian, list(task.moving)
+    columns, postures = list(task.moving), ca.SX.sym("q", task.robot.n)
+    missed = goal.errors(body, task.tool, postures)
+    if goal.axis is not None:  # the opposite direction is none
+        rotation = ca.reshape(body.joint_frames(postures)[:9, task.tool.joint], 3, 3)
+        missed = ca.vertcat(missed[:3], rotation @ ca.DM(goal.axis) - ca.DM(goal.towards))
+    both = ca.Function("missed", [postures], [missed, ca.jacobian(missed, postures)])
+    of_goal = ca.Function("slopes", [postures], [ca.jacobian(goal.errors(body, task.tool, postures), postures)])
 
     def error(q: np.ndarray) -> np.ndarray:
-        return np.array(body.tool_position(task.full(q), task.tool.position)).ravel() - position
+        return np.array(both(task.full(q))[0]).ravel()
 
     def slope(q: np.ndarray) -> np.ndarray:
-        return np.array(jacobian(task.full(q), task.tool.position))[:, columns]
+        return np.array(both(task.full(q))[1])[:, columns]
 
     low, high = np.maximum(task.lower, -np.pi), np.minimum(task.upper, np.pi)
     starts = low + (high - low) * np.random.default_rng(0).random((32, len(columns)))
@@ -410,16 +459,60 @@ def inverse_kinematics(task: Task, body: RigidBody, position: np.ndarray, where:
     ]
     reached = [fit.x for fit in fits if fit.success and np.linalg.norm(fit.fun) < NEAR]
     if not reached:
-        nearest = min(fits, key=lambda fit: float(np.linalg.norm(fit.fun)))
-        told = f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges"
-        point = (np.round(position + nearest.fun, 4) + 0.0).tolist()
-        fixed = [
-            axis
-            for axis, row in zip("xyz", np.array([slope(s) for s in starts]).swapaxes(0, 1), strict=True)
-            if np.abs(row).max() < 1e-9
-        ]
-        why = f"; {', '.join(task.joints)} cannot change {' and '.join(fixed)}" if fixed else ""
-        raise UserError(f"{told}: the tool comes no nearer than {np.linalg.norm(nearest.fun):.4f} m, at {point} m{why}")
+        raise UserError(
+            _out_of_reach(
+                where, task, goal, min(fits, key=lambda fit: float(np.linalg.norm(fit.fun))), [slope(s) for s in starts]
+            )
+        )
+    slopes = np.array([np.array(of_goal(task.full(s)))[:, columns] for s in starts])
+    goal = goal.reachable(slopes)
+    if len(goal.rows) < len(columns):
+        return goal, _least_torque(task, body, goal, reached)
     up = upwards(task.robot.gravity)
     best = max(reached, key=lambda q: float((up @ np.array(body.joint_frames(task.full(q)))[9:]).sum()))
+    return goal, np.clip(best, task.lower, task.upper)
+
+
+def _out_of_reach(where: str, task: Task, goal: Goal, nearest: Any, slopes: Sequence[np.ndarray]) -> str:
+    """That a position is out of reach, how near the tool comes, and along which axes the joints cannot move it."""
+    position = np.array(goal.position)
+    told = f"{where} at {np.round(position, 4).tolist()} m is out of reach within the joint ranges"
+    point = (np.round(position + nearest.fun[:3], 4) + 0.0).tolist()
+    rows = np.array(slopes).swapaxes(0, 1)[:3]
+    fixed = [axis for axis, row in zip("xyz", rows, strict=True) if np.abs(row).max() < 1e-9]
+    why = f"; {', '.join(task.joints)} cannot change {' and '.join(fixed)}" if fixed else ""
+    away = float(np.linalg.norm(nearest.fun[3:]))
+    turned = f", {np.degrees(2 * np.arcsin(min(away / 2, 1.0))):.1f}° from the direction" * (goal.axis is not None)
+    return f"{told}: the tool comes no nearer than {np.linalg.norm(nearest.fun[:3]):.4f} m, at {point} m{turned}{why}"
+
+
+def _least_torque(task: Task, body: RigidBody, goal: Goal, reached: Sequence[np.ndarray]) -> np.ndarray:
+    """Of all postures with the tool at a goal, the one in which the arm needs the least torque² to stand still, with its payload and
+    without; sought from some postures that have it there."""
+    q, still, columns = ca.SX.sym("q", task.robot.n), np.zeros(task.robot.n), list(task.moving)
+    held = [task.model().inverse(q, still, still, payload, [], [])[0] for payload in task.payloads]
+    cost = sum(ca.sumsqr(tau[columns]) for tau in held)
+    place = goal.equalities(body, task.tool, q)
+    of = ca.Function("held", [q], [cost, ca.gradient(cost, q), place, ca.jacobian(place, q)])
+
+    def value(output: int, moving: np.ndarray) -> np.ndarray:
+        found = np.array(of(task.full(moving))[output])
+        return found.ravel() if output in (0, 2) else found[columns, 0] if output == 1 else found[:, columns]
+
+    unit = max(min(float(value(0, x)[0]) for x in reached), 1e-6)
+    condition = {"type": "eq", "fun": lambda x: value(2, x), "jac": lambda x: value(3, x)}
+    fits = [
+        minimize(
+            lambda x: value(0, x)[0] / unit,
+            np.clip(x, task.lower, task.upper),
+            jac=lambda x: value(1, x) / unit,
+            bounds=list(zip(task.lower, task.upper, strict=True)),
+            constraints=condition,
+            method="SLSQP",
+            options={"maxiter": 200, "ftol": 1e-10},
+        )
+        for x in sorted(reached, key=lambda x: float(value(0, x)[0]))[:TRIED]
+    ]
+    good = [fit for fit in fits if np.linalg.norm(value(2, fit.x)) < NEAR]
+    best = min(good, key=lambda fit: fit.fun).x if good else min(reached, key=lambda x: float(value(0, x)[0]))
     return np.clip(best, task.lower, task.upper)

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from rrr_oc.errors import UserError
+
+Side = Literal["start", "end"]  # of a phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,21 @@ class Bounded:
 
 
 @dataclass(frozen=True, eq=False)
+class Boundary:
+    """Conditions at an end of a phase.
+
+    Attributes:
+        end: At which end.
+        function: casadi Function (x, p, d) -> what is 0 there; it takes the data of the phase.
+        names: Of the conditions.
+    """
+
+    end: Side
+    function: ca.Function
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Phase:
     """One phase of motion, whose time starts at 0.
 
@@ -50,8 +68,7 @@ class Phase:
         data: Indices of the problem's data that `rates` takes; None for all.
         costs: For each cost rate, the index of the problem's cost that its integral adds to.
         weight: Factor on the cost rates [1].
-        boundary: casadi Function (x, p, d) -> what is 0 at both ends, or None. It takes the data of the phase.
-        boundaries: Names of these conditions.
+        boundaries: Further conditions at its ends.
 
     Raises `UserError` for wrong shapes and for bounds that contradict each other.
     """
@@ -67,8 +84,7 @@ class Phase:
     data: np.ndarray | None = None
     costs: tuple[int, ...] = (0,)
     weight: float = 1.0
-    boundary: ca.Function | None = None
-    boundaries: tuple[str, ...] = ()
+    boundaries: tuple[Boundary, ...] = ()
 
     def __post_init__(self) -> None:
         nx, ng, where = len(self.x), len(self.path), f"phase {self.name!r}: "
@@ -83,8 +99,9 @@ class Phase:
         found = tuple(self.rates.numel_out(i) for i in range(self.rates.n_out()))
         if found != (nx, len(self.costs), ng):
             raise UserError(f"{where}rates returns sizes {found}, not (dx/dt {nx}, cost rate {len(self.costs)}, path {ng})")
-        if (0 if self.boundary is None else self.boundary.numel_out(0)) != len(self.boundaries):
-            raise UserError(f"{where}boundary does not return one number for each of {self.boundaries}")
+        for boundary in self.boundaries:
+            if boundary.function.numel_out(0) != len(boundary.names):
+                raise UserError(f"{where}a boundary does not return one number for each of {boundary.names}")
         if not 0 < self.duration[0] <= self.duration[1] < np.inf:
             raise UserError(f"{where}durations {self.duration} must be positive, finite and not crossed")
 

@@ -174,17 +174,16 @@ class Transcription:
 
     @property
     def _boundaries(self) -> list[tuple[ca.Function, np.ndarray | None, np.ndarray, tuple[str, ...]]]:
-        """Boundary conditions at each end of each phase: the function, indices of its data, of the states there, and names."""
+        """Boundary conditions of each phase: the function, indices of its data, of the states there, and names."""
         return [
             (
-                phase.boundary,
+                boundary.function,
                 phase.data,
-                block.nodes[:, node],
-                tuple(f"{name} at the {end} of {phase.name!r}" for name in phase.boundaries),
+                block.nodes[:, 0 if boundary.end == "start" else -1],
+                tuple(f"{name} at the {boundary.end} of {phase.name!r}" for name in boundary.names),
             )
             for phase, block in zip(self.problem.phases, self.blocks, strict=True)
-            for node, end in ((0, "start"), (-1, "end"))
-            if phase.boundary is not None
+            for boundary in phase.boundaries
         ]
 
     def row_name(self, row: int) -> str:

@@ -1,5 +1,6 @@
 """A co-design study in tables and sections, made from its summary alone, and its report in Markdown."""
 
+import math
 from collections.abc import Iterator, Sequence
 
 from rrr_oc.codesign.design_file import Choice, Compromise, Configuration, DesignFile, Moved, Quantity
@@ -49,7 +50,7 @@ def sections(study: DesignFile) -> list[Section]:
         Section("Optima", tuple(_optima(study))),
         Section("At equal cycle times", tuple(_at_times(study))),
         Section("The motion and what the springs do", (moved, *_pictures(study))),
-        Section("Hardware and durations", (_hardware(study), *_mounted(study))),
+        Section("Hardware and durations", (_hardware(study), *_mounted(study), *_postures(study))),
         Section("Which springs are worth their price", tuple(_choices(study))),
         Section("Between the set and its first task", tuple(_fronts(study))),
         Section("Scenarios", tuple(_scenarios(study))),
@@ -97,6 +98,11 @@ def _mounted(study: DesignFile) -> Iterator[Part]:
     for name, c in study.configurations.items():
         if c.mounted and c.catalogue is None:
             yield Part(f"How the springs of {name} are mounted", points=tuple(say.mounts(c)), of=name)
+
+
+def _postures(study: DesignFile) -> Iterator[Part]:
+    if any(None in (task.start, task.release) for task in study.tasks):
+        yield Part("Postures at start and release [°]", table=postures_table(study))
 
 
 def _choices(study: DesignFile) -> Iterator[Part]:
@@ -268,6 +274,17 @@ def hardware_table(study: DesignFile) -> Table:
     header, rows = table_4(ours, names, 3, None, {name: say.of_joint(name, study.joints) for name in names})
     end = None if study.single else -len(PHASES)  # each task has durations of its own
     return header[:end], [row[:end] for row in rows]
+
+
+def postures_table(study: DesignFile) -> Table:
+    """Angles of the moving joints at the ends of each motion [°]."""
+    rows = []
+    for name, c in study.configurations.items():
+        for task, m in c.tasks.items():
+            for end in ("start", "release"):
+                angles = [f"{math.degrees(angle):.2f}" for angle in getattr(m, end).values()]
+                rows.append([name if study.single else f"{name}, {task}", end, *angles])
+    return ["", "end", *study.moving], rows
 
 
 def transfer_table(found: say.Found) -> Table | None:

@@ -74,7 +74,14 @@ def ends_in_words(study: DesignFile) -> list[str]:
     }
     speeds = [item for task in study.tasks for item in task.speeds.items()]
     said = list(dict.fromkeys(told[speed].format(end) for end, speed in speeds if speed in told))
-    return said + ["No bound over all motions is stated: its proof needs an arm that rests at both ends."] * bool(said)
+    free = [end for end in ("start", "release") if any(getattr(task, end) is None for task in study.tasks)]
+    if free:
+        said.append(
+            f"The posture at {listed([f'the {end}' for end in free])} is free, and designed with the motion: the tool is held there."
+        )
+    return said + [
+        "No bound over all motions is stated: its proof needs an arm that rests in known postures at both ends."
+    ] * bool(said)
 
 
 def verdict(study: DesignFile) -> str:

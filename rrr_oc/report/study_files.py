@@ -93,7 +93,10 @@ def _asked(task: Task, weight: float) -> TaskAsked:
         "speeds": dict(zip(("start", "release"), task.speeds, strict=True)),
         "limits": {joint: dict(zip(keys, ([low, high], *others), strict=True)) for joint, low, high, *others in rows},
     }
-    ends = {end: dict(zip(task.joints, getattr(task, end), strict=True)) for end in ("start", "release")}
+    ends = {
+        end: dict(zip(task.joints, getattr(task, end), strict=True)) if goal is None else None
+        for end, goal in zip(("start", "release"), task.goals, strict=True)
+    }
     return typed(asked | ends, TaskAsked)
 
 

@@ -30,6 +30,8 @@ def moved(E1: float, certificate: Certificate = GOOD, **changes: Any) -> Moved:
         "with_first": E1,
         "springs_alone": {},
         "durations": {"go": 1.0, "return": 2.0},
+        "start": {"b": 0.0},
+        "release": {"b": 1.0},
     }
     found |= {"lowest_tool_m": 0.1, "idle": {}, "beyond": {}, "certificate": certificate, "meshes": []}
     return typed(found | {"mujoco": tracked | {"exact_springs": tracked}} | changes, Moved)

@@ -162,10 +162,39 @@ def test_report_and_figures_are_there(out, summary):
     text = (out / "report.md").read_text()
     assert (out / "report.html").is_file()
     assert f"{summary['configurations']['PEA']['cost']:.3f}" in text
-    figures = {"torques", "landscape", "trajectory_SA", "trajectory_PEA", "arm_SA", "arm_PEA"}
+    figures = {"torques", "landscape", "trajectory_SA", "trajectory_PEA", "arm_SA", "arm_PEA", "cycle_times"}
     assert {f.stem for f in out.glob("*.png")} == figures
     assert all(f.read_bytes().startswith(b"\x89PNG") for f in out.glob("*.png"))
     assert not list(out.glob("*.tmp*"))
+
+
+def test_designs_are_compared_at_equal_times_and_with_springs_that_balance(out, summary):
+    found, text = summary["configurations"], (out / "report.md").read_text()
+    stiff, sprung = (found[name]["at_cycle_times"] for name in ("SA", "PEA"))
+    took = {name: sum(motion(c)["durations"].values()) for name, c in found.items()}
+    assert [at["cycle_s"] for at in stiff] == [at["cycle_s"] for at in sprung] == sorted(took.values())
+    own = {name: c["at_cycle_times"][sorted(took.values()).index(took[name])]["cost"] for name, c in found.items()}
+    assert own == {name: c["cost"] for name, c in found.items()}
+    for at, other in zip(sprung, stiff, strict=True):
+        assert at["cost"] < at["balancing"] < other["cost"]  # springs at all, and better ones
+    assert found["SA"]["balancing"] is None
+    assert found["PEA"]["cost"] < found["PEA"]["balancing"]["cost"]
+    assert set(found["PEA"]["balancing"]["springs"]) == set(found["PEA"]["springs"])
+    assert "PEA, balanced at rest" in text
+    assert "The parallel spring of joint2 acts where joint2 is below the angle at which it is slack; there it turns" in text
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ("0.5", "--cycle-times has 0.5 s; task 'paper' allows 2 … 10 s"),
+        ("3,nan", "--cycle-times has nan s"),
+        ("x", "numbers above 0"),
+    ],
+)
+def test_wrong_cycle_times_are_told(tmp_path, monkeypatch, capsys, asked, message):
+    assert rrr_oc(monkeypatch, "design", "paper", "--out", str(tmp_path), "--cycle-times", asked) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_layer_whose_starts_all_failed_is_in_the_report():

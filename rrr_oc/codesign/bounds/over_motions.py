@@ -34,7 +34,7 @@ def task_bound(design: CoDesign) -> float | None:
     """The bound [N²m²s]; None where the cost is not E1, the arm is not at rest between phases or its accelerations have no limits,
     where clutched springs act on all joints, or where a torque has no interval form."""
     task, springs = design.task, [spring for spring in design.springs if not spring.known]
-    if design.cost != "load" or not task.at_rest or not np.all(np.isfinite(task.acceleration)):
+    if design.cost != "load" or not task.at_rest or any(task.goals) or not np.all(np.isfinite(task.acceleration)):
         return None
     clutched = {j for spring in springs if isinstance(spring.effect, Clutched) for j in spring.effect.joints}
     lasting = [row for row, j in enumerate(task.moving) if j not in clutched]

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -120,8 +120,12 @@ class TaskSet:
     @property
     def contents(self) -> list[Any]:
         """All that the set says, as plain data, to tell whether two sets are the same."""
-        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files")]
-        tasks = [{name: getattr(task, name) for name in of} | {"tool": task.tool.position} for task in self.tasks]
+        of = [f.name for f in fields(Task) if f.name not in ("robot", "tool", "files", "goals")]
+        tasks = [
+            {name: getattr(task, name) for name in of}
+            | {"tool": task.tool.position, "goals": [goal and asdict(goal) for goal in task.goals]}
+            for task in self.tasks
+        ]
         return plain([tasks, self.weights, self.objective, self.payload, self.model])
 
 
