@@ -31,7 +31,8 @@ QUANTILE = 0.975  # of the upper end of an interval
 
 
 def sized(near: Neighbours, findings: Sequence[Finding], noise: np.ndarray) -> tuple[list[Finding], list[Finding]]:
-    """Findings that lower some joint's error by what a claim needs, and those that do not, with the size of each.
+    """Findings that lower some joint's error by what a claim needs, those that lower it most first, and those that do not, with the size
+    of each.
 
     The least is left out first, and the others are judged without it, since of two that stand for each other one matters.
 
@@ -50,7 +51,8 @@ def sized(near: Neighbours, findings: Sequence[Finding], noise: np.ndarray) -> t
             break
         kept.remove(least)
     every = [replace(f, fall=sizes[k]) for k, f in enumerate(findings)]
-    return [f for k, f in enumerate(every) if k in kept], [f for k, f in enumerate(every) if k not in kept]
+    largest = sorted(kept, key=lambda k: -sizes[k].of_torque)
+    return [every[k] for k in largest], [f for k, f in enumerate(every) if k not in kept]
 
 
 def in_shape(effect: Addition) -> Addition:
@@ -93,7 +95,9 @@ def falls(near: Neighbours, effects: Structure, noise: np.ndarray) -> list[Fall]
         for j in acts_on(a.effect, data.n):
             fall = fall_of(j, after[there, j], before[there, j])
             left = 0.0 if a.effect.black_box else max(unexplained[there, j].sum() / max(after[there, j].sum(), 1e-300), 0.0)
-            one.append(replace(fall, needed=max(MATTERS, float(1 - 1 / np.sqrt(1 + left)))))
+            rms = np.sqrt(before[there, j].sum() / max(rows[there, j].sum(), 1))
+            of_torque = float(fall.share * rms / data.torque[j])
+            one.append(replace(fall, needed=max(MATTERS, float(1 - 1 / np.sqrt(1 + left))), of_torque=of_torque))
         result.append(max(one, key=lambda f: f.margin))
     return result
 

@@ -31,7 +31,8 @@ def shown_as(term: Term) -> Key:
 class Fall:
     """By how much an effect lowers the held-out rms of a joint, as a share of what it is without it, and its 95 % interval.
 
-    `needed` is the share that a claim's lower end exceeds.
+    `needed` is the share that a claim's lower end exceeds, `of_torque` the fall over the rms of the joint's torque, by which effects of
+    different joints are compared.
     """
 
     joint: int
@@ -39,6 +40,7 @@ class Fall:
     low: float
     high: float
     needed: float = MATTERS
+    of_torque: float = 0.0
 
     @property
     def margin(self) -> float:

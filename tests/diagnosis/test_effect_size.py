@@ -23,13 +23,13 @@ RECORDINGS = 4
 NOISE = np.full(2, np.inf)  # nothing that is left is beyond it
 
 
-def made(folder, coefficient):
-    """A fitter of recordings of two joints with drag at joint 2, and its plain model fitted."""
+def made(folder, coefficient, other=0.0):
+    """A fitter of recordings of two joints with drag at joint 2, and maybe at joint 1, and its plain model fitted."""
     urdf = folder / "arm.urdf"
     urdf.write_text(chains.arm(2))
     plant, rng = Plant(urdf, np.ones(2), np.ones(2), 0.1 * np.ones(2)), np.random.default_rng(1)
     recordings = [record(plant, f"{i}.csv", rng, 6.0, 0.02) for i in range(RECORDINGS)]
-    recordings = [replace(r, tau=r.tau + [[0.0], [coefficient]] * r.dq * np.abs(r.dq)) for r in recordings]
+    recordings = [replace(r, tau=r.tau + [[other], [coefficient]] * r.dq * np.abs(r.dq)) for r in recordings]
     _, fitter, every, plain = ready(as_set(plant, recordings), Priors())
     return fitter, fitter.fit(plain, fitter.data.links.none), every
 
@@ -63,6 +63,23 @@ def test_what_is_there_matters_and_what_is_not_is_small(arm):
     assert 0.1 < claimed[0].fall.low < claimed[0].fall.share < claimed[0].fall.high < 1
     assert [f.term.effect.name for f in small] == ["torque_offset"]
     assert small[0].fall.high < 0.02
+
+
+@pytest.mark.parametrize(("other", "order"), [(0.3, [(1,), (0,)]), (0.5, [(0,), (1,)])])
+def test_what_takes_more_of_a_joints_torque_comes_first(tmp_path, other, order):
+    """Joint 2 is the faster one; the order of findings does not matter."""
+    arm = made(tmp_path, 0.3, other)
+    near, findings = with_terms(arm, Term(QuadraticDrag((0,)), (Estimate(0.5),)), drag())
+    claimed, _ = sized(near, findings, NOISE)
+    again, _ = sized(near, findings[::-1], NOISE)
+    assert [f.term.effect.joints for f in claimed] == [f.term.effect.joints for f in again] == order
+    fitter, begin, _ = arm
+    for f in claimed:  # against fits to all recordings, with and without
+        (j,), others = f.term.effect.joints, [other.term for other in claimed if other is not f]
+        less = fitter.fit(replace(begin.model, terms=(*begin.model.terms, *others)), begin.links, begin.posterior)
+        rms = [np.sqrt(np.mean(fit.residual[j] ** 2)) for fit in (less, near.linear.fitted)]
+        assert f.fall.of_torque == pytest.approx((rms[0] - rms[1]) / fitter.data.torque[j], rel=0.1)
+    assert claimed[0].fall.of_torque > 1.2 * claimed[1].fall.of_torque
 
 
 def test_of_two_that_stand_for_each_other_one_matters(arm):
