@@ -124,8 +124,9 @@ def _gain(study: DesignFile, name: str) -> str:
 def _at_its_time(c: Configuration, stiff: Configuration) -> str:
     """By how much a design is better than stiff actuation in the same cycle time; "" where that was not compared."""
     own, other = (sum(one.first.durations.values()) for one in (c, stiff))
-    pairs = zip(c.at_cycle_times, stiff.at_cycle_times, strict=True)
-    shares = {a.cycle_s: 100 * decrease(a.cost, b.cost) for a, b in pairs if a.cost is not None and b.cost is not None}
+    known = {at.cycle_s: at.cost for at in stiff.at_cycle_times}
+    pairs = [(at.cycle_s, at.cost, known.get(at.cycle_s)) for at in c.at_cycle_times]  # none of hardware that is bought
+    shares = {seconds: 100 * decrease(a, b) for seconds, a, b in pairs if a is not None and b is not None}
     if not shares:
         return ""
     times, (least, most) = list(shares), (min(shares.values()), max(shares.values()))

@@ -30,7 +30,7 @@ from rrr_oc.codesign.certificate import MeshQuality
 from rrr_oc.diagnosis.held_out import Fold
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
-from rrr_oc.report.design_report import optima_table, small_too
+from rrr_oc.report.design_report import optima_table, report, small_too
 from rrr_oc.report.design_words import bound, cautions, hardware, verdict
 from rrr_oc.report.diagnosis_report import about, write_diagnosis
 from rrr_oc.report.pages.design_page import write_design_page
@@ -281,6 +281,22 @@ def tracked(E1: float) -> dict[str, Any]:
 
 STIFF = designs.design(200.0, springs={}, mounted={})
 IDLE = {"parallel_spring[b]": "never taut"}
+
+
+def test_the_verdict_compares_at_equal_cycle_times_what_was_compared():
+    """A starred design is not; a time at which no motion was found says nothing."""
+
+    def at(*costs: float | None) -> list[dict]:
+        return [{"cycle_s": t, "cost": cost, "balancing": None} for t, cost in zip((2.5, 4.0, 6.0), costs, strict=True)]
+
+    stiff = designs.design(200.0, springs={}, mounted={}, at_cycle_times=at(200.0, 210.0, 220.0))
+    study = designs.summary(SA=stiff, PEA=designs.design(50.0, at_cycle_times=at(None, 52.5, 44.0)), PEA_=designs.design(60.0))
+    said = verdict(study)
+    assert "75.0 % less than the 200 N²m²s of stiff actuation, though in 3 s in the place of 3 s" in said
+    assert "where both take equally long, 4 to 6 s, it is 75.0 to 80.0 %" in said
+    assert "PEA*" in said
+    text = report(study)
+    assert "| PEA | 50.000 (3.00 s) | – | 52.500 (75.0 %) | 44.000 (80.0 %) |" in text
 
 
 def test_the_verdict_of_a_design_names_the_best_its_gain_and_what_is_bought():
