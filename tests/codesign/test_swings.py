@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_searches import OPTIONS, design_of
 
+from rrr_oc.codesign.search.local_optima import follow_to_fine_mesh
 from rrr_oc.codesign.search.motions import MotionSearch
 from rrr_oc.codesign.search.swings import turns, with_other_swings
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess
@@ -73,7 +74,8 @@ def test_a_motion_that_does_not_swing_has_no_others():
 
 def test_the_search_goes_from_one_number_of_swings_to_the_best():
     """With springs that carry most of the load, each phase has optima with different numbers of turns. From few and from many turns
-    two steps lead to the same best motion, which costs less than both."""
+    two steps lead to the same best motion, which costs less than both. With the springs free from there on, the cost falls: with wide
+    springs in between it rose."""
     hardware = {"k_p2": 9.0, "q_eq2": 1.731, "k_p3": 0.32, "q_eq3": 2.443, "k_b": 13.7, "q_0": -0.5}
     design = design_of("PEA+BPEA").with_fixed(hardware | {"r_1": 0.014, "r_2": 0.036, "r_3": 0.01577})
     search, parameters = MotionSearch(design, replace(OPTIONS, fine=24)), design.problem.p_lower
@@ -90,3 +92,8 @@ def test_the_search_goes_from_one_number_of_swings_to_the_best():
         np.testing.assert_allclose(costs[1], [7.0072, 6.0354], rtol=1e-4)  # of the mesh of 24 intervals
         np.testing.assert_allclose(costs[2], costs[1], rtol=1e-6)
     assert ends[0] < ends[1]
+    guess, options = Guess(tuple(phases), parameters), replace(OPTIONS, fine=24)
+    narrow, wide = (follow_to_fine_mesh(design_of("PEA+BPEA"), one, guess) for one in (options.narrow, options))
+    assert narrow is not None
+    assert narrow.cost < sum(costs[2])
+    assert wide is None or narrow.cost < wide.cost

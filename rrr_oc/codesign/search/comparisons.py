@@ -72,7 +72,7 @@ def at_cycle_times(
     Args:
         inner: Designs with fewer springs or none, with what was found for these; springs that do nothing are where a search starts, too.
     """
-    own, narrow = float(solution.durations.sum()), replace(options, width=options.widths[-1], widths=())
+    own = float(solution.durations.sum())
     found = {time: Optimum(solution, []) for time in times if time == own}
 
     def tried(time: float, guesses: Sequence[Guess], widths: SearchOptions) -> None:
@@ -95,7 +95,7 @@ def at_cycle_times(
     for path in (order[::-1], order):
         for before, time in pairwise(path):
             if before in found:
-                tried(time, stretched(design, found[before].solution, time)[:1], narrow)
+                tried(time, stretched(design, found[before].solution, time)[:1], options.narrow)
     coarse = {time: o for time, o in found.items() if time != own}
     calls = [(_taking(design, time), options, o) for time, o in coarse.items()]
     refined = zip(coarse, calls, ordered(refined_alone, calls), strict=True)

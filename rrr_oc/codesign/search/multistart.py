@@ -395,14 +395,14 @@ def _with_best_motions(search: MotionSearch, optima: list[Optimum], progress: Pr
     solved together. Then new motions are proposed for the best springs, as long as the cost falls.
     """
     design, options, motions = search.design, search.options, None
-    final, springs = replace(options, widths=options.widths[-1:]), Springs(design)
+    springs = Springs(design)
     for number in range(options.rounds):
         best = optima[0].cost
         progress.count("best motions", number, options.rounds, f"best so far {best:.5g}", "rounds")
         for o in optima[:1] if number else springs.others(_promising(optima))[:SPRINGS]:
             parameters = o.solution.parameters
             motions = search.best(parameters, number * options.motions, motions)
-            optima = distinct([*optima, *_followed(design, final, combined(motions, parameters))])
+            optima = distinct([*optima, *_followed(design, options.narrow, combined(motions, parameters))])
         if number and optima[0].cost > best * (1 - LEAST_GAIN):
             break
     return optima
@@ -415,12 +415,11 @@ def _with_other_swings(search: MotionSearch, optima: list[Optimum], progress: Pr
     motions of the best optimum, and what they lead to is refined before it is compared; again, as long as the cost falls.
     """
     design, options = search.design, search.options
-    final = replace(options, widths=options.widths[-1:])
     for number in range(options.rounds):
         best = optima[0]
         progress.count("swings", number, options.rounds, f"best so far {best.cost:.6g}", "rounds")
         guesses = combined(search.with_other_swings(best.solution.guess()), best.solution.parameters)
-        if not (found := _followed(design, final, guesses)):
+        if not (found := _followed(design, options.narrow, guesses)):
             break
         optima = distinct([*optima, *_refined_close(design, options, found, FEW, options.within)])
         if optima[0].cost > best.cost * (1 - LEAST_GAIN):

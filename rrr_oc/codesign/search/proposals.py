@@ -1,7 +1,7 @@
 """Starting points of a multistart: springs, durations and coarse paths from Sobol points or from CMA-ES."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cma
 import numpy as np
@@ -66,6 +66,11 @@ class SearchOptions:
             raise UserError(f"a search needs 1 start or more, got starts={self.starts}")
         if self.layers not in (LAYERS, *((layer,) for layer in LAYERS)):
             raise UserError(f"a search's layers are {LAYERS}, or one of them, got {self.layers}")
+
+    @property
+    def narrow(self) -> "SearchOptions":
+        """The same for starts that are optima of springs with the smallest smoothing width: wider ones would lose their swings."""
+        return replace(self, width=self.widths[-1], widths=())
 
 
 def sobol_points(size: int, count: int, seed: int) -> np.ndarray:

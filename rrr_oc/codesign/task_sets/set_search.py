@@ -206,11 +206,11 @@ def held_motions(
 
 
 def _held(design: CoDesign, options: SearchOptions, starts: list[Guess], skip: int) -> Optimum | None:
-    springs, final = design.problem.p_lower, replace(options, widths=options.widths[-1:])
+    springs = design.problem.p_lower
     followed = [follow_to_fine_mesh(design, options, replace(guess, parameters=springs)) for guess in starts]
     if options.motions:
         together = combined(MotionSearch(design, options).best(springs, skip), springs, 0)
-        followed += [follow_to_fine_mesh(design, final, guess) for guess in together]
+        followed += [follow_to_fine_mesh(design, options.narrow, guess) for guess in together]
     return min((one for one in followed if one is not None), key=lambda o: o.cost, default=None)
 
 
