@@ -41,7 +41,7 @@ from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import Made, write_json, write_text
-from studies.concealed_physics import how_named, place, read
+from studies.concealed_physics import IMPERFECT, how_named, place, read
 
 LEAST = 1.0  # times the noise, from which a hidden effect must not be passed over in silence
 SAID = {
@@ -57,9 +57,11 @@ console = Console()
 
 
 def hidden(truth: Mapping[str, Any]) -> bool:
-    """Whether a case has one effect, which the catalogue could lack, strong enough to be seen."""
+    """Whether a case has one effect and no small faults, which the catalogue could lack, strong enough to be seen."""
     effects = truth["effects"]
-    return len(effects) == 1 and effects[0]["in_catalogue"] and (effects[0]["ratio"]["requested"] or 0.0) >= LEAST
+    if truth["kind"] == IMPERFECT or len(effects) != 1 or not effects[0]["in_catalogue"]:
+        return False
+    return (effects[0]["ratio"]["requested"] or 0.0) >= LEAST
 
 
 def diagnosed(folder: Path, sealed: Path, out: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ def truth(effect="cable_harness", joint="joint2", ratio=3.0, equal=(), in_catalo
         "ratio": {"requested": ratio},
         "equal_effects": classes,
     }
-    return {"effects": [one]}
+    return {"kind": "single", "effects": [one]}
 
 
 def diagnosis(effects=(), unexplained=(), verdict="missing_physics"):
@@ -49,7 +49,8 @@ def test_only_cases_with_one_effect_that_can_be_seen_are_hidden():
     assert hidden(truth())
     assert not hidden(truth(ratio=0.5))
     assert not hidden(truth(in_catalogue=False))
-    assert not hidden({"effects": []})
+    assert not hidden({"kind": "clean", "effects": []})
+    assert not hidden(truth() | {"kind": "imperfect"})  # whose small faults may be claimed
 
 
 def test_the_report_counts_cases_and_claims():
