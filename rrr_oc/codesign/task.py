@@ -286,6 +286,7 @@ def task_of(where: str, given: TaskFile, source: str | Path) -> Task:
         springs=springs,
         locked=_locked(where, robot, given),
         speeds=(given.start.speed, given.release.speed),
+        goals=(None, None),
         cycle=given.cycle_s,
         files=tuple(Path(file) for file in (source, beside if own else given.robot, *tables) if Path(file).is_file()),
         **_limits(where, robot, given),
