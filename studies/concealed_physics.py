@@ -370,6 +370,8 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
         + len(unexplained)
         - sum(e["named"] and not e.get("small") and e["how"] != "undecided" for e in entries),
         "alarm": diagnosis["verdict"] != "nothing_missing",
+        "silent": diagnosis["verdict"] == "cannot_tell",
+        "members": [1 + len(e["rivals"]) for e in diagnosis["effects"]],
         "unseen": mean_over_joints(
             result.get("unseen") and result["unseen"] | ({"oracle": oracle["unseen"]} if oracle else {})
         ),
@@ -472,6 +474,10 @@ def summarise(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "outside_or_equal": share([e["named"] or e["how"] == "equal" for _, e in outside]),
         "false_alarms": share([s["alarm"] for s in clean]),
         "with_extra_effects": share([s["extra"] > 0 for s in scores if s["true"] and s["kind"] != IMPERFECT]),
+        "cannot_tell": {
+            kind: share([s["silent"] for s in scores if s["kind"] == kind]) for kind in sorted({s["kind"] for s in scores})
+        },
+        "members": float(np.mean([m for s in scores for m in s["members"]] or [np.nan])),
         "coverage": share([c for s in scores for e in s["true"] for c in e["covered"]]),
         "imperfect": of_imperfect_arms(of.get(IMPERFECT, [])),
         "reliability": {"all": reliability(scores), IMPERFECT: reliability(of.get(IMPERFECT, []))},
@@ -669,11 +675,13 @@ def report(summary: Mapping[str, Any]) -> str:
         ("false alarms where nothing is missing", summary["false_alarms"]),
         ("cases with an effect in which more was found", summary["with_extra_effects"]),
         ("95 % intervals that hold the true value", summary["coverage"]),
+        *((f"{kind}: “cannot tell” was said", s) for kind, s in summary["cannot_tell"].items()),
         *((f"imperfect: {name}", summary["imperfect"][k]) for k, name in IMPERFECT_ROWS.items()),
         (f"error on unseen motions at most {NEAR:g} times the oracle's", summary["near_oracle"]),
     ]
     lines = ["# Concealed physics", "", f"{summary['cases']} sealed cases, {len(summary['failed'])} of them failed.", ""]
     lines += [markdown(["", "of", "share", "its own 95 % interval"], [row(*r) for r in rows])]
+    lines += [f"A claim has {summary['members']:.2f} members in the mean: itself, and what cannot be told from it.", ""]
     how = ", ".join(f"{n} as {w}" for w, n in summary["how"].items()) or "none"
     lines += [f"Named: {how} (`rival`: listed as indistinguishable; `equal`: equal on these data by the plant's Jacobian).", ""]
     if summary["unseen_nrmse"]:

@@ -339,10 +339,9 @@ class CoDesign:
 
     def _holding_cost(self) -> float:
         """A tenth of the cost of holding the loaded arm still at both ends for two seconds each without springs: a magnitude."""
-        bare, zero, total = self.task.model(), np.zeros(self.task.robot.n), 0.0
-        for end in (self.task.start, self.task.release):
-            tau = np.array(bare.inverse(self.task.full(end), zero, zero, self.task.payload, [], [])[0]).ravel()
-            total += 2.0 * float((tau[list(self.task.moving)] ** 2).sum())
+        ends = (self.task.start, self.task.release)
+        held = [np.array(self.task.holding_torque(self.task.full(end), self.task.payload)) for end in ends]
+        total = 2.0 * float(np.square(held).sum())
         return max(total / 10, 1e-3)
 
     @cached_property

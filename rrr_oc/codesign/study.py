@@ -43,7 +43,7 @@ from rrr_oc.codesign.posterior.foreseen import foreseen
 from rrr_oc.codesign.posterior.members import Member, members
 from rrr_oc.codesign.posterior.scenarios import Over, over_members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
-from rrr_oc.codesign.search.comparisons import at_cycle_times, balancing_springs, cycle_times
+from rrr_oc.codesign.search.comparisons import at_cycle_times, balancing_springs, best_motion, cycle_times, freed
 from rrr_oc.codesign.search.local_optima import Optimum
 from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, layers, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
@@ -418,8 +418,8 @@ def _compared_at_times(study: Study, own: Mapping[str, Configuration]) -> dict[s
     made, inner, options = {}, [], study.options
     solved = {name: _saved_optimum(study, name, c) for name, c in own.items()}
     took = {name: float(solution.durations.sum()) for name, (_, solution) in solved.items()}
-    asked, best = study.request.cycle_times, min(own, key=lambda name: own[name].cost)
-    times = cycle_times(took.get("SA"), took[best]) if asked is None else tuple(sorted(set(asked)))
+    asked, cheapest = study.request.cycle_times, min(own, key=lambda name: own[name].cost)
+    times = cycle_times(took.get("SA"), took[cheapest]) if asked is None else tuple(sorted(set(asked)))
     with study.listener.count("equal cycle times", len(own)) as count:
         for name, (design, solution) in solved.items():
             costs = at_cycle_times(design, solution, times, inner, options)
@@ -428,7 +428,7 @@ def _compared_at_times(study: Study, own: Mapping[str, Configuration]) -> dict[s
             if balancing is not None:
                 held, best = balancing
                 others = at_cycle_times(held, best, times, [(design, costs)], options)
-                best = _from_times(held, best, others, options)
+                best = freed(held, best, others, options)
                 told = {"springs": held.hardware(best.parameters), "cost": best.cost, "cycle_s": float(best.durations.sum())}
                 made[name] = {"balancing": told}
             rows = [[time, *(of[time].cost if time in of else None for of in (costs, others))] for time in times]
@@ -444,13 +444,6 @@ def _saved_optimum(study: Study, name: str, found: Configuration) -> tuple[CoDes
     return design, restored(design, study.options, read_npz(kept_motion(study, name)))
 
 
-def _from_times(held: CoDesign, best: Solution, others: Mapping[float, Solution], options: SearchOptions) -> Solution:
-    """The cheaper of a solution and of the one near the best of those at given cycle times, where that is cheaper."""
-    cheapest = min(others.values(), key=lambda solution: solution.cost, default=best)
-    found = continue_from([(held, cheapest.guess())], options) if cheapest.cost < best.cost else []
-    return min([best, *(optimum.solution for _, optimum in found)], key=lambda solution: solution.cost)
-
-
 def _balancing(study: Study, name: str, design: CoDesign) -> tuple[CoDesign, Solution] | None:
     """The design with its springs held as they balance the arm at rest, with its best motion; None where there is no such."""
     springs = balancing_springs(design)
@@ -458,7 +451,7 @@ def _balancing(study: Study, name: str, design: CoDesign) -> tuple[CoDesign, Sol
         return None
     held = design.with_fixed(design.hardware(springs))
     try:
-        return held, _moved_best(held, study.options)
+        return held, best_motion(held, study.options)
     except SolverFailure as failure:
         study.listener.show(f"{name}: no motion was found with springs that balance the arm at rest: {failure}")
         return None
@@ -764,13 +757,7 @@ def _published(study: Study, name: str, design: CoDesign, hardware: Mapping[str,
     if not hardware:
         return {"cost": None}
     try:
-        return {"cost": _moved_best(design.with_fixed(hardware), study.options).cost}
+        return {"cost": best_motion(design.with_fixed(hardware), study.options).cost}
     except SolverFailure as failure:
         study.listener.show(f"{name}: no motion was found with the published springs: {failure}")
         return {"cost": None}
-
-
-def _moved_best(held: CoDesign, options: SearchOptions) -> Solution:
-    """The best motion for springs that are held; raises `SolverFailure` where none is found."""
-    few = replace(options, starts=max(4, options.starts // 4), kept=3, springs=1, rounds=1)
-    return solve_multistart(held, few).whole().best.solution

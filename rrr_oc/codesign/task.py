@@ -234,6 +234,12 @@ class Task:
         """The whole arm with these effects."""
         return Model(self.robot, self.tool, tuple(effects))
 
+    def holding_torque(self, q, payload: float):
+        """Torque of the moving joints (m,) that holds the arm still with a payload [kg], without springs [Nm]; `q` (n,) of all joints
+        and the result are casadi's or numbers."""
+        still = np.zeros(self.robot.n)
+        return self.model().inverse(q, still, still, payload, [], [])[0][list(self.moving)]
+
     def full(self, moving: np.ndarray) -> np.ndarray:
         """Angles of all joints, (n, ...), from those of the moving ones, (m, ...)."""
         still = np.array(self.locked or (0.0,) * self.robot.n).reshape(-1, *[1] * (np.ndim(moving) - 1))
@@ -328,11 +334,9 @@ def _with_tables(
 
 def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
     """Raise `UserError` where the limits leave no motion: too little time for the way, or an end below the floor."""
-    held = np.array([0.0 if any(task.goals) else 1.0])  # a free posture may make the way shorter
+    turns = np.abs(task.release - task.start) * (not any(task.goals))  # a free posture may make it shorter
     rests = task.speeds.count("rest")  # ends at which a motion starts or stops
-    for joint, way, speed, acceleration in zip(
-        task.joints, held * np.abs(task.release - task.start), task.speed, task.acceleration, strict=True
-    ):
+    for joint, way, speed, acceleration in zip(task.joints, turns, task.speed, task.acceleration, strict=True):
         lost = rests * speed / acceleration / 2 if rests and np.isfinite(acceleration) else 0.0  # time at less than full speed
         needed = way / speed + lost if not lost or way > speed * lost else np.sqrt(2 * rests * way / acceleration)
         for ways, (_, most), key in ((1, task.duration, "duration_s"), (2, task.cycle or (0.0, np.inf), "cycle_s")):
@@ -391,12 +395,11 @@ def _torque_limit(own: Limits, effort: float) -> float:
 
 def overloads(task: Task) -> dict[str, str]:
     """By joint, a sentence on the torque that it needs to stand at an end of a phase where its limit is less; without springs."""
-    gravity_torque, found = task.model().inverse, dict[str, str]()
+    found = dict[str, str]()
     ends = (("start", task.start), ("release", task.release))
     for end, q in [one for one, goal in zip(ends, task.goals, strict=True) if goal is None]:
         for payload in task.payloads:
-            torque, _ = gravity_torque(task.full(q), np.zeros(task.robot.n), np.zeros(task.robot.n), payload, [], [])
-            needed = np.abs(np.array(torque).ravel()[list(task.moving)])
+            needed = np.abs(np.array(task.holding_torque(task.full(q), payload)).ravel())
             for joint, tau, limit in zip(task.joints, needed, task.torque, strict=True):
                 if tau > limit:
                     told = f"{joint} needs {tau:.4g} Nm to hold {payload:g} kg at the {end}, and its limit is {limit:.4g} Nm"
@@ -441,8 +444,7 @@ def inverse_kinematics(task: Task, body: RigidBody, goal: Goal, where: str = "po
     columns, postures = list(task.moving), ca.SX.sym("q", task.robot.n)
     missed = goal.errors(body, task.tool, postures)
     if goal.axis is not None:  # the opposite direction is none
-        rotation = ca.reshape(body.joint_frames(postures)[:9, task.tool.joint], 3, 3)
-        missed = ca.vertcat(missed[:3], rotation @ ca.DM(goal.axis) - ca.DM(goal.towards))
+        missed = ca.vertcat(missed[:3], goal.pointing(body, task.tool, postures) - ca.DM(goal.towards))
     both = ca.Function("missed", [postures], [missed, ca.jacobian(missed, postures)])
     of_goal = ca.Function("slopes", [postures], [ca.jacobian(goal.errors(body, task.tool, postures), postures)])
 
@@ -460,11 +462,8 @@ def inverse_kinematics(task: Task, body: RigidBody, goal: Goal, where: str = "po
     ]
     reached = [fit.x for fit in fits if fit.success and np.linalg.norm(fit.fun) < NEAR]
     if not reached:
-        raise UserError(
-            _out_of_reach(
-                where, task, goal, min(fits, key=lambda fit: float(np.linalg.norm(fit.fun))), [slope(s) for s in starts]
-            )
-        )
+        nearest = min(fits, key=lambda fit: float(np.linalg.norm(fit.fun)))
+        raise UserError(_out_of_reach(where, task, goal, nearest, [slope(s) for s in starts]))
     slopes = np.array([np.array(of_goal(task.full(s)))[:, columns] for s in starts])
     goal = goal.reachable(slopes)
     if len(goal.rows) < len(columns):
@@ -490,9 +489,8 @@ def _out_of_reach(where: str, task: Task, goal: Goal, nearest: Any, slopes: Sequ
 def _least_torque(task: Task, body: RigidBody, goal: Goal, reached: Sequence[np.ndarray]) -> np.ndarray:
     """Of all postures with the tool at a goal, the one in which the arm needs the least torque² to stand still, with its payload and
     without; sought from some postures that have it there."""
-    q, still, columns = ca.SX.sym("q", task.robot.n), np.zeros(task.robot.n), list(task.moving)
-    held = [task.model().inverse(q, still, still, payload, [], [])[0] for payload in task.payloads]
-    cost = sum(ca.sumsqr(tau[columns]) for tau in held)
+    q, columns = ca.SX.sym("q", task.robot.n), list(task.moving)
+    cost = sum(ca.sumsqr(task.holding_torque(q, payload)) for payload in task.payloads)
     place = goal.equalities(body, task.tool, q)
     of = ca.Function("held", [q], [cost, ca.gradient(cost, q), place, ca.jacobian(place, q)])
 

@@ -9,9 +9,8 @@ from scipy.linalg import null_space
 from rrr_oc.robot.rigid_body import RigidBody
 from rrr_oc.robot.robot import ToolPoint
 
-STILL = (
-    1e-9  # [1] of the largest singular value, below which the joints cannot move the tool that way; doubled, nothing changes
-)
+# [1] of the largest singular value, below which the joints cannot move the tool that way; doubled, nothing changes
+STILL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -30,16 +29,16 @@ class Goal:
     towards: tuple[float, float, float] = (0.0, 0.0, 1.0)
     rows: tuple[tuple[float, ...], ...] = ()
 
+    def pointing(self, body: RigidBody, tool: ToolPoint, q):
+        """The axis in the base frame (3,), 0 without one; `q` (n,) and the result are casadi's or numbers."""
+        return ca.reshape(body.joint_frames(q)[:9, tool.joint], 3, 3) @ ca.DM(self.axis or (0.0, 0.0, 0.0))
+
     def errors(self, body: RigidBody, tool: ToolPoint, q):
-        """Error of the position [m] and, across `towards`, of the direction [1], (3,) or (5,); `q` (n,) and the result are casadi's or
-        numbers."""
-        frame = body.joint_frames(q)[:, tool.joint]
-        rotation = ca.reshape(frame[:9], 3, 3)
-        missed = rotation @ ca.DM(tool.position) + frame[9:] - ca.DM(self.position)
+        """Error of the position [m] and, across `towards`, of the direction [1], (3,) or (5,), of a tool on the last link."""
+        missed = body.tool_position(q, tool.position) - ca.DM(self.position)
         if self.axis is None:
             return missed
-        across = null_space(np.array([self.towards])).T
-        return ca.vertcat(missed, ca.DM(across) @ rotation @ ca.DM(self.axis))
+        return ca.vertcat(missed, ca.DM(null_space(np.array([self.towards])).T) @ self.pointing(body, tool, q))
 
     def equalities(self, body: RigidBody, tool: ToolPoint, q):
         """What is 0 where the tool is there, each independent of the others (k,)."""

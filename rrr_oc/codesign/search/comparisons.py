@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.search.local_optima import Optimum, attached, follow_to_fine_mesh, refined_alone
+from rrr_oc.codesign.search.multistart import continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task import PHASES
@@ -51,6 +52,19 @@ def balancing_springs(design: CoDesign) -> np.ndarray | None:
     return parameters(min(fits, key=lambda fit: fit.cost).x)
 
 
+def best_motion(held: CoDesign, options: SearchOptions) -> Solution:
+    """The best motion that is found for springs that are held; raises `SolverFailure` where none is found."""
+    few = replace(options, starts=max(4, options.starts // 4), kept=3, springs=1, rounds=1)
+    return solve_multistart(held, few).whole().best.solution
+
+
+def freed(design: CoDesign, best: Solution, others: Mapping[float, Solution], options: SearchOptions) -> Solution:
+    """The cheaper of a design's optimum and of the one near the best of those at given cycle times, where that is cheaper."""
+    cheapest = min(others.values(), key=lambda solution: solution.cost, default=best)
+    found = continue_from([(design, cheapest.guess())], options) if cheapest.cost < best.cost else []
+    return min([best, *(optimum.solution for _, optimum in found)], key=lambda solution: solution.cost)
+
+
 def cycle_times(stiff: float | None, best: float) -> tuple[float, ...]:
     """The times at which designs are compared where none are asked for [s]: those of stiff actuation and of the best design."""
     if stiff is None or abs(best / stiff - 1) < SAME:
@@ -72,18 +86,15 @@ def at_cycle_times(
     Args:
         inner: Designs with fewer springs or none, with what was found for these; springs that do nothing are where a search starts, too.
     """
-    own = float(solution.durations.sum())
-    found = {time: Optimum(solution, []) for time in times if time == own}
+    own, found = float(solution.durations.sum()), dict[float, Optimum]()
 
     def tried(time: float, guesses: Sequence[Guess], widths: SearchOptions) -> None:
-        if time == own:
-            return
         calls = [(_taking(design, time), widths, guess) for guess in guesses]
         some = [o for o in (found.get(time), *ordered(follow_to_fine_mesh, calls)) if o is not None]
         if some:
             found[time] = min(some, key=lambda o: o.cost)
 
-    later, earlier = sorted(t for t in times if t >= own), sorted((t for t in times if t < own), reverse=True)
+    later, earlier = sorted(t for t in times if t > own), sorted((t for t in times if t < own), reverse=True)
     for side in (later, earlier):
         before = solution
         for time in side:
@@ -96,12 +107,10 @@ def at_cycle_times(
         for before, time in pairwise(path):
             if before in found:
                 tried(time, stretched(design, found[before].solution, time)[:1], options.narrow)
-    coarse = {time: o for time, o in found.items() if time != own}
-    calls = [(_taking(design, time), options, o) for time, o in coarse.items()]
-    refined = zip(coarse, calls, ordered(refined_alone, calls), strict=True)
-    return {time: o.solution for time, o in found.items()} | {
-        time: attached(one, options, o).solution for time, (one, _, _), o in refined
-    }
+    calls = [(_taking(design, time), options, o) for time, o in found.items()]
+    refined = zip(found, calls, ordered(refined_alone, calls), strict=True)
+    result = {time: attached(one, options, o).solution for time, (one, _, _), o in refined}
+    return result | ({own: solution} if own in times else {})
 
 
 def _taking(design: CoDesign, seconds: float) -> CoDesign:
