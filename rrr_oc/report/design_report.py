@@ -24,8 +24,8 @@ AT_TIMES = (
     "an optimal motion; their motions are the best that were found."
 )
 AT_TIMES_NOTE = (
-    "In brackets the decrease against SA at the same time. The search at a given time goes from those of the optima from time to time, "
-    "and its optima are local ones."
+    "In brackets the decrease against SA at the same time. The search begins at the optimum's own time and goes from time to time; what it "
+    "finds are local optima."
 )
 LEFT_OPEN = (
     "A range holds 95 % of the draws from what is not known of the parameters and the links, of the calibrated model and of every other "
