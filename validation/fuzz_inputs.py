@@ -115,12 +115,15 @@ CELLS = [
     "- 1",
     "0x1",
 ]
+# Bodies that are turned, a joint away from its body's origin, one whose zero is elsewhere (ref), a fixed body with mass, masses
+# from geoms and as tensors, and a mesh that is not there.
 MJCF = """<mujoco model="arm">
-  <compiler angle="degree" autolimits="true"/>
-  <option gravity="0 0 -9.81" timestep="0.002"/>
-  <default><joint armature="0.1" damping="2"/><default class="light"><geom density="300"/></default></default>
+  <compiler angle="degree"/>
+  <option gravity="1 -0.5 -9"/>
   <asset><mesh name="gone" file="gone.stl"/><material name="grey" rgba=".5 .5 .5 1"/></asset>
+  <default><joint armature="0.1" damping="2"/><default class="light"><geom density="300"/></default></default>
   <worldbody>
+    <geom type="mesh" mesh="gone"/>
     <body name="base" pos="0.1 0.2 0.3" euler="0 90 20">
       <inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/>
       <body name="upper" pos="0 0 0.1" euler="10 20 30">
@@ -129,17 +132,21 @@ MJCF = """<mujoco model="arm">
         <geom type="mesh" mesh="gone" material="grey"/>
         <body name="fore" pos="0 0 0.4" quat="0.8 0.6 0 0">
           <joint name="elbow" axis="0 1 0" pos="0.03 0 0.02" ref="25" stiffness="3"/>
-          <geom class="light" type="box" size="0.03 0.04 0.2" pos="0 0.01 0.2"/>
+          <geom class="light" type="box" size="0.03 0.04 0.2" pos="0 0.01 0.2" mass="2"/>
+          <body name="bracket" pos="0 0 0.1" euler="0 0 45"><geom size="0.05" mass="0.5" pos="0.1 0 0"/></body>
           <body name="hand" pos="0 0.02 0.4">
-            <joint name="wrist" axis="1 0 0" range="-90 90"/>
-            <geom type="capsule" fromto="0 0 -0.05 0 0 0.15" size="0.03" mass="0.7"/>
+            <joint name="wrist" axis="1 0 0"/>
+            <geom type="capsule" size="0.03 0.1" pos="0 0 0.05" mass="0.7"/>
             <site name="attachment_site" pos="0.01 0.02 0.15"/>
           </body>
         </body>
       </body>
     </body>
   </worldbody>
-  <actuator><position name="servo" joint="shoulder" kp="100" gear="50" forcerange="-2 1.5"/><motor joint="elbow" gear="-30"/></actuator>
+  <actuator>
+    <position name="servo" joint="shoulder" kp="100" gear="50" forcerange="-2 1.5"/>
+    <motor joint="elbow" gear="-30" ctrlrange="-2 2"/>
+  </actuator>
 </mujoco>
 """
 BUNDLED = importlib.resources.files("rrr_oc.data")

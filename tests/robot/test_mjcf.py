@@ -11,41 +11,8 @@ from rrr_oc.errors import UserError
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.robot.rigid_body import rigid_body
 from rrr_oc.robot.robot import load_robot
+from validation.fuzz_inputs import MJCF as ARM
 
-# Bodies that are turned, a joint away from its body's origin, one whose zero is elsewhere (ref), a fixed body with mass, masses
-# from geoms and as tensors, and a mesh that is not there.
-ARM = """<mujoco model="arm">
-  <compiler angle="degree"/>
-  <option gravity="1 -0.5 -9"/>
-  <asset><mesh name="gone" file="gone.stl"/><material name="grey" rgba=".5 .5 .5 1"/></asset>
-  <default><joint armature="0.1" damping="2"/></default>
-  <worldbody>
-    <geom type="mesh" mesh="gone"/>
-    <body name="base" pos="0.1 0.2 0.3" euler="0 90 20">
-      <inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/>
-      <body name="upper" pos="0 0 0.1" euler="10 20 30">
-        <joint name="shoulder" axis="0 1 1" range="-100 120" frictionloss="0.3"/>
-        <inertial pos="0.01 0.02 0.2" mass="4" fullinertia="0.05 0.06 0.03 0.001 0.002 -0.003"/>
-        <geom type="mesh" mesh="gone" material="grey"/>
-        <body name="fore" pos="0 0 0.4" quat="0.8 0.6 0 0">
-          <joint name="elbow" axis="0 1 0" pos="0.03 0 0.02" ref="25" stiffness="3"/>
-          <geom type="box" size="0.03 0.04 0.2" pos="0 0.01 0.2" mass="2"/>
-          <body name="bracket" pos="0 0 0.1" euler="0 0 45"><geom size="0.05" mass="0.5" pos="0.1 0 0"/></body>
-          <body name="hand" pos="0 0.02 0.4">
-            <joint name="wrist" axis="1 0 0"/>
-            <geom type="capsule" size="0.03 0.1" pos="0 0 0.05" mass="0.7"/>
-            <site name="attachment_site" pos="0.01 0.02 0.15"/>
-          </body>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <position name="servo" joint="shoulder" kp="100" gear="50" forcerange="-2 1.5"/>
-    <motor joint="elbow" gear="-30" ctrlrange="-2 2"/>
-  </actuator>
-</mujoco>
-"""
 TIP = '<site name="attachment_site" pos="0.01 0.02 0.15"/>'
 
 
