@@ -7,7 +7,7 @@ from recorded import Plant, as_set, multisine, record
 
 from rrr_oc.calibration.calibrate import data_of
 from rrr_oc.calibration.estimator.data import low_frequency
-from rrr_oc.calibration.estimator.fitting import PlainFitter
+from rrr_oc.calibration.estimator.fitting import PlainFitter, bent
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.samples import prepare
 
@@ -54,3 +54,22 @@ def test_the_strength_of_noise_at_frequency_0_is_that_of_its_process():
     x = np.cos(0.01 * np.arange(count)) / np.sqrt(count / 2)
     left = y - x * (x @ y)
     assert low_frequency(left, np.arange(count), still, 2.5 * x[:, None]) > low_frequency(left, np.arange(count), still)
+
+
+def test_a_discrepancy_bends_parameters_as_least_squares_of_drawn_ones_are_bent():
+    """Discrepancies of a known size are drawn, and fitted by least squares of noise and prior, as if there were none."""
+    plant, rng = Plant("rrr", *np.array([[5.0] * 3, [15.0] * 3, [0.2] * 3])), np.random.default_rng(6)
+    fitter, nominal = fitter_of(as_set(plant, [record(plant, f"{i}.csv", rng, 12.0) for i in range(2)]))
+    post = fitter.closest(fitter.begin(nominal)).posterior
+    size, draws = np.array([0.2, 0.5, 1.0]), 600
+    places, sigma = [place >= 0 for place in post.data.place], post.hyper.sigma
+    design = [x[at] / s for x, at, s in zip(post.columns, places, sigma, strict=True)]
+    design = np.vstack([*design, np.diag(np.sqrt(post.prior.precision))])
+    drawn = [
+        (features[at] @ rng.normal(0.0, s, (features.shape[1], draws))) / noise
+        for features, at, s, noise in zip(post.data.features, places, size, sigma, strict=True)
+    ]
+    scale = np.linalg.norm(design, axis=0)
+    steps = np.linalg.lstsq(design / scale, np.vstack([*drawn, np.zeros((len(scale), draws))]), rcond=1e-12)[0] / scale[:, None]
+    expected = np.linalg.norm(bent(post, size), axis=1)
+    np.testing.assert_allclose(np.sqrt(np.mean(steps**2, axis=1)), expected, rtol=0.15, atol=1e-12)

@@ -37,7 +37,9 @@ class Fitted:
         links: Errors of the links in standard deviations of their prior, (k,).
         posterior: Of the parameters, from which the model was reached.
         residual: Of the model, (n, M) [Nm].
-        extra: Number of terms beyond the plain ones.
+        base: Number of plain terms.
+        bent: Root of the covariance by which a discrepancy bends parameters that were fitted as if there were none, (p, r); None
+            where it was part of the fit.
     """
 
     model: CalibratedModel
@@ -45,6 +47,7 @@ class Fitted:
     posterior: Posterior
     residual: np.ndarray
     base: int
+    bent: np.ndarray | None = None
 
     @property
     def log_evidence(self) -> float:
@@ -190,12 +193,13 @@ class PlainFitter:
         Where a law is missing, noise and discrepancy take up what other parameters would explain in part, and the likeliest parameters
         are not those that predict best. Those of least squares estimate the model of the least distance from what is true (L2
         calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum at frequency 0 of what is left, as friction and inertia
-        are seen in slow motion.
+        are seen in slow motion. The discrepancy, of the likeliest size, bends them beside the noise.
         """
+        size = fitted.posterior.hyper.discrepancy
         for _ in range(CLOSER):
             start = Start.of(self.data, at_low_frequency(self.data, fitted))
             fitted = self.fit(fitted.model, fitted.links, start, fixed=True)
-        return fitted
+        return replace(fitted, bent=bent(fitted.posterior, size))
 
     def linearised(self, model: CalibratedModel, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The residual (n, M) of a model, and derivatives of its prediction (n, M, p).
@@ -269,6 +273,16 @@ def at_low_frequency(data: Data, fitted: Fitted) -> Hyperparameters:
         for left, place, turning, columns in zip(fitted.residual, data.place, data.turning, post.columns, strict=True)
     ]
     return Hyperparameters((white,) * data.n, np.array(sigma), np.full(data.n, LEAST), post.hyper.links)
+
+
+def bent(post: Posterior, size: np.ndarray) -> np.ndarray:
+    """Root of the covariance by which discrepancies of these sizes (n,) bend the parameters of a posterior that knows of none, (p, r)."""
+    root = root_of_covariance(post.matrix)
+    slopes = [
+        (one.white @ columns).T @ one.features * (s / sigma**2)
+        for one, columns, s, sigma in zip(post.joints, post.columns, size, post.hyper.sigma, strict=True)
+    ]
+    return root @ (root.T @ np.hstack(slopes))
 
 
 def plain_std(data: Data) -> np.ndarray:

@@ -23,12 +23,17 @@ OPEN = 0.5  # share of a wide prior's variance that is left, from which the reco
 CORRELATED = 0.9  # from which a pair of parameters is named
 
 
-def covariance(fitted: Fitted) -> np.ndarray:
-    """Posterior covariance of the parameters: of the terms, the links' errors and the widths, (p, p)."""
+def covariance(fitted: Fitted, bent: bool = True) -> np.ndarray:
+    """Posterior covariance of the parameters: of the terms, the links' errors and the widths, (p, p).
+
+    Args:
+        bent: Whether it has that by which a discrepancy bends them.
+    """
     matrix = fitted.posterior.matrix
     scale = np.outer(lengths(matrix), lengths(matrix))
     values, vectors = np.linalg.eigh(matrix / scale)
-    return (vectors / np.maximum(values, ROUNDING)) @ vectors.T / scale
+    found = (vectors / np.maximum(values, ROUNDING)) @ vectors.T / scale
+    return found + fitted.bent @ fitted.bent.T if bent and fitted.bent is not None else found
 
 
 def half_width(count: float) -> float:
@@ -52,6 +57,8 @@ def spread(fitted: Fitted) -> np.ndarray:
     """`CalibratedModel.spread` of a fit: a root of the posterior covariance, of links as their errors move them, (p + 10 n, r)."""
     terms, size, k = fitted.model.terms, len(fitted.model.values), len(fitted.links)
     root = root_of_covariance(fitted.posterior.matrix)
+    if fitted.bent is not None:
+        root = np.linalg.qr(np.hstack([root, fitted.bent]).T, mode="r").T
     signs = np.concatenate([np.ones(0), *(np.where(canonical(t).values == -t.values, -1.0, 1.0) for t in terms)])
     links = fitted.posterior.data.links.at(fitted.links)[1] @ root[size : size + k]
     return np.concatenate([signs[:, None] * root[:size], links])
@@ -78,7 +85,7 @@ def undetermined(fitted: Fitted) -> np.ndarray:
     Those of the plain terms of which hardly more is known than before; and those that are told from unknown links by their prior alone.
     """
     post, size = fitted.posterior, len(fitted.model.values)
-    variance, plain = np.diag(covariance(fitted)), sum(len(t.estimates) for t in fitted.model.terms[: fitted.base])
+    variance, plain = np.diag(covariance(fitted, bent=False)), sum(len(t.estimates) for t in fitted.model.terms[: fitted.base])
     left = (variance * post.prior.precision > OPEN)[:size] & (np.arange(size) < plain)
     return left if post.data.free else left | rank.undetermined(post.likelihood)[:size]
 
