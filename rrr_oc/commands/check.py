@@ -8,6 +8,7 @@ from rich.table import Table
 
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, doubted, loaded
+from rrr_oc.model.metrics import WORTHLESS
 from rrr_oc.storage import plain
 
 app = typer.Typer(add_completion=False)
@@ -26,7 +27,13 @@ def check(dataset: Dataset, quiet: Quiet = False, as_json: Json = False) -> None
     for joint, nrmse in by_joint.items():
         table.add_row(joint, "never changes" if nrmse is None else f"{nrmse:.2g}")
     output.show(table)
-    if not found.doubts:
+    poor = [joint for joint, nrmse in by_joint.items() if nrmse is not None and nrmse > WORTHLESS]
+    if poor and not found.doubts:
+        output.note(
+            f"Warning: the rigid arm explains the torque of {', '.join(poor)} no better than a constant does. Check masses, gravity, tool "
+            "and payload; if they are right, physics is missing there, and rrr-oc diagnose says which."
+        )
+    elif not found.doubts:
         output.show("No column contradicts another or the robot.")
     low, high = found.diagnosis_s
     output.show(f"A diagnosis takes {low:.0f} to {high:.0f} s of processor time, the less the fewer effects are missing.")

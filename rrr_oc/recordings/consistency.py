@@ -69,7 +69,7 @@ class Doubt:
     """What looks wrong in a set.
 
     Attributes:
-        kind: "sign", "order", "unit", "clock" or "excitation".
+        kind: "sign", "order", "unit", "payload", "clock" or "excitation".
         columns: The columns that it is about.
         said: A sentence with the columns, the figures and the mend, without a full stop.
         before, after: NRMSE of the worst joint concerned without and with the mend; None where nothing is mended.
@@ -177,10 +177,14 @@ class Samples:
 
 
 class Comparison:
-    """Errors of the joints' torques under different readings of the columns; what was computed for a motion is kept."""
+    """Errors of the joints' torques under different readings of the columns; what was computed for a motion is kept.
 
-    def __init__(self, samples: Samples) -> None:
-        self.samples, self._load = samples, dict[tuple, tuple[np.ndarray, list[np.ndarray]]]()
+    Args:
+        springs: Whether each joint may have a spring that is not listed, which would hide a wrong sign.
+    """
+
+    def __init__(self, samples: Samples, springs: bool = False) -> None:
+        self.samples, self.springs, self._load = samples, springs, dict[tuple, tuple[np.ndarray, list[np.ndarray]]]()
         self.nominal = samples.recordings.inertial == "nominal"
 
     def nrmse(self, reading: Reading, scale: Sequence[float] | None = None, torque: np.ndarray | None = None) -> np.ndarray:
@@ -219,6 +223,8 @@ class Comparison:
             motion = np.concatenate([m for _, m, _ in self.samples.motion(reading)], axis=2)
             ones = np.ones(motion.shape[2])
             of = [np.column_stack([np.tanh(dq / WIDTH), dq, ddq, ones, -ones]) for _, dq, ddq in motion.swapaxes(0, 1)]
+            if self.springs:
+                of = [np.column_stack([a, q]) for a, q in zip(of, motion[0], strict=True)]
             load = self.samples.load(reading) if self.nominal else 0 * motion[0]
             if not self.nominal:
                 of = [np.column_stack([a, *_both_ways(x)]) for a, x in zip(of, self.samples.regressors(reading), strict=True)]
@@ -260,21 +266,38 @@ def _least(columns: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, float]:
 
 def check_consistency(recordings: RecordingSet) -> Consistency:
     """What looks wrong in a set beside what its reader says, and how well a rigid arm with friction explains it."""
-    compared = Comparison(Samples(recordings, _rows(recordings)))
-    given = Reading.as_given(recordings.robot.n)
-    nrmse = compared.nrmse(given)
-    doubts = list(_units(compared, given))
-    reading = given
+    samples, given = Samples(recordings, _rows(recordings)), Reading.as_given(recordings.robot.n)
+    rigid, compared, reading = Comparison(samples), Comparison(samples, springs=True), given
+    doubts = [*_payloads(compared, given)] or [*_units(rigid, given)]
     for _ in range(MENDS if not doubts else 0):
         better = _best_mend(compared, reading)
         if better is None:
             break
-        reading, doubt = better
+        reading, _, doubt = better
         doubts.append(doubt)
-    doubts += [*_clocks(compared, reading), *_excitation(compared, reading)]
+    if not doubts:
+        doubts += _of_one_recording(recordings, given)
+    doubts += [*_clocks(rigid, reading), *_excitation(rigid, reading)]
     return Consistency(
-        tuple(doubts), tuple(nrmse.tolist()), (DIAGNOSIS[0] * recordings.robot.n, DIAGNOSIS[1] * recordings.robot.n)
+        tuple(doubts),
+        tuple(rigid.nrmse(given).tolist()),
+        (DIAGNOSIS[0] * recordings.robot.n, DIAGNOSIS[1] * recordings.robot.n),
     )
+
+
+def _of_one_recording(recordings: RecordingSet, given: Reading) -> Iterator[Doubt]:
+    """Mistakes of one recording alone, in which a joint's error is far larger than in the others."""
+    sets = [replace(recordings, recordings=(r,)) for r in recordings.recordings]
+    every = [Comparison(Samples(one, _rows(one)), springs=True) for one in sets] if len(sets) > 1 else []
+    errors = np.array([compared.nrmse(given) for compared in every])
+    for k, compared in enumerate(every):
+        better = _best_mend(compared, given)
+        if better is None:
+            continue
+        _, j, doubt = better
+        others = np.delete(errors[:, j], k)
+        if np.isfinite(others).any() and np.nanmedian(others) < BETTER * errors[k, j]:
+            yield replace(doubt, said=f"{recordings.recordings[k].file}: {doubt.said}")
 
 
 def _rows(recordings: RecordingSet) -> tuple[np.ndarray, ...]:
@@ -291,8 +314,8 @@ def _score(nrmse: np.ndarray) -> float:
     return float(np.nansum(np.log(np.maximum(nrmse, LEAST_ERROR))))
 
 
-def _best_mend(compared: Comparison, reading: Reading) -> tuple[Reading, Doubt] | None:
-    """The reading, one mistake apart, that explains the torques best, if it is worth being said."""
+def _best_mend(compared: Comparison, reading: Reading) -> tuple[Reading, int, Doubt] | None:
+    """The reading, one mistake apart, that explains the torques best, and the joint that gains most, if it is worth being said."""
     before = compared.nrmse(reading)
     tried = [(other, kind, joints, said, compared.nrmse(other)) for other, kind, joints, said in _others(compared, reading)]
     if not tried:
@@ -305,7 +328,7 @@ def _best_mend(compared: Comparison, reading: Reading) -> tuple[Reading, Doubt] 
         return None
     joint = compared.samples.recordings.joints[j]
     told = f"{said}: NRMSE of the torque of {joint} {before[j]:.2g} → {after[j]:.2g}"
-    return other, Doubt(kind, joints, told, float(before[j]), float(after[j]))
+    return other, j, Doubt(kind, joints, told, float(before[j]), float(after[j]))
 
 
 def _mends(before: float, after: float) -> bool:
@@ -379,6 +402,23 @@ def _units(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
             said = f"{what} is {factors[j]:.3g} times the torque that the arm needs{unit}"
             told = f"{said}: divided by that, NRMSE {before[j]:.2g} → {after[j]:.2g}"
             yield Doubt("unit", (f"{torque}_{names[j]}",), told, float(before[j]), float(after[j]))
+
+
+def _payloads(compared: Comparison, reading: Reading) -> Iterator[Doubt]:
+    """Listed payloads without which the torques are explained much better."""
+    recordings = compared.samples.recordings
+    heaviest = max(float(np.max(r.payload)) for r in recordings.recordings)
+    if not (compared.nominal and heaviest > 0):
+        return
+    empty = tuple(replace(r, payload=0 * r.payload) for r in recordings.recordings)
+    bare = Comparison(replace(compared.samples, recordings=replace(recordings, recordings=empty)), springs=True)
+    before, after = compared.nrmse(reading), bare.nrmse(reading)
+    better = [j for j in range(len(before)) if _mends(float(before[j]), float(after[j]))]
+    if better:
+        j = max(better, key=lambda j: before[j] / after[j])
+        said = f"the torques fit better without the listed payload of up to {heaviest:g} kg"
+        told = f"{said}: NRMSE of the torque of {recordings.joints[j]} {before[j]:.2g} → {after[j]:.2g}"
+        yield Doubt("payload", ("payload",), told, float(before[j]), float(after[j]))
 
 
 def _clocks(compared: Comparison, reading: Reading) -> Iterator[Doubt]:

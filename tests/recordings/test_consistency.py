@@ -84,6 +84,30 @@ def test_a_mistake_is_named_with_its_mend(tmp_path, wrong, kind, said):
     assert set(doubt.columns) <= set(RIGHT)
 
 
+@pytest.mark.parametrize("name", ["sign of a torque", "sign of a torque without gravity", "torques swapped"])
+def test_a_mistake_of_one_recording_is_named_with_its_file(tmp_path, name):
+    wrong, kind, said = MISTAKES[name]
+    (doubt,) = doubts(tmp_path, a=RIGHT, b=wrong, c=RIGHT)
+    assert doubt.kind == kind
+    assert doubt.said.startswith(f"b.csv: {said}")
+
+
+def test_a_spring_hides_no_wrong_sign(tmp_path):
+    """The sign is as wrong, though the rigid arm alone explains the torque badly either way."""
+    for stiffness, at in ((40.0, -1.0), (15.0, 0.5)):
+        sprung = RIGHT["tau_joint3"] + stiffness * (RIGHT["q_joint3"] - at)
+        (doubt,) = doubts(tmp_path / f"{stiffness}", a=RIGHT | {"tau_joint3": -sprung})
+        assert (doubt.kind, doubt.columns) == ("sign", ("tau_joint3",))
+        assert doubts(tmp_path / f"{stiffness}_right", a=RIGHT | {"tau_joint3": sprung}) == ()
+
+
+def test_a_payload_that_no_torque_shows_is_said(tmp_path):
+    header = {"recordings": [{"file": "a.csv", "payload_kg": 1500}]}
+    (doubt,) = doubts(tmp_path, header, a=RIGHT)
+    assert doubt.kind == "payload"
+    assert doubt.said.startswith("the torques fit better without the listed payload of up to 1500 kg: ")
+
+
 def test_two_mistakes_are_named_one_after_the_other(tmp_path):
     wrong = scaled(-1, "tau_joint2", "tau_joint3")
     assert {doubt.columns for doubt in doubts(tmp_path, a=wrong)} == {("tau_joint2",), ("tau_joint3",)}
@@ -94,6 +118,12 @@ def test_a_torque_that_is_late_is_named_with_its_lag(tmp_path):
     (doubt,) = doubts(tmp_path, a=wrong)
     assert (doubt.kind, doubt.columns) == ("clock", ("tau_joint2",))
     assert doubt.said.startswith("tau_joint2 is 0.1 s late beside the positions: ")
+
+
+def test_a_torque_that_the_arm_does_not_explain_is_said(tmp_path, monkeypatch, capsys):
+    """As where a spring carries most of the weight."""
+    assert rrr_oc(monkeypatch, "check", str(written(tmp_path, a=scaled(0.3, "tau_joint3")))) == 0
+    assert "Warning: the rigid arm explains the torque of joint3 no better than a constant does" in capsys.readouterr().err
 
 
 def test_what_no_motion_shows_is_said(tmp_path):
