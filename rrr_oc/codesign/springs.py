@@ -119,7 +119,10 @@ def _bounded(task: Task, configuration: str) -> tuple[SpringBounds, ...]:
             raise UserError(f"task {task.name!r}: two entries are a {spring.effect.name} of {names}; one is allowed")
     missing = [kind for kind in kinds if kind not in {s.effect.name for s in springs}]
     if missing:
-        raise UserError(f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs")
+        there = ", ".join(dict.fromkeys(kind.name for kind, _ in _entries(task)))
+        raise UserError(
+            f"task {task.name!r} offers no {missing[0]}, which configuration {configuration} needs; it offers {there or 'no springs'}"
+        )
     return tuple(springs)
 
 

@@ -34,6 +34,7 @@ from rrr_oc.schema import (
 PRESETS = ("paper", "prototype", "more_springs", "further_springs", "series_springs")
 PHASES = ("go", "return")
 NEAR = 1e-3  # [m] between the tool and a position that it reaches; angles and positions in files are rounded; doubled, nothing changes
+MILLIMETRES = 100.0  # times as far away as the tool comes, from which a position looks like one in mm; doubled, nothing changes
 TRIED = 8  # postures from which the one of least torque is sought; doubled, slower and surer
 NO_LIMIT = 1e6  # [Nm]; a robot file's torque limit of this or more means that none is known
 Speed = Literal["rest", "moving", "free"]
@@ -341,9 +342,11 @@ def _check_feasible(where: str, task: Task, body: RigidBody) -> None:
         needed = way / speed + lost if not lost or way > speed * lost else np.sqrt(2 * rests * way / acceleration)
         for ways, (_, most), key in ((1, task.duration, "duration_s"), (2, task.cycle or (0.0, np.inf), "cycle_s")):
             if ways * needed > most:
+                limits = f"{np.degrees(speed):.1f} °/s"
+                limits += f" and {np.degrees(acceleration):.4g} °/s²" if np.isfinite(acceleration) else ""
                 raise UserError(
                     f"{where}: the task cannot be done: {joint} needs {needed:.2f} s for its {np.degrees(way):.1f}°{' each way' * (ways - 1)} "
-                    f"at {np.degrees(speed):.1f} °/s and {np.degrees(acceleration):.4g} °/s², and {key} allows {most:g} s"
+                    f"at {limits}, and {key} allows {most:g} s"
                 )
     for end, q in (("start", task.start), ("release", task.release)):
         height = float(body.tool_height(task.full(q), task.tool, task.robot.gravity))
@@ -483,7 +486,12 @@ def _out_of_reach(where: str, task: Task, goal: Goal, nearest: Any, slopes: Sequ
     why = f"; {', '.join(task.joints)} cannot change {' and '.join(fixed)}" if fixed else ""
     away = float(np.linalg.norm(nearest.fun[3:]))
     turned = f", {np.degrees(2 * np.arcsin(min(away / 2, 1.0))):.1f}° from the direction" * (goal.axis is not None)
-    return f"{told}: the tool comes no nearer than {np.linalg.norm(nearest.fun[:3]):.4f} m, at {point} m{turned}{why}"
+    looks = ""
+    if np.linalg.norm(position) > MILLIMETRES * np.linalg.norm(point):
+        looks = "; the position looks like mm"
+    elif np.all(np.degrees(task.upper - task.lower) < 2 * np.pi):
+        looks = "; the joint ranges are in degrees, and these look like rad"
+    return f"{told}: the tool comes no nearer than {np.linalg.norm(nearest.fun[:3]):.4f} m, at {point} m{turned}{why}{looks}"
 
 
 def _least_torque(task: Task, body: RigidBody, goal: Goal, reached: Sequence[np.ndarray]) -> np.ndarray:

@@ -440,10 +440,14 @@ def _of_configuration(c: Configuration) -> list[str]:
     return said
 
 
-def _away(differs: float, decimals: int) -> str:
-    """A relative difference from what was planned; of what is many times that, how many."""
+def _away(differs: float, decimals: int, tracking_error: float) -> str:
+    """A relative difference from what was planned; of what is many times that, how many, and whether the arm follows the motion there,
+    which it misses by a greatest angle [rad]."""
     if differs + 1 > MANY:
-        return f"{1 + differs:.3g} times the planned one: the arm does not follow the motion there"
+        why = "the arm does not follow the motion there"
+        if tracking_error <= FOLLOWED:
+            why = "the arm follows the motion, but beside so little planned torque even its small deviations count"
+        return f"{1 + differs:.3g} times the planned one: {why}"
     return f"{100 * differs:+.{decimals}f} % away from the planned one"
 
 
@@ -454,7 +458,7 @@ def _of_motion(m: Moved) -> list[str]:
         said.append(f"the tolerance of the mesh was not met; the error between its nodes is {k.mesh.error:.1e}")
     differs = 0.0 if m.scenarios else m.mujoco.E1 / m.E1 - 1
     if abs(differs) > AGREES:
-        said.append(f"MuJoCo finds an E1 that is {_away(differs, 1)}")
+        said.append(f"MuJoCo finds an E1 that is {_away(differs, 1, m.mujoco.tracking_error_rad)}")
     if k.violation > OVER:
         said.append(f"a limit is exceeded between the nodes by {100 * k.violation:.0f} % of its scale")
     if k.second_order == "violated":
@@ -462,7 +466,7 @@ def _of_motion(m: Moved) -> list[str]:
     if (twin := m.calibrated) is not None:
         differs = twin.engine.E1 / m.E1 - 1
         if abs(differs) > FAR:
-            said.append(f"in the calibrated twin E1 is {_away(differs, 0)}")
+            said.append(f"in the calibrated twin E1 is {_away(differs, 0, twin.tracking_error_rad)}")
         if twin.saturated:
             said.append("in the calibrated twin a controller reaches its limit")
         if twin.tracking_error_rad > FOLLOWED:

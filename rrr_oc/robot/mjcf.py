@@ -41,6 +41,10 @@ def mjcf_as_urdf(path: Path) -> str:
     without mass. A joint's torque limit is the force range of its actuators, times their gear, or its own, whichever is less.
     """
     mj = compiled(path)
+    for body in np.flatnonzero(~np.isfinite(np.c_[mj.body_mass, mj.body_inertia, mj.body_ipos]).all(axis=1)).tolist():
+        raise UserError(
+            f"{path}: body {_name(mj, 'body', body)!r} has the mass {mj.body_mass[body]:g} kg; finite masses are required"
+        )
     root = ElementTree.Element("robot", name=path.stem)
     ElementTree.SubElement(root, "gravity", xyz=_text(mj.opt.gravity))
     for note in _notes(mj):
@@ -159,7 +163,8 @@ def _effort(mj: mujoco.MjModel, joint: int) -> np.ndarray:
     for actuator in range(mj.nu):
         if mj.actuator_trntype[actuator] in _ON_JOINTS and mj.actuator_trnid[actuator, 0] == joint:
             none = False
-            total = total + np.sort(mj.actuator_gear[actuator, 0] * _force(mj, actuator))
+            gear = mj.actuator_gear[actuator, 0]
+            total = total + (np.sort(gear * _force(mj, actuator)) if gear else 0.0)
     total = np.array([-np.inf, np.inf]) if none else total
     own = mj.jnt_actfrcrange[joint] if mj.jnt_actfrclimited[joint] else total
     return np.clip(own, total[0], total[1])

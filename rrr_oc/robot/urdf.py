@@ -86,7 +86,7 @@ class Elements:
         try:
             parser.Parse(text.encode(errors="replace"), True)
         except expat.ExpatError as error:
-            raise UserError(f"robot {self._name!r}: not well-formed XML: {error}") from None
+            raise UserError(f"robot {self._name!r}: not well-formed XML: {error}; a URDF or an MJCF is required") from None
         return builder.close()
 
     def _check_numbers(self, of: ElementTree.Element, parent: ElementTree.Element) -> None:

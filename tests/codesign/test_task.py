@@ -213,6 +213,15 @@ WRONG = {
     "tool on the base": ({"tool": {"link": "base", "position_m": [0, 0, 0]}}, "link 'base' .* does not move"),
     "position without the last link": ({"tool": {"link": "link2", "position_m": [0.1, 0, 0]}}, "give angles_deg"),
     "out of reach, where": ({"release__position_m": [0.7, 0, 0.07]}, r"at \[0\.6, 0\.0, 0\.07\] m"),
+    "position in mm": ({"release__position_m": [400, 0, 70]}, "; the position looks like mm"),
+    "ranges in rad": (
+        {
+            "start": {"position_m": [0.15, 0, 0.07]},
+            "limits__joint2__range_deg": [-0.2, 2.6],
+            "limits__joint3__range_deg": [-3.1, 0.0],
+        },
+        "start .* is out of reach .*; the joint ranges are in degrees, and these look like rad",
+    ),
     "a coordinate that no joint changes": (
         {"release__position_m": [0.3, 0.2, 0.07]},
         r"at \[0\.3, 0\.0, 0\.07\] m; joint2, joint3 cannot change y",

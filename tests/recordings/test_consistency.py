@@ -122,8 +122,8 @@ def test_a_torque_that_is_late_is_named_with_its_lag(tmp_path):
 
 def test_a_torque_that_the_arm_does_not_explain_is_said(tmp_path, monkeypatch, capsys):
     """As where a spring carries most of the weight."""
-    assert rrr_oc(monkeypatch, "check", str(written(tmp_path, a=scaled(0.3, "tau_joint3")))) == 0
-    assert "Warning: the rigid arm explains the torque of joint3 no better than a constant does" in capsys.readouterr().err
+    assert rrr_oc(monkeypatch, "check", str(written(tmp_path, a=scaled(0.3, "tau_joint2")))) == 0
+    assert "Warning: the rigid arm explains the torque of joint2 no better than a constant does" in capsys.readouterr().err
 
 
 def test_what_no_motion_shows_is_said(tmp_path):

@@ -149,7 +149,8 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
          {"mu": number(-0.05, "1"), "follows": {"value": "motor", "std": None, "unit": ""}},
          "Dry friction of a falls with the torque of its motor: 0.0500 Nm per Nm."),
         ("cable_harness", "a", {"stiffness": number(2.0, "Nm/rad"), "rest": number(0.0, "rad"), "hardening": number(0.8, "Nm/rad³")},
-         "Something elastic, such as a cable or a hose, pulls a back towards 0.00°: 2.00 Nm/rad, and 0.800 Nm/rad³ times the third "
+         "Something elastic, such as a cable, a hose or a spring that acts both ways, pulls a back towards "
+         "0.00°: 2.00 Nm/rad, and 0.800 Nm/rad³ times the third "
          "power of the angle."),
         ("biarticular_spring", ["a", "b"],
          {"kappa": number(8.0, "Nm/rad"), "rho": number(0.5, "1"), "phi": number(-0.1, "rad", 0.01), "winding": {"value": [1, -1]}},

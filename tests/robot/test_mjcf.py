@@ -163,6 +163,21 @@ def test_a_gripper_is_held_still_where_its_joints_are_not_listed(tmp_path):
     assert robot.inertial[0, 2] == pytest.approx(alone.inertial[0, 2] + 0.2, abs=1e-12)
 
 
+def test_an_actuator_without_gear_says_nothing_of_a_torque(tmp_path, recwarn):
+    """As a torque limit of 0 in a URDF; whatever its force is, an endless one too."""
+    text = ARM.replace('gear="-30" ctrlrange="-2 2"', 'gear="0"')
+    robot = load_robot(_written(tmp_path, text))
+    assert np.isinf(robot.effort[robot.joints.index("elbow")])
+    assert not recwarn.list
+
+
+def test_a_body_without_end_is_refused(tmp_path):
+    text = ARM.replace('<geom class="light" type="box" size="0.03 0.04 0.2" pos="0 0.01 0.2" mass="2"/>', "")
+    text = text.replace('<body name="bracket"', '<geom size="0.05" density="inf"/><body name="bracket"')
+    with pytest.raises(UserError, match=r"arm.xml: body 'fore' has the mass .* kg; finite masses are required"):
+        load_robot(_written(tmp_path, text))
+
+
 def test_commands_read_mjcf_and_sets_hold_it_as_urdf(tmp_path, capfd, monkeypatch):
     path = _written(tmp_path, ARM.replace("1 -0.5 -9", "0 0 -9.81"))
     monkeypatch.setattr(sys, "argv", ["rrr-oc", "init", str(path), "--out", str(tmp_path / "set")])

@@ -23,7 +23,10 @@ class CableHarness(NativeTwin):
 
     name = "cable_harness"
     equation = "tau = -stiffness (q - rest) - hardening (q - rest)^3"
-    plain = "Something elastic, such as a cable or a hose, pulls {joints} back towards {rest:deg}: {stiffness}{more}."
+    plain = (
+        "Something elastic, such as a cable, a hose or a spring that acts both ways, pulls {joints} back towards "
+        "{rest:deg}: {stiffness}{more}."
+    )
     parameters = (
         Parameter("stiffness", "Nm/rad", 0.0, lower=0.0),
         Parameter("rest", "rad", 0.0),
