@@ -23,6 +23,9 @@ from rrr_oc.simulation.engine_model import Settings, assembled, controller
 from rrr_oc.simulation.generated_c import PAYLOAD
 
 THICKNESS = 0.08  # radius of a link that is drawn, as a share of the arm's mean link; doubled, a thicker arm
+ROUNDED = (
+    2e-5  # [1] of a moment of inertia, in which six digits of three moments may differ; halved, some files would be refused
+)
 COLOUR = (0.55, 0.6, 0.68, 1.0)  # of what is drawn: grey
 
 
@@ -56,6 +59,7 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     spec.option.disableflags = 0
     _draw(spec, robot, model.tool.position)
     left_out += without_form(model, generated)
+    _round_inertias(spec)
     try:
         built(spec)
     except ValueError as error:
@@ -70,6 +74,17 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     if left_out:
         text = "<!-- Not in this file:\n" + "".join(f"  {one.replace('--', '-')}\n" for one in left_out) + "-->\n" + text
     return Exported(text, tuple(left_out))
+
+
+def _round_inertias(spec: mujoco.MjSpec) -> None:
+    """Give thin bodies moments of inertia of which none exceeds the two others' sum when they are written with six digits."""
+    for body in spec.bodies[1:]:
+        moments = np.array(body.inertia)
+        most = int(np.argmax(moments))
+        others = moments.sum() - moments[most]
+        if (1 - ROUNDED) * others < moments[most] <= others:
+            moments[most] = (1 - ROUNDED) * others
+            body.inertia = moments
 
 
 def as_in_a_file(model: Model, theta: Sequence[float] | np.ndarray) -> tuple[Model, np.ndarray, list[str]]:

@@ -61,6 +61,17 @@ def test_joints_without_a_range_have_none_in_mjcf(tmp_path):
     assert mujoco.MjModel.from_xml_string(made.text).jnt_limited.tolist() == [0, 1]
 
 
+def test_a_flat_link_is_read_again_whatever_the_digits_of_its_moments_of_inertia(tmp_path):
+    """The largest moment of a plate is the two others' sum, which six digits of each may miss."""
+    (tmp_path / "arm.urdf").write_text(arm(2))
+    robot, rng = load_robot(tmp_path / "arm.urdf"), np.random.default_rng(0)
+    for a, b in rng.uniform(0.001, 0.01, (40, 2)):
+        plate = np.array([2.0, 0, 0, 0, a, 0, b, 0, 0, a + b])
+        made = mjcf(Model(replace(robot, inertial=np.column_stack([plate, plate])), robot.tool), np.zeros(0))
+        moments = mujoco.MjModel.from_xml_string(made.text).body_inertia[1]
+        np.testing.assert_allclose(np.sort(moments), np.sort([a, b, a + b]), rtol=3e-5)
+
+
 def test_mjcf_needs_the_torques_of_pinocchio_and_of_the_springs_laws():
     robot = load_robot("rrr")
     pea, bpea = ParallelSpring((1,)), BiarticularSpring((1, 2))
