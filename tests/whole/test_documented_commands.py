@@ -69,6 +69,7 @@ NOT_RUN = {
     "rrr-oc import lerobot": ("needs a data set of LeRobot", "tests/recordings/test_import_lerobot.py"),
     "python -m pytest tests/benchmarks": ("benchmarks, for idle machines", "tests/benchmarks"),
     "validation/search_seeds.py": ("an hour", "tests/codesign/test_multistart.py"),
+    "validation/other_arms.py": ("hours, and needs robot files of others", "tests/validation/test_other_arms.py"),
     "studies/pea_bpea.py": ("minutes", "tests/whole/test_study.py"),
     "studies/natural_dynamics.py": ("an hour", "tests/whole/test_natural_dynamics_study.py"),
     "studies/calibration.py": ("needs the authors' recordings", "tests/whole/test_calibration_study.py"),
