@@ -58,7 +58,7 @@ def spread(fitted: Fitted) -> np.ndarray:
     terms, size, k = fitted.model.terms, len(fitted.model.values), len(fitted.links)
     root = root_of_covariance(fitted.posterior.matrix)
     if fitted.bent is not None:
-        root = np.linalg.qr(np.hstack([root, fitted.bent]).T, mode="r").T
+        root = np.asarray(np.linalg.qr(np.hstack([root, fitted.bent]).T, mode="r")).T
     signs = np.concatenate([np.ones(0), *(np.where(canonical(t).values == -t.values, -1.0, 1.0) for t in terms)])
     links = fitted.posterior.data.links.at(fitted.links)[1] @ root[size : size + k]
     return np.concatenate([signs[:, None] * root[:size], links])
