@@ -31,7 +31,7 @@ from rrr_oc.optimal_control.refinement import Refinement
 from rrr_oc.report.tables import markdown
 from rrr_oc.schema import parsed
 from rrr_oc.storage import Made, check_folder, read_utf8, write_json, write_text
-from validation.search_seeds import searched
+from validation.search_seeds import write_searched
 
 SPREAD = 0.005  # [1] by which seeds may differ
 SLACK = 1e-3  # [1] by which fewer springs or held postures may seem better, as meshes differ
@@ -100,10 +100,6 @@ def written(arms: Path, folder: Path, name: str) -> Path:
     return file
 
 
-def _write(file: Path, task: str, name: str, options: SearchOptions) -> None:
-    write_json(file, searched(task, name, options))
-
-
 def checks(best: Mapping[tuple[str, str], float]) -> list[str]:
     """What is worse though it has more springs or free postures, from the best cost of each task and configuration."""
     parts = {key: {p for p in key[1].split("+") if p != "SA"} for key in best}
@@ -140,7 +136,7 @@ def main(
         file = out / "searches" / f"{files[name].parent.name}_{configuration}_{seed}.json"
         options = SearchOptions(seed=seed, refinement=Refinement(1e-4))
         made = Made([file], [name, configuration, asdict(options)], [Path(__file__), files[name]])
-        made.once(partial(_write, file, str(files[name]), configuration, options))
+        made.once(partial(write_searched, file, str(files[name]), configuration, options))
         costs.setdefault((name, configuration), []).append(json.loads(file.read_text())["cost"])
         rows = [
             [
@@ -148,11 +144,11 @@ def main(
                 f"{min(c):.5g}",
                 str(len(c)),
                 f"{100 * (max(c) / min(c) - 1):.2f} %",
-                "" if max(c) < (1 + SPREAD) * min(c) else "more",
+                "yes" if max(c) > (1 + SPREAD) * min(c) else "",
             ]
             for key, c in costs.items()
         ]
-        header = ["task", "springs", "best E1 [N²m²s]", "seeds", "they differ by", f"than {100 * SPREAD:g} %"]
+        header = ["task", "springs", "best E1 [N²m²s]", "seeds", "they differ by", f"more than {100 * SPREAD:g} %"]
         best = {key: min(c) for key, c in costs.items()}
         write_text(out / "report.md", "\n".join([markdown(header, rows), "", *checks(best)]) + "\n")
     print((out / "report.md").read_text())

@@ -39,7 +39,8 @@ def searched(task: str, configuration: str, options: SearchOptions) -> dict[str,
     return {"cost": best.cost, "reached": best.reached, "seconds": time.process_time() - began}
 
 
-def _write(file: Path, task: str, name: str, options: SearchOptions) -> None:
+def write_searched(file: Path, task: str, name: str, options: SearchOptions) -> None:
+    """What `searched` finds, into a file."""
     write_json(file, searched(task, name, options))
 
 
@@ -69,7 +70,7 @@ def main(
         file = out / f"{load_task(task).name}_{name}_{seed}.json"
         options = SearchOptions(starts=starts, seed=seed, refinement=Refinement(tolerance))
         made = Made([file], [task, name, asdict(options)], [Path(__file__), Path(task)])
-        made.once(partial(_write, file, task, name, options))
+        made.once(partial(write_searched, file, task, name, options))
         results.setdefault((task, name), []).append(json.loads(file.read_text()))
         rows = [row(load_task(t).name, n, results[t, n]) for t in tasks for n in wanted[t] if (t, n) in results]
         header = ["task", "springs", "best E1", "within 0.1 %", "worst", "one start or none", "processor [s]"]

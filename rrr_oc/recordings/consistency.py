@@ -291,12 +291,11 @@ def _of_one_recording(recordings: RecordingSet, given: Reading) -> Iterator[Doub
     every = [Comparison(Samples(one, _rows(one)), springs=True) for one in sets] if len(sets) > 1 else []
     errors = np.array([compared.nrmse(given) for compared in every])
     for k, compared in enumerate(every):
-        better = _best_mend(compared, given)
-        if better is None:
-            continue
-        _, j, doubt = better
-        others = np.delete(errors[:, j], k)
-        if np.isfinite(others).any() and np.nanmedian(others) < BETTER * errors[k, j]:
+        others = np.ma.median(np.ma.masked_invalid(np.delete(errors, k, axis=0)), axis=0).filled(np.inf)
+        far = others < BETTER * errors[k]
+        better = _best_mend(compared, given) if far.any() else None
+        if better is not None and far[better[1]]:
+            doubt = better[2]
             yield replace(doubt, said=f"{recordings.recordings[k].file}: {doubt.said}")
 
 
