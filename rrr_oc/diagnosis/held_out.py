@@ -104,11 +104,12 @@ def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) ->
 def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, Fold]:
     """A fold and its number; `start` is where the fit of what was found begins."""
     train, test, plain = _parts(fitter, begin, held)
-    more = start is not None and len(start[0].terms) > plain.base
-    found = train.fit(*start, plain.posterior) if start is not None and more else plain
-    before = nrmse(test, plain.model)
-    after = nrmse(test, found.model) if more else before
-    return number, Fold(tuple(held), plain.model, found.model, found.links, before, after)
+    near = train.closest(plain)  # as of the whole diagnosis, the model is reported that predicts best
+    before = nrmse(test, near.model)
+    if start is None or len(start[0].terms) == plain.base:
+        return number, Fold(tuple(held), near.model, near.model, near.links, before, before)
+    found = train.closest(train.fit(*start, plain.posterior))
+    return number, Fold(tuple(held), near.model, found.model, found.links, before, nrmse(test, found.model))
 
 
 def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding]) -> list[Fold]:
@@ -127,7 +128,7 @@ def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Findi
         return replace(fold, model=fold.plain, after=fold.before)
     train, test, plain = _parts(fitter, begin, fold.held)
     start = replace(fold.model, terms=(*fold.model.terms[: plain.base], *kept))
-    found = train.fit(start, fold.links, plain.posterior)
+    found = train.closest(train.fit(start, fold.links, plain.posterior))
     return replace(fold, model=found.model, links=found.links, after=nrmse(test, found.model))
 
 

@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 from recorded import Plant, as_set, record
 
+from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
 from rrr_oc.diagnosis.findings import Fall, Finding
 from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals, ranges
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares
+from rrr_oc.diagnosis.procedure import Diagnosis, Shares, ready
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
+from rrr_oc.effects.priors import Priors
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import extrapolated, sentence
 
@@ -210,3 +212,18 @@ def test_an_error_says_whether_the_motion_was_covered(reach, said):
     (line, *rest) = extrapolated({"nrmse": {"held_out": {"range": found}}, "held_out": "recordings"}) or [""]
     assert ("move a at" in line) == (said == "outside")
     assert not rest
+
+
+def test_what_is_held_out_is_predicted_by_what_a_calibration_reports(planar):
+    """Where a law is missing, the likeliest model predicts worse than the reported one, and held-out errors are of what is reported."""
+    plant, rng = planar(1), np.random.default_rng(3)
+    made = [record(plant, f"{k}.csv", rng, 8.0) for k in range(3)]
+    # no law of the catalogue: a torque with the product of position, speed and acceleration
+    odd = [replace(r, tau=r.tau + 0.3 * r.tau.std() * np.tanh(r.q * r.dq * r.ddq)) for r in made]
+    recordings = as_set(plant, odd)
+    _, fitter, _, plain = ready(recordings, Priors())
+    begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
+    _, one = before_after._fold(0, fitter, begin, None, (0,))
+    reported = calibrate(replace(recordings, recordings=tuple(odd[1:])))
+    wanted = before_after.nrmse(fitter.data.part((0,)), reported)
+    np.testing.assert_allclose(one.before, wanted, rtol=0.01)
