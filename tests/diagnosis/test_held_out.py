@@ -18,10 +18,10 @@ from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_lo
 from rrr_oc.diagnosis.procedure import Diagnosis, Shares, ready
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
+from rrr_oc.effects.priors import Priors
 from rrr_oc.effects.sensor.encoder_offset import EncoderOffset
 from rrr_oc.effects.transmission.backlash import Backlash
 from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
-from rrr_oc.effects.priors import Priors
 from rrr_oc.report.diagnosis_report import write_diagnosis
 from rrr_oc.report.diagnosis_words import extrapolated, sentence
 
