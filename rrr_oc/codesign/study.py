@@ -45,7 +45,8 @@ from rrr_oc.codesign.posterior.scenarios import Over, over_members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
 from rrr_oc.codesign.search.comparisons import at_cycle_times, balancing_springs, best_motion, cycle_times, freed
 from rrr_oc.codesign.search.local_optima import Optimum
-from rrr_oc.codesign.search.multistart import SHARES, SearchResult, arranged_costs, continue_from, layers, solve_multistart
+from rrr_oc.codesign.search.mounting import best_mounted
+from rrr_oc.codesign.search.multistart import SHARES, Coarse, SearchResult, continue_from, layers, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
 from rrr_oc.codesign.task import PHASES, PRESETS, Task
@@ -496,26 +497,32 @@ def _solve(study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[s
     began = time.perf_counter()
     if study.request.price is not None:
         return _solve_priced(study, name, ways[0], began)
-    design = _best_arranged(study, name, ways)
     if study.single:
-        return _solve_one(study, name, design, before, began)
+        return _solve_one(study, name, ways, before, began)
+    design = ways[_mounted(study, name, ways)[0]]
     alone = _alone(study, name, design)
     with study.listener.stages(name) as report:
         result = solve_set(design, alone, study.options, report)
     return _described(study, name, result, began)
 
 
-def _solve_one(study: Study, name: str, design: SetDesign, before: Mapping[str, Configuration], began: float) -> Configuration:
+def _solve_one(
+    study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[str, Configuration], began: float
+) -> Configuration:
     """As `_solve`, for one task. The search also starts from what was found before for configurations with fewer springs, so that it
     is not worse than these."""
-    known = []
+    known: list[list[Guess]] = [[] for _ in ways]
     for other, solved in before.items():
         if other in study.designs and not solved.interrupted:
             inner = _chosen(study.designs[other], solved).first
-            file = read_npz(kept_motion(study, other))
-            known.append(embedded(restored(inner, study.options, file), inner, design.first))
+            found = restored(inner, study.options, read_npz(kept_motion(study, other)))
+            for way, guesses in zip(ways, known, strict=True):
+                guess = embedded(found, inner, way.first)
+                guesses += [] if guess is None else [guess]
+    best, coarse = _mounted(study, name, ways, known)
+    design = ways[best]
     with study.listener.stages(name) as report:
-        found = _search(study, design.first, [guess for guess in known if guess is not None], report)
+        found = _search(study, design.first, known[best], report, next(iter(coarse), None))
         Progress(SHARES, report).tell("certificate", 0.0, f"best {found.best.cost:.6g}")
         described = _described(study, name, SetResult.of_one(design, found.best), began)
     optima = [
@@ -608,9 +615,11 @@ def _as_bought(found: Configuration, bought: CatalogueResult, gap: float) -> Con
     return typed(data(found) | {"catalogue": catalogue}, Configuration)
 
 
-def _search(study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None]) -> SearchResult:
+def _search(
+    study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None], coarse: Coarse | None
+) -> SearchResult:
     try:
-        return solve_multistart(design, study.options, known=known, report=report)
+        return solve_multistart(design, study.options, known=known, report=report, coarse=coarse)
     except SolverFailure as failure:
         raise _no_motion(design.task, failure) from None
 
@@ -624,13 +633,19 @@ def _no_motion(task: Task, failure: SolverFailure) -> UserError:
     )
 
 
-def _best_arranged(study: Study, name: str, ways: Sequence[SetDesign]) -> SetDesign:
-    """Of ways to mount the springs the one in which the tasks alone cost least."""
+def _mounted(
+    study: Study, name: str, ways: Sequence[SetDesign], known: Sequence[Sequence[Guess]] = ()
+) -> tuple[int, list[Coarse]]:
+    """The number of the best way to mount the springs, and searches on the coarse mesh of its tasks that were made for that.
+
+    Args:
+        known: Of each way, optima of the only task with fewer springs.
+    """
     if len(ways) == 1:
-        return ways[0]
+        return 0, []
     study.listener.show(f"{name}: the tasks leave {len(ways)} ways to mount the springs open; each is tried")
-    costs = [arranged_costs(of_task, study.options) for of_task in zip(*(way.designs for way in ways), strict=True)]
-    return ways[int(np.argmin([way.total(of_way) for way, of_way in zip(ways, zip(*costs, strict=True), strict=True)]))]
+    with study.listener.stages(f"{name} mounting") as report:
+        return best_mounted([w.designs for w in ways], study.options, lambda w, costs: ways[w].total(costs), known, report)
 
 
 def _alone(study: Study, name: str, design: SetDesign) -> list[Optimum]:

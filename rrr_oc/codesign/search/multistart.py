@@ -36,7 +36,7 @@ from rrr_oc.progress import Progress, Step
 SPRINGS = 3  # springs of which the best motions are searched at first; doubled, a search takes up to twice as long
 APART = 0.03  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
 POSTURES = 64  # in which their torque is compared; doubled, springs that differ in a few postures only are told apart
-IDLE = 5  # springs tried one after the other without a lower cost, before no more are; doubled, slower and surer
+IDLE = 12  # springs tried one after the other without a lower cost, before no more are; doubled, slower and surer
 # [1] above the best cost that a finer mesh and better motions may undo; doubled, more optima are solved in vain
 PROMISING = 0.15
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
@@ -49,15 +49,14 @@ FEW = 1  # meshes to which all optima close to the best are refined; more tell t
 BARRIERS = (1.0, None, None, None)
 # Share of the time of a search that each of its stages takes, by experience
 SHARES = {
-    "starts": 0.05,
-    "other springs": 0.2,
-    "fine mesh": 0.1,
-    "best motions": 0.35,
+    "starts": 0.1,
+    "other springs": 0.4,
+    "fine mesh": 0.05,
+    "best motions": 0.2,
     "refined meshes": 0.05,
-    "swings": 0.15,
+    "swings": 0.1,
     "certificate": 0.1,
 }
-TRIED = 4  # starts for each way to mount the springs; doubled, choosing among them takes twice as long and errs less often
 
 
 @dataclass(frozen=True)
@@ -171,12 +170,32 @@ class Polisher(CoarseSolver):
         return self.started(layer, self.transcription.pack(guess), (barrier,))
 
 
+@dataclass(frozen=True, eq=False)
+class Coarse:
+    """A search on the coarse mesh.
+
+    Attributes:
+        polisher: What polished the starts.
+        starts: All of them, in the order of their ends.
+        optima: The distinct optima to which they led, and those of the springs tried after them, cheapest first.
+        search: Of motions of held springs; None where there is none.
+        interrupted: Whether Ctrl-C ended it.
+    """
+
+    polisher: Polisher
+    starts: tuple[Start, ...]
+    optima: tuple[Optimum, ...]
+    search: MotionSearch | None
+    interrupted: bool
+
+
 def solve_multistart(
     design: CoDesign,
     options: SearchOptions | None = None,
     polished: Callable[[Start], None] = lambda _: None,
     known: Sequence[Guess] = (),
     report: Callable[[Step], None] = lambda _: None,
+    coarse: Coarse | None = None,
 ) -> SearchResult:
     """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
     fine one, the best motions for their springs are looked for phase by phase, the best optima are refined, and motions with a swing
@@ -186,11 +205,21 @@ def solve_multistart(
         known: Further starting points, such as optima of designs with fewer springs; they are solved on the fine mesh.
         polished: Called with every start that has been polished.
         report: Is told how far the search is.
+        coarse: The search on the coarse mesh, if it has been made.
 
     Raises:
         SolverFailure: No start led to an optimum.
     """
     options, progress = options or SearchOptions(), Progress(SHARES, report)
+    found = coarse or coarse_search(design, options, progress, polished)
+    optima = _best_optima(found, known, progress)
+    return SearchResult(design, optima, found.starts, found.interrupted, found.search.covered if found.search else Covered())
+
+
+def coarse_search(
+    design: CoDesign, options: SearchOptions, progress: Progress, polished: Callable[[Start], None] = lambda _: None
+) -> Coarse:
+    """The optima on the coarse mesh from all starts, and from springs to which these led; raises `SolverFailure` if there are none."""
     polisher = Polisher(design, options)  # compiles the functions before the processes need them
     starts: list[Start] = []
     interrupted = False
@@ -204,25 +233,11 @@ def solve_multistart(
     if not any(s.w.size for s in starts):
         _raise_failure(design, options, starts)
     search = None if interrupted or not options.motions else MotionSearch(design, options)
-    kept = 1 if interrupted else options.kept
-    optima = _best_optima(polisher, starts, known, search, kept, progress)
-    return SearchResult(design, optima, tuple(starts), interrupted, search.covered if search else Covered())
-
-
-def best_arranged(designs: Sequence[CoDesign], options: SearchOptions) -> CoDesign:
-    """Of designs that differ in how their springs are mounted, the one with the cheapest optimum on the coarse mesh, from the same few
-    Sobol points each; without a solve where there is one alone."""
-    return designs[0] if len(designs) == 1 else designs[int(np.argmin(arranged_costs(designs, options)))]
-
-
-def arranged_costs(designs: Sequence[CoDesign], options: SearchOptions) -> list[float]:
-    """The cheapest optimum on the coarse mesh of each design, from the same few Sobol points."""
-    few = replace(options, starts=min(options.starts, TRIED), layers=LAYERS[:1])
-    costs = []
-    for design in designs:
-        Polisher(design, few)  # compiles the functions before the processes need them
-        costs.append(min(start.polished for start in _polished(design, few)))
-    return costs
+    found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
+    optima = distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)
+    if search is not None:
+        optima = _with_better_springs(polisher, search, optima, progress)
+    return Coarse(polisher, tuple(starts), tuple(optima), search, interrupted)
 
 
 def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> tuple[int, Solution | None]:
@@ -266,8 +281,7 @@ def _polished(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
     def polish(layer: str, vectors: Iterable[np.ndarray]) -> Iterator[tuple[int, Start]]:
         return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)])
 
-    for _, start in polish("sobol", sobol_points(size, half, options.seed)):
-        yield start
+    yield from sobol_starts(design, options, range(half), key)
     left = options.starts - half
     while left > 0:
         strategy = cma_strategy(size, options, left)
@@ -280,6 +294,14 @@ def _polished(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
             left -= len(vectors)
             worst = costs[np.isfinite(costs)].max(initial=1e6)
             strategy.tell(vectors, np.where(np.isfinite(costs), costs, 2 * worst).tolist())
+
+
+def sobol_starts(design: CoDesign, options: SearchOptions, numbers: range, key: str = "") -> Iterator[Start]:
+    """The starts from the Sobol points of these numbers, in the order of their polishes' ends; a process keeps a polisher for each key."""
+    points = sobol_points(dimensions(design, options.via), numbers.stop, options.seed)[numbers.start :]
+    shared = key or uuid.uuid4().hex, design, options, LAYERS[0]
+    for _, start in unordered(_polish, [(*shared, i, point) for i, point in zip(numbers, points, strict=True)]):
+        yield start
 
 
 def _polish(key: str, design: CoDesign, options: SearchOptions, layer: str, index: int, vector: np.ndarray):
@@ -301,22 +323,11 @@ def _coarse_cost(starts: Sequence[Start]) -> str:
     return f"about {best:.4g} on the coarse mesh" if np.isfinite(best) else "none within the limits so far"
 
 
-def _best_optima(
-    polisher: Polisher,
-    starts: list[Start],
-    known: Sequence[Guess],
-    search: MotionSearch | None,
-    kept: int,
-    progress: Progress,
-) -> tuple[Optimum, ...]:
+def _best_optima(found: Coarse, known: Sequence[Guess], progress: Progress) -> tuple[Optimum, ...]:
     """The distinct optima on a fine mesh, of no more than `kept` on the coarse one, the best of them refined; cheapest first."""
-    design, options = polisher.design, polisher.options
-    found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
-    coarse = distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)
-    if search is not None:
-        coarse = _with_better_springs(polisher, search, coarse, progress)
+    design, options, search = found.polisher.design, found.polisher.options, found.search
     progress.tell("fine mesh")
-    some = _promising(coarse)[:kept]
+    some = _promising(found.optima)[: 1 if found.interrupted else options.kept]
     guesses = [*(o.solution.guess() for o in some), *known]
     optima = _followed(design, options, guesses, [o.reached for o in some])
     if not optima:
@@ -351,7 +362,7 @@ def _fine(optimum: Optimum, rounds: int) -> bool:
     return len(optimum.meshes) > rounds or optimum.meshes[-1].get("converged", False)
 
 
-def _promising(optima: list[Optimum]) -> list[Optimum]:
+def _promising(optima: Sequence[Optimum]) -> list[Optimum]:
     """Those of some optima, cheapest first, that may turn out to be the best."""
     return [o for o in optima if o.cost <= optima[0].cost * (1 + PROMISING)]
 

@@ -54,7 +54,7 @@ class SearchOptions:
     kept: int = 6
     within: float = 0.005
     motions: int = 48
-    springs: int = 12
+    springs: int = 24
     rounds: int = 4
     via: int = 2
     population: int = 8
