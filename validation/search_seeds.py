@@ -19,13 +19,13 @@ import typer
 from rich.progress import track
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.search.mounting import best_mounted
-from rrr_oc.codesign.search.multistart import solve_multistart
+from rrr_oc.codesign.search.multistart import SHARES, coarse_search, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import arrangements, offered
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import entry_point
 from rrr_oc.optimal_control.refinement import Refinement
+from rrr_oc.progress import Progress
 from rrr_oc.report.tables import markdown
 from rrr_oc.storage import Made, check_folder, write_json, write_text
 
@@ -35,9 +35,9 @@ WITHIN = 1e-3  # [1] of the best cost
 def searched(task: str, configuration: str, options: SearchOptions) -> dict[str, float]:
     """Cost, time of this processor [s] and how often the optimum was reached."""
     began = time.process_time()
-    ways = [[CoDesign(load_task(task), springs)] for springs in arrangements(load_task(task), configuration)]
-    way, coarse = best_mounted(ways, options)
-    best = solve_multistart(ways[way][0], options, coarse=next(iter(coarse), None)).whole().best
+    ways = [CoDesign(load_task(task), springs) for springs in arrangements(load_task(task), configuration)]
+    coarse = coarse_search(ways, options, Progress(SHARES))
+    best = solve_multistart(ways[coarse.way], options, coarse=coarse).whole().best
     return {"cost": best.cost, "reached": best.reached, "seconds": time.process_time() - began}
 
 

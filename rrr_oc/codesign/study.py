@@ -45,8 +45,15 @@ from rrr_oc.codesign.posterior.scenarios import Over, over_members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
 from rrr_oc.codesign.search.comparisons import at_cycle_times, balancing_springs, best_motion, cycle_times, freed
 from rrr_oc.codesign.search.local_optima import Optimum
-from rrr_oc.codesign.search.mounting import best_mounted
-from rrr_oc.codesign.search.multistart import SHARES, Coarse, SearchResult, continue_from, layers, solve_multistart
+from rrr_oc.codesign.search.multistart import (
+    SHARES,
+    Coarse,
+    SearchResult,
+    coarse_search,
+    continue_from,
+    layers,
+    solve_multistart,
+)
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
 from rrr_oc.codesign.task import PHASES, PRESETS, Task
@@ -499,7 +506,7 @@ def _solve(study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[s
         return _solve_priced(study, name, ways[0], began)
     if study.single:
         return _solve_one(study, name, ways, before, began)
-    design = ways[_mounted(study, name, ways)[0]]
+    design = _best_mounted(study, name, ways)
     alone = _alone(study, name, design)
     with study.listener.stages(name) as report:
         result = solve_set(design, alone, study.options, report)
@@ -519,10 +526,11 @@ def _solve_one(
             for way, guesses in zip(ways, known, strict=True):
                 guess = embedded(found, inner, way.first)
                 guesses += [] if guess is None else [guess]
-    best, coarse = _mounted(study, name, ways, known)
-    design = ways[best]
+    _say_ways(study, name, ways)
     with study.listener.stages(name) as report:
-        found = _search(study, design.first, known[best], report, next(iter(coarse), None))
+        coarse = _on_coarse_mesh([way.first for way in ways], study.options, report, known)
+        design = ways[coarse.way]
+        found = _search(study, design.first, known[coarse.way], report, coarse)
         Progress(SHARES, report).tell("certificate", 0.0, f"best {found.best.cost:.6g}")
         described = _described(study, name, SetResult.of_one(design, found.best), began)
     optima = [
@@ -615,8 +623,21 @@ def _as_bought(found: Configuration, bought: CatalogueResult, gap: float) -> Con
     return typed(data(found) | {"catalogue": catalogue}, Configuration)
 
 
+def _on_coarse_mesh(
+    ways: Sequence[CoDesign],
+    options: SearchOptions,
+    report: Callable[[Step], None],
+    known: Sequence[Sequence[Guess]] = (),
+) -> Coarse:
+    """The search of a task on the coarse mesh, over all ways to mount the springs."""
+    try:
+        return coarse_search(ways, options, Progress(SHARES, report), known if len(ways) > 1 else ())
+    except SolverFailure as failure:
+        raise _no_motion(ways[0].task, failure) from None
+
+
 def _search(
-    study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None], coarse: Coarse | None
+    study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None], coarse: Coarse
 ) -> SearchResult:
     try:
         return solve_multistart(design, study.options, known=known, report=report, coarse=coarse)
@@ -633,19 +654,21 @@ def _no_motion(task: Task, failure: SolverFailure) -> UserError:
     )
 
 
-def _mounted(
-    study: Study, name: str, ways: Sequence[SetDesign], known: Sequence[Sequence[Guess]] = ()
-) -> tuple[int, list[Coarse]]:
-    """The number of the best way to mount the springs, and searches on the coarse mesh of its tasks that were made for that.
+def _say_ways(study: Study, name: str, ways: Sequence[SetDesign]) -> None:
+    if len(ways) > 1:
+        study.listener.show(f"{name}: the tasks leave {len(ways)} ways to mount the springs open; each is tried")
 
-    Args:
-        known: Of each way, optima of the only task with fewer springs.
-    """
+
+def _best_mounted(study: Study, name: str, ways: Sequence[SetDesign]) -> SetDesign:
+    """Of ways to mount the springs the one in which the tasks alone cost least."""
     if len(ways) == 1:
-        return 0, []
-    study.listener.show(f"{name}: the tasks leave {len(ways)} ways to mount the springs open; each is tried")
-    with study.listener.stages(f"{name} mounting") as report:
-        return best_mounted([w.designs for w in ways], study.options, lambda w, costs: ways[w].total(costs), known, report)
+        return ways[0]
+    _say_ways(study, name, ways)
+    costs = []
+    for t, task in enumerate(study.tasks.tasks):
+        with study.listener.stages(f"{name} mounting, task {task.name}") as report:
+            costs.append(_on_coarse_mesh([way.designs[t] for way in ways], study.options, report).costs)
+    return ways[int(np.argmin([way.total(of_way) for way, of_way in zip(ways, zip(*costs, strict=True), strict=True)]))]
 
 
 def _alone(study: Study, name: str, design: SetDesign) -> list[Optimum]:

@@ -39,6 +39,7 @@ POSTURES = 64  # in which their torque is compared; doubled, springs that differ
 IDLE = 12  # springs tried one after the other without a lower cost, before no more are; doubled, slower and surer
 # [1] above the best cost that a finer mesh and better motions may undo; doubled, more optima are solved in vain
 PROMISING = 0.15
+EACH = 8  # starts of each way to mount the springs, where there are several; doubled, these searches take longer, and miss fewer ways
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
 SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
 AGAIN = 3  # times that optima are refined because others have become the best; doubled, one that is lost is tried for longer
@@ -172,20 +173,23 @@ class Polisher(CoarseSolver):
 
 @dataclass(frozen=True, eq=False)
 class Coarse:
-    """A search on the coarse mesh.
+    """A search on the coarse mesh, over one or several ways to mount the springs.
 
     Attributes:
-        polisher: What polished the starts.
-        starts: All of them, in the order of their ends.
-        optima: The distinct optima to which they led, and those of the springs tried after them, cheapest first.
-        search: Of motions of held springs; None where there is none.
+        way: Number of the way with the cheapest optimum.
+        costs: Of the cheapest optimum of each way; infinite where there is none.
+        polisher, search: Of that way; there is no search of motions for held springs where the options or Ctrl-C leave it out.
+        optima: The distinct optima of that way, cheapest first.
+        starts: All starts, in the order of their polishes' ends.
         interrupted: Whether Ctrl-C ended it.
     """
 
+    way: int
+    costs: tuple[float, ...]
     polisher: Polisher
-    starts: tuple[Start, ...]
-    optima: tuple[Optimum, ...]
     search: MotionSearch | None
+    optima: tuple[Optimum, ...]
+    starts: tuple[Start, ...]
     interrupted: bool
 
 
@@ -211,33 +215,62 @@ def solve_multistart(
         SolverFailure: No start led to an optimum.
     """
     options, progress = options or SearchOptions(), Progress(SHARES, report)
-    found = coarse or coarse_search(design, options, progress, polished)
+    found = coarse or coarse_search([design], options, progress, polished=polished)
     optima = _best_optima(found, known, progress)
     return SearchResult(design, optima, found.starts, found.interrupted, found.search.covered if found.search else Covered())
 
 
 def coarse_search(
-    design: CoDesign, options: SearchOptions, progress: Progress, polished: Callable[[Start], None] = lambda _: None
+    ways: Sequence[CoDesign],
+    options: SearchOptions,
+    progress: Progress,
+    known: Sequence[Sequence[Guess]] = (),
+    polished: Callable[[Start], None] = lambda _: None,
 ) -> Coarse:
-    """The optima on the coarse mesh from all starts, and from springs to which these led; raises `SolverFailure` if there are none."""
-    polisher = Polisher(design, options)  # compiles the functions before the processes need them
-    starts: list[Start] = []
-    interrupted = False
+    """The optima on the coarse mesh from all starts, and from springs to which these led.
+
+    What starts lead to gets cheaper by a factor of three and more once springs and motions are improved in turn, so that no way to mount
+    the springs is left out before. All compete for that, and each is tried with the motions that others have found.
+
+    Args:
+        ways: Designs that differ in how their springs are mounted.
+        known: Further starting points of each way where there are several, such as optima with fewer springs.
+
+    Raises:
+        SolverFailure: No start led to an optimum.
+    """
+    polishers = [Polisher(design, options) for design in ways]  # compiles the functions before the processes need them
+    starts: list[list[Start]] = [[] for _ in ways]
+    interrupted, total = False, options.starts if len(ways) == 1 else len(ways) * min(EACH, options.starts)
     try:
-        for start in _polished(design, options):
-            starts.append(start)
-            polished(start)
-            progress.count("starts", len(starts), options.starts, _coarse_cost(starts), "starts")
+        for w, design in enumerate(ways):
+            few = range(min(EACH, options.starts))
+            for start in _polished(design, options) if len(ways) == 1 else sobol_starts(design, options, few):
+                starts[w].append(start)
+                polished(start)
+                every = [s for some in starts for s in some]
+                progress.count("starts", len(every), total, _coarse_cost(every), "starts")
     except KeyboardInterrupt:
         interrupted = True
-    if not any(s.w.size for s in starts):
-        _raise_failure(design, options, starts)
-    search = None if interrupted or not options.motions else MotionSearch(design, options)
+    for polisher, some, guesses in zip(polishers, starts, known, strict=False):
+        some += [polisher.polished("known", guess) for guess in guesses]
+    every = [s for some in starts for s in some]
+    if not any(s.w.size for s in every):
+        _raise_failure(ways[0], options, every)
+    optima = [_distinct_starts(*pair) for pair in zip(polishers, starts, strict=True)]
+    searches = [] if interrupted or not options.motions else [MotionSearch(design, options) for design in ways]
+    if searches:
+        optima = _with_better_springs(polishers, searches, optima, progress)
+    costs = tuple(some[0].cost if some else float("inf") for some in optima)
+    best = int(np.argmin(costs))
+    search = searches[best] if searches else None
+    return Coarse(best, costs, polishers[best], search, tuple(optima[best]), tuple(every), interrupted)
+
+
+def _distinct_starts(polisher: Polisher, starts: Sequence[Start]) -> list[Optimum]:
+    """The distinct optima to which starts led, cheapest first, and how many of the Sobol points led to each."""
     found = sorted((s for s in starts if s.w.size), key=lambda s: s.polished)
-    optima = distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)
-    if search is not None:
-        optima = _with_better_springs(polisher, search, optima, progress)
-    return Coarse(polisher, tuple(starts), tuple(optima), search, interrupted)
+    return distinct(Optimum(polisher.solution(s), [], int(s.layer == LAYERS[0])) for s in found)
 
 
 def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> tuple[int, Solution | None]:
@@ -374,28 +407,33 @@ def _followed(design: CoDesign, options: SearchOptions, guesses: Sequence[Guess]
     return distinct(replace(attached(design, options, o), reached=count) for o, count in found if o is not None)
 
 
-def _with_better_springs(polisher: Polisher, search: MotionSearch, optima: list[Optimum], progress: Progress) -> list[Optimum]:
-    """Optima on the coarse mesh, and those to which good motions for their springs lead; cheapest first.
+def _with_better_springs(
+    polishers: Sequence[Polisher], searches: Sequence[MotionSearch], optima: Sequence[list[Optimum]], progress: Progress
+) -> list[list[Optimum]]:
+    """Optima of each way to mount the springs on the coarse mesh, and those to which good motions for their springs lead.
 
     Most starts end with the same few springs, although other springs, with other motions, may be better. So the cheapest optimum
     whose springs have not been tried is taken, again and again: a few proposed motions and those of other optima are solved for its
     springs, and from the best of these springs and motions are solved together.
     """
-    options, springs, tried, idle = polisher.options, Springs(polisher.design), [], 0
+    options, idle = polishers[0].options, 0
+    springs, tried = [Springs(p.design) for p in polishers], list[np.ndarray]()
+    optima = list(optima)
     while len(tried) < options.springs and idle < IDLE:
-        new = next(iter(springs.others(optima, tried)), None)
+        every = sorted(((o, w) for w, some in enumerate(optima) for o in some), key=lambda pair: pair[0].cost)
+        torques = ((o, w, springs[w].torque(o)) for o, w in every)
+        new = next((one for one in torques if not any(alike(one[2], other) for other in tried)), None)
         if new is None:
             break
-        progress.count(
-            "other springs", len(tried), options.springs, f"about {optima[0].cost:.4g} on the coarse mesh", "springs"
-        )
-        tried.append(new)
-        best = optima[0].cost
-        parameters, known = new.solution.parameters, [o.solution for o in optima[:SHARED]]
-        guesses = combined(search.proposed(parameters, options.motions // FEWER, known=known), parameters)
-        starts = [polisher.polished("motions", guess) for guess in guesses]
-        optima = distinct([*optima, *(Optimum(polisher.solution(s), []) for s in starts if s.w.size)])
-        idle = 0 if optima[0].cost < best * (1 - LEAST_GAIN) else idle + 1
+        best = every[0][0].cost
+        progress.count("other springs", len(tried), options.springs, f"about {best:.4g} on the coarse mesh", "springs")
+        optimum, w, torque = new
+        tried.append(torque)
+        parameters, known = optimum.solution.parameters, [o.solution for o, _ in every[:SHARED]]
+        guesses = combined(searches[w].proposed(parameters, options.motions // FEWER, known=known), parameters)
+        starts = [polishers[w].polished("motions", guess) for guess in guesses]
+        optima[w] = distinct([*optima[w], *(Optimum(polishers[w].solution(s), []) for s in starts if s.w.size)])
+        idle = 0 if optima[w][0].cost < best * (1 - LEAST_GAIN) else idle + 1
     return optima
 
 
@@ -446,18 +484,22 @@ class Springs:
         self._q = lower + (upper - lower) * sobol_points(len(lower), POSTURES, 0).T
         self._torques, self._widths = design.torques, np.zeros(design.model.widths.size)
 
-    def others(self, optima: Sequence[Optimum], tried: Sequence[Optimum] = ()) -> list[Optimum]:
-        """Those optima of which none before, and none of those tried, has nearly the same springs."""
-        torques = [self._torque(o) for o in tried]
-        kept = []
+    def others(self, optima: Sequence[Optimum]) -> list[Optimum]:
+        """Those optima of which none before has nearly the same springs."""
+        torques, kept = list[np.ndarray](), []
         for o in optima:
-            torque = self._torque(o)
-            if not any(np.linalg.norm(torque - t) <= APART * max(np.linalg.norm(torque), np.linalg.norm(t)) for t in torques):
+            torque = self.torque(o)
+            if not any(alike(torque, t) for t in torques):
                 kept.append(o)
                 torques.append(torque)
         return kept
 
-    def _torque(self, optimum: Optimum) -> np.ndarray:
+    def torque(self, optimum: Optimum) -> np.ndarray:
         """Of the springs and of whatever the arm has [Nm], (m, number of postures)."""
         still = np.zeros_like(self._q)
         return np.array(self._torques(self._q, still, still, 0.0, optimum.solution.parameters, self._widths)[1])
+
+
+def alike(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether springs have nearly the same torques."""
+    return bool(np.linalg.norm(one - other) <= APART * max(np.linalg.norm(one), np.linalg.norm(other)))
