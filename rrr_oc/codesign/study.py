@@ -517,20 +517,25 @@ def _solve_one(
     study: Study, name: str, ways: Sequence[SetDesign], before: Mapping[str, Configuration], began: float
 ) -> Configuration:
     """As `_solve`, for one task. The search also starts from what was found before for configurations with fewer springs, so that it
-    is not worse than these."""
+    is not worse than these, and goes on in another way to mount the springs where these are cheaper."""
     known: list[list[Guess]] = [[] for _ in ways]
+    costs = np.full(len(ways), np.inf)  # of the cheapest of what is known in each way
     for other, solved in before.items():
         if other in study.designs and not solved.interrupted:
             inner = _chosen(study.designs[other], solved).first
             found = restored(inner, study.options, read_npz(kept_motion(study, other)))
-            for way, guesses in zip(ways, known, strict=True):
-                guess = embedded(found, inner, way.first)
-                guesses += [] if guess is None else [guess]
+            for w, way in enumerate(ways):
+                if (guess := embedded(found, inner, way.first)) is not None:
+                    known[w].append(guess)
+                    costs[w] = min(costs[w], solved.cost)
     _say_ways(study, name, ways)
     with study.listener.stages(name) as report:
         coarse = _on_coarse_mesh([way.first for way in ways], study.options, report, known)
-        design = ways[coarse.way]
-        found = _search(study, design.first, known[coarse.way], report, coarse)
+        best, cheapest = coarse.way, int(np.argmin(costs))
+        found = _search(study, ways[best].first, known[best], report, coarse)
+        if cheapest != best and costs[cheapest] < found.best.cost and not found.interrupted:
+            best, found = cheapest, _search(study, ways[cheapest].first, known[cheapest], report)
+        design = ways[best]
         Progress(SHARES, report).tell("certificate", 0.0, f"best {found.best.cost:.6g}")
         described = _described(study, name, SetResult.of_one(design, found.best), began)
     optima = [
@@ -637,7 +642,7 @@ def _on_coarse_mesh(
 
 
 def _search(
-    study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None], coarse: Coarse
+    study: Study, design: CoDesign, known: Sequence[Guess], report: Callable[[Step], None], coarse: Coarse | None = None
 ) -> SearchResult:
     try:
         return solve_multistart(design, study.options, known=known, report=report, coarse=coarse)

@@ -65,8 +65,8 @@ class Start:
     """A starting point and the optimum that IPOPT found from it.
 
     Attributes:
-        layer: Its source: of `LAYERS`, or "motions" for the best motions of each phase put together; of several tasks that share the
-            springs "alone" for the springs of one of them.
+        layer: Its source: of `LAYERS`, "motions" for the best motions of each phase put together, or "known" for what was known
+            before; of several tasks that share the springs "alone" for the springs of one of them.
         proposed: Cost of the starting point itself; its motion may exceed limits.
         polished: Cost after IPOPT, on the coarse mesh; infinite where IPOPT found no optimum.
         message: IPOPT's status.
@@ -241,14 +241,15 @@ def coarse_search(
     """
     polishers = [Polisher(design, options) for design in ways]  # compiles the functions before the processes need them
     starts: list[list[Start]] = [[] for _ in ways]
-    interrupted, total = False, options.starts if len(ways) == 1 else len(ways) * min(EACH, options.starts)
+    few, interrupted = range(min(EACH, options.starts)), False
+    total = options.starts if len(ways) == 1 else len(ways) * len(few)
+    streams = [_polished(ways[0], options)] if len(ways) == 1 else [sobol_starts(design, options, few) for design in ways]
     try:
-        for w, design in enumerate(ways):
-            few = range(min(EACH, options.starts))
-            for start in _polished(design, options) if len(ways) == 1 else sobol_starts(design, options, few):
-                starts[w].append(start)
+        for some, stream in zip(starts, streams, strict=True):
+            for start in stream:
+                some.append(start)
                 polished(start)
-                every = [s for some in starts for s in some]
+                every = [s for one in starts for s in one]
                 progress.count("starts", len(every), total, _coarse_cost(every), "starts")
     except KeyboardInterrupt:
         interrupted = True
