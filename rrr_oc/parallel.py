@@ -22,7 +22,8 @@ LOCAL = "local"
 SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error; doubled, a wrong address takes longer
 DEATHS = 3  # of worker processes with no call done between them, from which on a call is taken to be what kills them
 WATCH = 1.0  # [s] between two looks of a worker process whether its program still runs; doubled, it may outlive it by as much
-_made: dict[str, Any] = {}  # the one value of this process that `once_per_process` keeps
+KEPT = 2  # values of `once_per_process`; doubled, work of many kinds in turn is faster and takes more memory
+_made: dict[str, Any] = {}  # what `once_per_process` keeps in this process, that asked for last at the end
 
 
 @contextmanager
@@ -114,9 +115,11 @@ def one_thread() -> Iterator[None]:
 
 
 def once_per_process(key: str, make: Callable[[], _T]) -> _T:
-    """The value of `make`, computed once in each process for a key and kept until another key is asked for. Keys must be unique to
-    the work, as those of uuid4 are, because worker processes outlive it."""
+    """The value of `make`, computed once in each process for a key and kept until `KEPT` other keys were asked for since. Keys must be
+    unique to the work, as those of uuid4 are, because worker processes outlive it."""
     if key not in _made:
-        _made.clear()
+        while len(_made) >= KEPT:
+            del _made[next(iter(_made))]
         _made[key] = make()
+    _made[key] = _made.pop(key)  # the last that was asked for is the last to go
     return _made[key]

@@ -19,7 +19,8 @@ import typer
 from rich.progress import track
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.search.multistart import SHARES, coarse_search, solve_multistart
+from rrr_oc.codesign.search.coarse import coarse_search
+from rrr_oc.codesign.search.multistart import SHARES, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
 from rrr_oc.codesign.springs import arrangements, offered
 from rrr_oc.codesign.task import load_task

@@ -43,18 +43,12 @@ from rrr_oc.codesign.posterior.foreseen import foreseen
 from rrr_oc.codesign.posterior.members import Member, members
 from rrr_oc.codesign.posterior.scenarios import Over, over_members
 from rrr_oc.codesign.purchasable import CatalogueResult, search_catalogue
+from rrr_oc.codesign.search.coarse import Coarse, coarse_search
 from rrr_oc.codesign.search.comparisons import at_cycle_times, balancing_springs, best_motion, cycle_times, freed
 from rrr_oc.codesign.search.local_optima import Optimum
-from rrr_oc.codesign.search.multistart import (
-    SHARES,
-    Coarse,
-    SearchResult,
-    coarse_search,
-    continue_from,
-    layers,
-    solve_multistart,
-)
+from rrr_oc.codesign.search.multistart import SHARES, SearchResult, continue_from, solve_multistart
 from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.search.starts import layers
 from rrr_oc.codesign.springs import SpringBounds, allowed_configurations, arrangements, holding, offered, ways_to_mount
 from rrr_oc.codesign.task import PHASES, PRESETS, Task
 from rrr_oc.codesign.task_sets.set_search import SetResult, front, joint_optimum, solve_bought, solve_chosen, solve_set

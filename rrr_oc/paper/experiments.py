@@ -16,8 +16,9 @@ import numpy as np
 from rrr_oc.codesign.certificate import exact_cost
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import SAVED, SampledMotion, describe, describe_simulation, sample_motion
-from rrr_oc.codesign.search.multistart import Start, solve_multistart, starts_to_reach
+from rrr_oc.codesign.search.multistart import solve_multistart, starts_to_reach
 from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, motion_guess
+from rrr_oc.codesign.search.starts import Start
 from rrr_oc.codesign.springs import spring_bounds
 from rrr_oc.codesign.task import PHASES, Speed, Task, load_task
 from rrr_oc.errors import UserError

@@ -13,19 +13,12 @@ from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.search import multistart
+from rrr_oc.codesign.search.coarse import SEVERAL, Springs, alike, coarse_search
 from rrr_oc.codesign.search.local_optima import same_optimum
 from rrr_oc.codesign.search.motions import Covered, MotionSearch
-from rrr_oc.codesign.search.multistart import (
-    SHARES,
-    SearchResult,
-    Springs,
-    Start,
-    alike,
-    coarse_search,
-    layers,
-    solve_multistart,
-)
+from rrr_oc.codesign.search.multistart import SHARES, SearchResult, solve_multistart
 from rrr_oc.codesign.search.proposals import decode, dimensions, motion_guess
+from rrr_oc.codesign.search.starts import Start, layers
 from rrr_oc.codesign.springs import arrangements
 from rrr_oc.codesign.task import load_task
 from rrr_oc.errors import UserError
@@ -246,7 +239,7 @@ def test_progress_sees_every_start():
 
 def test_proposals_cost_what_their_motion_costs():
     """A start's `proposed` is the guess's own cost: here by the trapezoid rule on the guess."""
-    from rrr_oc.codesign.search.multistart import Polisher
+    from rrr_oc.codesign.search.starts import Polisher
 
     vector = np.random.default_rng(0).random(dimensions(PEA, OPTIONS.via))
     start = Polisher(PEA, replace(OPTIONS, coarse=40))("sobol", 0, vector)
@@ -261,7 +254,7 @@ def test_proposals_cost_what_their_motion_costs():
 
 
 def test_a_process_makes_a_value_once_for_each_piece_of_work():
-    """Two in turn for the same key are one value; another key replaces it, and the first is made anew when it comes back."""
+    """Two keys in turn have a value each; a third replaces the one that was not asked for last, which is made anew when it comes back."""
     made: list[str] = []
 
     def value_of(key: str) -> list[str]:
@@ -270,7 +263,11 @@ def test_a_process_makes_a_value_once_for_each_piece_of_work():
     assert value_of("a") is value_of("a")
     assert value_of("b") == ["b"]
     assert value_of("a") == ["a"]
-    assert made == ["a", "b", "a"]
+    assert value_of("c") == ["c"]
+    assert value_of("a") == ["a"]
+    assert made == ["a", "b", "c"]
+    assert value_of("b") == ["b"]
+    assert made == ["a", "b", "c", "b"]
 
 
 def test_more_springs_are_never_worse():
@@ -306,6 +303,8 @@ def test_all_ways_to_mount_the_springs_compete_on_the_coarse_mesh(ways):
     assert found.way == int(np.argmin(found.costs))
     assert found.polisher.design is designs[found.way]
     assert found.optima[0].cost == found.costs[found.way]
+    assert found.search is not None
+    assert found.search.covered.springs == few.springs * SEVERAL  # those of all ways, as none was left out for want of gain
     # the published springs pull below their rest, and none other is near
     assert [s.effect.active for s in designs[found.way].springs] == ["below", "below"]
     assert sorted(found.costs)[1] > 1.1 * found.costs[found.way]

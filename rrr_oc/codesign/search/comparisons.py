@@ -5,14 +5,13 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
 from rrr_oc.codesign.search.local_optima import Optimum, attached, follow_to_fine_mesh, refined_alone
 from rrr_oc.codesign.search.multistart import continue_from, solve_multistart
-from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
-from rrr_oc.codesign.springs import drawn_bounds, from_drawn
+from rrr_oc.codesign.search.proposals import SearchOptions
+from rrr_oc.codesign.search.spring_fits import HeldMotion, fitted_springs
 from rrr_oc.codesign.task import PHASES
 from rrr_oc.optimal_control.problem import Guess, PhaseGuess
 from rrr_oc.optimal_control.solver import Solution
@@ -30,26 +29,10 @@ def balancing_springs(design: CoDesign) -> np.ndarray | None:
     drives and links, which balance nothing."""
     if all(spring.known for spring in design.springs) or design.series.rows:
         return None
-    task, (low, high) = design.task, drawn_bounds(design.springs)
-    way = task.start[:, None] + (task.release - task.start)[:, None] * np.linspace(0, 1, POSTURES)
-    free, still, torques = low < high, np.zeros_like(way), design.torques.map(POSTURES)
-
-    def parameters(x: np.ndarray) -> np.ndarray:
-        drawn = low.copy()
-        drawn[free] += (high - low)[free] * x
-        return from_drawn(design.springs, drawn)
-
-    def left(x: np.ndarray) -> np.ndarray:
-        theta = parameters(x)
-        held = [
-            torques(way, still, still, payload, design.engaged(i, theta), design.model.widths)[0]
-            for i, payload in enumerate(task.payloads)
-        ]
-        return np.array(held).ravel()
-
-    starts = sobol_points(int(free.sum()), TRIED, 0)
-    fits = [least_squares(left, 0.01 + 0.98 * start, bounds=(0, 1)) for start in starts]
-    return parameters(min(fits, key=lambda fit: fit.cost).x)
+    start, release = design.task.start, design.task.release
+    way = start[:, None] + (release - start)[:, None] * np.linspace(0, 1, POSTURES)
+    phases = [HeldMotion.at_rest(way)] * len(PHASES)
+    return fitted_springs(design, phases, fits=TRIED)[1]
 
 
 def best_motion(held: CoDesign, options: SearchOptions) -> Solution:

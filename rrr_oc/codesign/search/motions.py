@@ -3,7 +3,7 @@ arm rests in between, and both together where it moves on. A chain has few local
 hundredths of a second."""
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import msgspec
 import numpy as np
@@ -83,6 +83,13 @@ class MotionSearch:
         self.covered, self._springs = Covered(), set[bytes]()
         self.design, self.options, self.key = design, options, uuid.uuid4().hex
         self.solver = ChainSolver(design, options)  # for its transcriptions; worker processes have one of their own
+
+    def join(self, others: Iterable["MotionSearch"]) -> None:
+        """Count what other searches have solved as this one's."""
+        for other in others:
+            self._springs |= other._springs
+            motions, swings = (getattr(self.covered, key) + getattr(other.covered, key) for key in ("motions", "swings"))
+            self.covered = Covered(len(self._springs), motions, swings)
 
     def best(self, parameters: np.ndarray, skip: int, known: Motions | None = None) -> Motions:
         """The motions of each chain with the springs of `parameters` (np,), on the fine mesh.

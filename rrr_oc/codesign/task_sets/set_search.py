@@ -17,8 +17,8 @@ from rrr_oc.codesign.search.local_optima import (
     transcribed,
 )
 from rrr_oc.codesign.search.motions import MotionSearch, combined
-from rrr_oc.codesign.search.multistart import CoarseSolver, Start
 from rrr_oc.codesign.search.proposals import SearchOptions, sobol_points
+from rrr_oc.codesign.search.starts import CoarseSolver, Start
 from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.codesign.task_sets.task_set import SetDesign
 from rrr_oc.optimal_control.problem import Guess

@@ -1,0 +1,146 @@
+"""Starting points of a search, and the optima on a coarse mesh to which IPOPT leads from them."""
+
+import uuid
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rrr_oc.codesign.design_problem import CoDesign
+from rrr_oc.codesign.search.local_optima import ACCEPTED, Solvable, transcribed
+from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, cma_strategy, dimensions, proposed_guess, sobol_points
+from rrr_oc.optimal_control.problem import Guess
+from rrr_oc.optimal_control.solver import Options, Solution, Solver
+from rrr_oc.parallel import once_per_process, ordered, unordered
+
+# Initial barrier parameters of the starts from Sobol points, in turn; None is IPOPT's adaptive strategy, which all other starts have. A
+# large one leads every start to the middle of all bounds first, and from there to one good optimum or few; more of them, and the
+# optima that are not on that way are missed.
+BARRIERS = (1.0, None, None, None)
+
+
+@dataclass(frozen=True)
+class Start:
+    """A starting point and the optimum that IPOPT found from it.
+
+    Attributes:
+        layer: Its source: of `LAYERS`, "motions" for the best motions of each phase put together, or "known" for what was known
+            before; of several tasks that share the springs "alone" for the springs of one of them.
+        proposed: Cost of the starting point itself; its motion may exceed limits.
+        polished: Cost after IPOPT, on the coarse mesh; infinite where IPOPT found no optimum.
+        message: IPOPT's status.
+        seconds: Wall time of the polish [s].
+        w: Scaled variables of the optimum on the coarse mesh; empty where there is none.
+    """
+
+    layer: str
+    proposed: float
+    polished: float
+    message: str
+    seconds: float
+    w: np.ndarray
+
+
+def layers(starts: Sequence[Start]) -> dict[str, dict[str, float]]:
+    """By layer: number of starts and of failures, best and median cost, best cost before IPOPT, wall time [s]."""
+    rows = {}
+    for layer in dict.fromkeys(s.layer for s in starts):
+        own = [s for s in starts if s.layer == layer]
+        costs = [s.polished for s in own if np.isfinite(s.polished)]
+        rows[layer] = {
+            "starts": len(own),
+            "failed": len(own) - len(costs),
+            "best": min(costs, default=float("inf")),
+            "median": float(np.median(costs or [np.inf])),
+            "best_proposal": min(s.proposed for s in own),
+            "seconds": float(sum(s.seconds for s in own)),
+        }
+    return rows
+
+
+class CoarseSolver:
+    """Solves a problem, of one task or of several, on the coarse mesh, with some initial barrier parameters."""
+
+    def __init__(self, design: Solvable, options: SearchOptions, barriers: Iterable[float | None], iterations: int) -> None:
+        settings = Options(tolerance=1e-6, iterations=iterations)
+        self.transcription = transcribed(design, options, options.coarse)
+        self.solvers = {b: Solver(self.transcription, replace(settings, barrier=b)) for b in barriers}
+        self.data, self.unit = design.data(options.width), design.problem.cost_scale
+
+    def started(self, layer: str, w: np.ndarray, barriers: Iterable[float | None]) -> Start:
+        """The best optimum from scaled variables, solved once with each of some of the barrier parameters."""
+        proposed = float(self.transcription.functions["nlp"](w, self.data)[0]) * self.unit
+        tries = [self.solvers[b].solve(w, self.data, check=False) for b in barriers]
+        seconds, found = sum(s.seconds for s in tries), [s for s in tries if s.status in ACCEPTED]
+        best = min(found, key=lambda s: s.cost, default=None)
+        if best is None:
+            return Start(layer, proposed, float("inf"), tries[0].status, seconds, np.empty(0))
+        return Start(layer, proposed, best.cost, best.status, seconds, best.w)
+
+    def solution(self, start: Start) -> Solution:
+        """The optimum on the coarse mesh that a start led to, without multipliers."""
+        empty = np.empty(0)
+        return Solution(self.transcription, start.w, empty, empty, start.polished, start.message, 0, 0.0)
+
+
+class Polisher(CoarseSolver):
+    """Solves the coarse problem of one task from vectors in [0, 1]. Built once a process."""
+
+    def __init__(self, design: CoDesign, options: SearchOptions) -> None:
+        super().__init__(design, options, {None, *BARRIERS}, 200)
+        self.design, self.options, self.key = design, options, uuid.uuid4().hex
+
+    def __call__(self, layer: str, index: int, vector: np.ndarray) -> Start:
+        """Polish one starting point of a layer, of the index that it has there."""
+        barrier = BARRIERS[index % len(BARRIERS)] if layer == LAYERS[0] else None
+        return self.polished(layer, proposed_guess(self.design, vector, self.options.via), barrier)
+
+    def polished(self, layer: str, guess: Guess, barrier: float | None = None) -> Start:
+        """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`, or IPOPT's adaptive one."""
+        return self.started(layer, self.transcription.pack(guess), (barrier,))
+
+
+def all_polished(guesses: Iterable[tuple[Polisher, str, Guess]]) -> list[Start]:
+    """What guesses lead to, each of a layer and polished by its own polisher."""
+    calls = [(p.key, p.design, p.options, layer, p.transcription.pack(guess)) for p, layer, guess in guesses]
+    return ordered(_polish_guess, calls)
+
+
+def _polish_guess(key: str, design: CoDesign, options: SearchOptions, layer: str, w: np.ndarray) -> Start:
+    return once_per_process(key, lambda: Polisher(design, options)).started(layer, w, (None,))
+
+
+def all_starts(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
+    """All starts: first Sobol points, then CMA-ES, which sees the costs after IPOPT and is restarted where it converges."""
+    key, size = uuid.uuid4().hex, dimensions(design, options.via)
+    half = (options.starts + 1) // 2 if options.layers == LAYERS else options.starts if LAYERS[0] in options.layers else 0
+
+    def polish(layer: str, vectors: Iterable[np.ndarray]) -> Iterator[tuple[int, Start]]:
+        return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)])
+
+    yield from sobol_starts(design, options, range(half), key)
+    left = options.starts - half
+    while left > 0:
+        strategy = cma_strategy(size, options, left)
+        while left > 0 and not strategy.stop():
+            vectors = strategy.ask()
+            costs = np.full(len(vectors), np.inf)
+            for i, start in polish("cma-es", vectors[:left]):
+                costs[i] = start.polished
+                yield start
+            left -= len(vectors)
+            worst = costs[np.isfinite(costs)].max(initial=1e6)
+            strategy.tell(vectors, np.where(np.isfinite(costs), costs, 2 * worst).tolist())
+
+
+def sobol_starts(design: CoDesign, options: SearchOptions, numbers: range, key: str = "") -> Iterator[Start]:
+    """The starts from the Sobol points of these numbers, in the order of their polishes' ends; a process keeps a polisher for each key."""
+    points = sobol_points(dimensions(design, options.via), numbers.stop, options.seed)[numbers.start :]
+    shared = key or uuid.uuid4().hex, design, options, LAYERS[0]
+    for _, start in unordered(_polish, [(*shared, i, point) for i, point in zip(numbers, points, strict=True)]):
+        yield start
+
+
+def _polish(key: str, design: CoDesign, options: SearchOptions, layer: str, index: int, vector: np.ndarray):
+    polisher = once_per_process(key, lambda: Polisher(design, options))
+    return index, polisher(layer, index, vector)
