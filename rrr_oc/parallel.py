@@ -22,7 +22,7 @@ LOCAL = "local"
 SCHEDULER_TIMEOUT = 30.0  # [s] after which a scheduler that does not answer is an error; doubled, a wrong address takes longer
 DEATHS = 3  # of worker processes with no call done between them, from which on a call is taken to be what kills them
 WATCH = 1.0  # [s] between two looks of a worker process whether its program still runs; doubled, it may outlive it by as much
-KEPT = 2  # values of `once_per_process`; doubled, work of many kinds in turn is faster and takes more memory
+KEPT = 6  # values of `once_per_process`; doubled, work of many kinds in turn is faster and takes more memory
 _made: dict[str, Any] = {}  # what `once_per_process` keeps in this process, that asked for last at the end
 
 

@@ -29,7 +29,7 @@ def test_what_is_left_is_the_mean_squared_torque():
     for name in ("PEA", "BPEA", "PEA+BPEA"):
         design = design_of(name)
         phases = motions(design)
-        left, theta = fitted_springs(design, phases)
+        left, theta = fitted_springs(design, phases, 2)[0]
         assert left == pytest.approx(mean_square(design, phases, theta), rel=1e-9), name
 
 
@@ -37,7 +37,7 @@ def test_what_is_left_is_the_mean_squared_torque():
 def test_no_draw_of_thousands_leaves_less(name):
     design = design_of(name)
     phases, (low, high) = motions(design), drawn_bounds(design.springs)
-    left, theta = fitted_springs(design, phases, fits=4)
+    left, theta = fitted_springs(design, phases, 4)[0]
     assert np.all(design.problem.p_lower - 1e-9 <= theta)
     assert np.all(theta <= design.problem.p_upper + 1e-9)
     draws = from_drawn(design.springs, low[:, None] + (high - low)[:, None] * sobol_points(len(low), 2048, 5).T)

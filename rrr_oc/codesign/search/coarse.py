@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rrr_oc.codesign.design_problem import CoDesign
-from rrr_oc.codesign.search.local_optima import Optimum, distinct, transcribed
+from rrr_oc.codesign.search.local_optima import Optimum, distinct, follow_to_fine_mesh, moving_apart, same_motion, transcribed
 from rrr_oc.codesign.search.motions import LEAST_GAIN, MotionSearch, combined
 from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, decode, dimensions, motion_guess, sobol_points
 from rrr_oc.codesign.search.spring_fits import HeldMotion, fitted_springs
-from rrr_oc.codesign.search.starts import Polisher, Start, all_polished, all_starts, sobol_starts
+from rrr_oc.codesign.search.starts import Polisher, Start, all_starts, polish, sobol_starts
+from rrr_oc.codesign.task import PHASES
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Solver
 from rrr_oc.parallel import ordered
@@ -24,7 +25,8 @@ EACH = 4  # starts of each way to mount the springs, where there are several; do
 SEVERAL = 2  # times as many springs are tried where there are several ways; doubled, slower and surer
 FEWER = 3  # a fraction of the proposed motions is solved for each of the springs tried; doubled, it misleads more often
 SHARED = 8  # optima whose motions are tried with each of the springs, too; doubled, somewhat slower and surer
-FITTED = 4  # ways to mount the springs that are solved with a motion to which they were fitted; doubled, slower and surer
+FITS = 2  # of springs of a way to a motion, at least; doubled, slower and surer
+FITTED = 4  # springs that are solved with the motion to which they were fitted; doubled, slower and surer
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +34,8 @@ class Coarse:
     """A search on the coarse mesh, over one or several ways to mount the springs.
 
     Attributes:
-        way: Number of the way with the cheapest optimum.
-        costs: Of the cheapest optimum of each way; infinite where there is none.
+        way: Number of the way with the least of these costs.
+        costs: Of the cheapest optimum of each way, on the fine mesh where there are several ways; infinite where there is none.
         polisher, search: Of that way; there is no search of motions for held springs where the options or Ctrl-C leave it out.
         optima: The distinct optima of that way, cheapest first.
         starts: All starts, in the order of their polishes' ends.
@@ -70,9 +72,11 @@ def coarse_search(
     """
     polishers = [Polisher(design, options) for design in ways]  # compiles the functions before the processes need them
     starts: list[list[Start]] = [[] for _ in ways]
-    few, interrupted = range(min(EACH, options.starts)), False
-    total = options.starts if len(ways) == 1 else len(ways) * len(few)
-    streams = [all_starts(ways[0], options)] if len(ways) == 1 else [sobol_starts(design, options, few) for design in ways]
+    few = min(EACH, options.starts)
+    total = options.starts if len(ways) == 1 else len(ways) * few
+    streams = [all_starts(polishers[0])] if len(ways) == 1 else [sobol_starts(polisher, few) for polisher in polishers]
+    searches, interrupted = list[MotionSearch](), False
+    optima: list[list[Optimum]] = [[] for _ in ways]
     try:
         for some, stream in zip(starts, streams, strict=True):
             for start in stream:
@@ -80,23 +84,42 @@ def coarse_search(
                 polished(start)
                 every = [s for one in starts for s in one]
                 progress.count("starts", len(every), total, _coarse_cost(every), "starts")
+        for polisher, some, guesses in zip(polishers, starts, known or [()] * len(ways), strict=True):
+            some += ordered(polish, [polisher.call("known", guess) for guess in guesses])
     except KeyboardInterrupt:
         interrupted = True
-    for polisher, some, guesses in zip(polishers, starts, known, strict=False):
-        some += [polisher.polished("known", guess) for guess in guesses]
     every = [s for some in starts for s in some]
     if not any(s.w.size for s in every):
         _raise_failure(ways[0], options, every)
     optima = [_distinct_starts(*pair) for pair in zip(polishers, starts, strict=True)]
-    searches = [] if interrupted or not options.motions else [MotionSearch(design, options) for design in ways]
-    if searches:
-        optima = _with_better_springs(polishers, searches, optima, progress)
-    costs = tuple(some[0].cost if some else float("inf") for some in optima)
+    try:
+        if not interrupted and options.motions:
+            searches = [MotionSearch(design, options) for design in ways]
+            _add_better_springs(polishers, searches, optima, progress)
+    except KeyboardInterrupt:
+        interrupted = True
+    costs = _costs(ways, options, optima) if len(ways) > 1 and not interrupted else [_least(some) for some in optima]
     best = int(np.argmin(costs))
     search = searches.pop(best) if searches else None
     if search is not None:
         search.join(searches)
-    return Coarse(best, costs, polishers[best], search, tuple(optima[best]), tuple(every), interrupted)
+    return Coarse(best, tuple(costs), polishers[best], search, tuple(optima[best]), tuple(every), interrupted)
+
+
+def _costs(ways: Sequence[CoDesign], options: SearchOptions, optima: Sequence[Sequence[Optimum]]) -> list[float]:
+    """Of the cheapest optimum of each way on the fine mesh, near the cheapest of the way and the cheapest of all on the coarse mesh, which
+    misjudges by a multiple what costs next to nothing; as on the coarse mesh where none is found on the fine one."""
+    every = sorted(((o, w) for w, some in enumerate(optima) for o in some), key=lambda pair: pair[0].cost)
+    chosen = [pair for i, pair in enumerate(every) if i < options.kept or pair[0] is optima[pair[1]][0]]
+    followed = ordered(follow_to_fine_mesh, [(ways[w], options, o.solution.guess()) for o, w in chosen])
+    costs = np.full(len(ways), np.inf)
+    for (_, w), found in zip(chosen, followed, strict=True):
+        costs[w] = min(costs[w], np.inf if found is None else found.cost)
+    return costs.tolist() if np.isfinite(costs).any() else [_least(some) for some in optima]
+
+
+def _least(optima: Sequence[Optimum]) -> float:
+    return optima[0].cost if optima else float("inf")
 
 
 def _distinct_starts(polisher: Polisher, starts: Sequence[Start]) -> list[Optimum]:
@@ -119,57 +142,69 @@ def _coarse_cost(starts: Sequence[Start]) -> str:
     return f"about {best:.4g} on the coarse mesh" if np.isfinite(best) else "none within the limits so far"
 
 
-def _with_better_springs(
-    polishers: Sequence[Polisher], searches: Sequence[MotionSearch], optima: Sequence[list[Optimum]], progress: Progress
-) -> list[list[Optimum]]:
-    """Optima of each way to mount the springs on the coarse mesh, and those to which good motions for their springs lead.
+def _add_better_springs(
+    polishers: Sequence[Polisher], searches: Sequence[MotionSearch], optima: list[list[Optimum]], progress: Progress
+) -> None:
+    """Add to the optima of each way to mount the springs those to which good motions for their springs lead, and good springs for these.
 
     Most starts end with the same few springs, although other springs, with other motions, may be better. So the cheapest optimum
-    whose springs have not been tried is taken, again and again: a few proposed motions and those of other optima are solved for its
-    springs, and from the best of these springs and motions are solved together. To the best motion of those the springs of every way
-    to mount them are fitted, and from the best of these all is solved together, too: what one way has found helps the others.
+    that differs from those tried in springs and motion is taken, again and again: a few proposed motions and those of other optima are
+    solved for its springs, and from the best of these springs and motions are solved together. To the best motion of those the springs of
+    every way to mount them are fitted, and from the best fits all is solved together, too: what one way has found helps the others.
     """
     options, idle = polishers[0].options, 0
     most = options.springs * (1 if len(polishers) == 1 else SEVERAL)
-    springs, tried = [Springs(p.design) for p in polishers], list[np.ndarray]()
-    optima = list(optima)
+    springs, tried, fitted = [Springs(p.design) for p in polishers], list[tuple[np.ndarray, Optimum]](), list[Optimum]()
 
-    def added(guesses: Sequence[tuple[int, str, Guess]]) -> list[Optimum]:
-        """The optima to which guesses of some ways and layers lead, which are put among those of their way."""
-        starts = all_polished((polishers[w], layer, guess) for w, layer, guess in guesses)
-        new = [(w, Optimum(polishers[w].solution(s), [])) for (w, _, _), s in zip(guesses, starts, strict=True) if s.w.size]
-        for w, optimum in new:
+    def add(guesses: Sequence[tuple[int, Guess]]) -> list[Optimum]:
+        """The optima to which guesses of some ways lead, now among those of their way."""
+        starts = ordered(polish, [polishers[w].call("", guess) for w, guess in guesses])
+        added = [(w, Optimum(polishers[w].solution(s), [])) for (w, _), s in zip(guesses, starts, strict=True) if s.w.size]
+        for w, optimum in added:
             optima[w] = distinct([*optima[w], optimum])
-        return [optimum for _, optimum in new]
+        return [optimum for _, optimum in added]
+
+    def is_new(torque: np.ndarray, optimum: Optimum) -> bool:
+        return not any(alike(torque, t) or same_motion(optimum.solution, o.solution) for t, o in tried)
 
     while len(tried) < most and idle < IDLE:
         every = sorted(((o, w) for w, some in enumerate(optima) for o in some), key=lambda pair: pair[0].cost)
-        torques = ((o, w, springs[w].torque(o)) for o, w in every)
-        new = next((one for one in torques if not any(alike(one[2], other) for other in tried)), None)
+        torques = ((o, w, springs[w].torque(o.solution.parameters)) for o, w in every)
+        new = next((one for one in torques if is_new(one[2], one[0])), None)
         if new is None:
             break
         best = every[0][0].cost
         progress.count("other springs", len(tried), most, f"about {best:.4g} on the coarse mesh", "springs")
         optimum, w, torque = new
-        tried.append(torque)
-        parameters, known = optimum.solution.parameters, [o.solution for o, _ in every[:SHARED]]
-        motions = combined(searches[w].proposed(parameters, options.motions // FEWER, known=known), parameters)
-        found = added([(w, "motions", guess) for guess in motions])
-        moved = min([optimum, *found], key=lambda o: o.cost).solution.guess()
-        found += added([(v, "springs", replace(moved, parameters=theta)) for v, theta in _fitted(polishers, moved)])
+        tried.append((torque, optimum))
+        parameters, known = optimum.solution.parameters, moving_apart((o for o, _ in every), SHARED)
+        motions = searches[w].proposed(parameters, options.motions // FEWER, known=[o.solution for o in known])
+        found = add([(w, guess) for guess in combined(motions, parameters)])
+        moved = min([optimum, *found], key=lambda o: o.cost)
+        if not any(same_motion(moved.solution, o.solution) for o in fitted):
+            fitted.append(moved)
+            found += add(_fitted(polishers, springs, moved.solution.guess()))
         idle = 0 if min((o.cost for o in found), default=best) < best * (1 - LEAST_GAIN) else idle + 1
-    return optima
 
 
-def _fitted(polishers: Sequence[Polisher], guess: Guess) -> list[tuple[int, np.ndarray]]:
-    """The springs that leave the least torque along a guess's motion: (way to mount them, parameters) of the best ways."""
+def _fitted(polishers: Sequence[Polisher], springs: Sequence["Springs"], guess: Guess) -> list[tuple[int, Guess]]:
+    """A guess's motion with the different springs that leave the least torque along it, of any way to mount them; none where springs
+    stand between drives and links, or none is free."""
     design = polishers[0].design
     if design.series.rows or not np.any(design.problem.p_lower < design.problem.p_upper):
         return []
-    motions = [HeldMotion.of(phase) for phase in guess.phases]
-    fits = ordered(fitted_springs, [(p.design, motions, p.options.width) for p in polishers])
-    order = sorted(range(len(fits)), key=lambda way: fits[way][0])
-    return [(way, fits[way][1]) for way in order[:FITTED]]
+    motions, fits = [HeldMotion.of(phase) for phase in guess.phases], max(FITTED // len(polishers), FITS)
+    found = ordered(fitted_springs, [(p.design, motions, fits, p.options.width) for p in polishers])
+    every = [(left, way, theta) for way, some in enumerate(found) for left, theta in some]
+    best, torques = list[tuple[int, Guess]](), list[np.ndarray]()
+    for _, way, theta in sorted(every, key=lambda one: one[0]):
+        torque = springs[way].torque(theta)
+        if not any(alike(torque, other) for other in torques):
+            best.append((way, replace(guess, parameters=theta)))
+            torques.append(torque)
+        if len(best) == FITTED:
+            break
+    return best
 
 
 class Springs:
@@ -178,22 +213,23 @@ class Springs:
     def __init__(self, design: CoDesign) -> None:
         lower, upper = design.task.lower[:, None], design.task.upper[:, None]
         self._q = lower + (upper - lower) * sobol_points(len(lower), POSTURES, 0).T
-        self._torques, self._widths = design.torques, np.zeros(design.model.widths.size)
+        self._design, self._widths = design, np.zeros(design.model.widths.size)
 
     def others(self, optima: Sequence[Optimum]) -> list[Optimum]:
         """Those optima of which none before has nearly the same springs."""
         torques, kept = list[np.ndarray](), []
         for o in optima:
-            torque = self.torque(o)
+            torque = self.torque(o.solution.parameters)
             if not any(alike(torque, t) for t in torques):
                 kept.append(o)
                 torques.append(torque)
         return kept
 
-    def torque(self, optimum: Optimum) -> np.ndarray:
-        """Of the springs and of whatever the arm has [Nm], (m, number of postures)."""
+    def torque(self, parameters: np.ndarray) -> np.ndarray:
+        """Of springs of parameters (np,) and of whatever the arm has [Nm], phase by phase: (m, number of postures of both)."""
         still = np.zeros_like(self._q)
-        return np.array(self._torques(self._q, still, still, 0.0, optimum.solution.parameters, self._widths)[1])
+        engaged = [self._design.engaged(phase, parameters) for phase in range(len(PHASES))]
+        return np.hstack([np.array(self._design.torques(self._q, still, still, 0.0, p, self._widths)[1]) for p in engaged])
 
 
 def alike(one: np.ndarray, other: np.ndarray) -> bool:

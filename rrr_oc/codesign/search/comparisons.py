@@ -32,7 +32,7 @@ def balancing_springs(design: CoDesign) -> np.ndarray | None:
     start, release = design.task.start, design.task.release
     way = start[:, None] + (release - start)[:, None] * np.linspace(0, 1, POSTURES)
     phases = [HeldMotion.at_rest(way)] * len(PHASES)
-    return fitted_springs(design, phases, fits=TRIED)[1]
+    return fitted_springs(design, phases, TRIED, evaluations=None)[0][1]
 
 
 def best_motion(held: CoDesign, options: SearchOptions) -> Solution:

@@ -71,9 +71,12 @@ def same_optimum(a: Solution, b: Solution) -> bool:
     """Whether two solutions are one optimum: cost within 0.2 %, springs within 1 % of their range, durations within 0.03 s and
     paths within 0.03 rad. Springs are compared in kappa, rho, phi, so that equivalent hardware is one design.
     """
+    return _same_springs(a, b) and same_motion(a, b)
+
+
+def same_motion(a: Solution, b: Solution) -> bool:
+    """As `same_optimum`, for springs that may differ: in what has no effect on this motion, as the equilibrium of a slack spring."""
     if abs(a.cost - b.cost) > 2e-3 * abs(b.cost) or np.abs(a.durations - b.durations).max() > 0.03:
-        return False
-    if not _same_springs(a, b):
         return False
     s = np.linspace(0, 1, 41)
     m = len(a.problem.phases[0].u)  # the first states are the angles
@@ -96,6 +99,17 @@ def distinct(optima: Iterable[Optimum]) -> list[Optimum]:
             reached = found.reached + kept[same].reached
             kept[same] = replace(min(found, kept[same], key=lambda o: o.cost), reached=reached)
     return sorted(kept, key=lambda o: o.cost)
+
+
+def moving_apart(optima: Iterable[Optimum], most: int) -> list[Optimum]:
+    """The first optima, at most so many, of which none before has the same motion, whatever the springs."""
+    kept: list[Optimum] = []
+    for o in optima:
+        if len(kept) == most:
+            break
+        if not any(same_motion(o.solution, other.solution) for other in kept):
+            kept.append(o)
+    return kept
 
 
 def attached(design: Solvable, options: SearchOptions, optimum: Optimum) -> Optimum:

@@ -88,8 +88,8 @@ class MotionSearch:
         """Count what other searches have solved as this one's."""
         for other in others:
             self._springs |= other._springs
-            motions, swings = (getattr(self.covered, key) + getattr(other.covered, key) for key in ("motions", "swings"))
-            self.covered = Covered(len(self._springs), motions, swings)
+            one, more = self.covered, other.covered
+            self.covered = Covered(len(self._springs), one.motions + more.motions, one.swings + more.swings)
 
     def best(self, parameters: np.ndarray, skip: int, known: Motions | None = None) -> Motions:
         """The motions of each chain with the springs of `parameters` (np,), on the fine mesh.

@@ -5,10 +5,18 @@ from dataclasses import dataclass, replace
 
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.search.coarse import Coarse, Springs, coarse_search
-from rrr_oc.codesign.search.local_optima import Optimum, Solvable, attached, distinct, follow_to_fine_mesh, refined
+from rrr_oc.codesign.search.local_optima import (
+    Optimum,
+    Solvable,
+    attached,
+    distinct,
+    follow_to_fine_mesh,
+    moving_apart,
+    refined,
+)
 from rrr_oc.codesign.search.motions import LEAST_GAIN, Covered, MotionSearch, combined
 from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, dimensions, sobol_points
-from rrr_oc.codesign.search.starts import Polisher, Start
+from rrr_oc.codesign.search.starts import Polisher, Start, polish
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Solution, SolverFailure
 from rrr_oc.parallel import ordered
@@ -97,7 +105,7 @@ def starts_to_reach(design: CoDesign, options: SearchOptions, target: float) -> 
     """
     polisher = Polisher(design, options)
     for index, vector in enumerate(sobol_points(dimensions(design, options.via), options.starts, options.seed)):
-        start = polisher(LAYERS[0], index, vector)
+        start = polish(*polisher.proposal(LAYERS[0], vector, index))
         if not start.w.size or start.polished > 2 * target:  # the coarse mesh and the wide springs change the cost by far less
             continue
         found = follow_to_fine_mesh(design, options, polisher.solution(start).guess())
@@ -125,7 +133,7 @@ def _best_optima(found: Coarse, known: Sequence[Guess], progress: Progress) -> t
     """The distinct optima on a fine mesh, of no more than `kept` on the coarse one, the best of them refined; cheapest first."""
     design, options, search = found.polisher.design, found.polisher.options, found.search
     progress.tell("fine mesh")
-    some = _promising(found.optima)[: 1 if found.interrupted else options.kept]
+    some = moving_apart(found.optima, 1 if found.interrupted else options.kept)
     guesses = [*(o.solution.guess() for o in some), *known]
     optima = _followed(design, options, guesses, [o.reached for o in some])
     if not optima:

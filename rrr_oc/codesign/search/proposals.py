@@ -34,7 +34,8 @@ class SearchOptions:
         kept: Number of distinct optima that are solved on the fine mesh.
         within: Of those, every one within this relative distance of the best is refined to the mesh tolerance.
         motions: Proposed motions of each phase alone, for springs that starts led to; 0 leaves this out.
-        springs: Number of different springs for which some of these motions are solved on the coarse mesh.
+        springs: Number of different springs for which some of these motions are solved on the coarse mesh; twice as many where there are
+            several ways to mount them.
         rounds: Largest number of times that motions are searched for the springs found last.
         via: Points of a proposed path, per phase and joint.
         population: Population of CMA-ES.

@@ -13,8 +13,7 @@ from rrr_oc.codesign.springs import drawn_bounds, from_drawn
 from rrr_oc.optimal_control.problem import PhaseGuess
 
 DRAWN = 128  # springs whose torques are compared before a fit; doubled, slower and surer
-FITS = 2  # of the best of these; doubled, slower and surer
-EVALUATIONS = 20  # of a fit; doubled, fits that creep along a valley take longer
+EVALUATIONS = 20  # of a fit at most; doubled, those that creep along a valley take longer
 TIMES = 21  # of a phase's motion; doubled, springs that are taut for a moment are fitted better
 STEP = 1e-6  # of the differences that stand for derivatives, of variables in [0, 1]
 
@@ -35,7 +34,7 @@ class HeldMotion:
 
     @classmethod
     def of(cls, phase: PhaseGuess) -> "HeldMotion":
-        """A phase's motion, weighted by its duration; of an arm without springs between drives and links."""
+        """A phase's motion, weighted by its duration. The arm must have no springs between drives and links."""
         shares = np.linspace(0, 1, TIMES)
         q, dq = np.split(phase.states(shares), 2)
         return cls(q, dq, phase.controls(shares), phase.duration)
@@ -47,20 +46,25 @@ class HeldMotion:
 
 
 def fitted_springs(
-    design: CoDesign, phases: Sequence[HeldMotion], width: float | None = None, fits: int = FITS
-) -> tuple[float, np.ndarray]:
-    """Mean squared torque that is left [N²m²], summed over the moving joints, and parameters (np,), of springs fitted to a motion.
+    design: CoDesign, phases: Sequence[HeldMotion], fits: int, width: float | None = None, evaluations: int | None = EVALUATIONS
+) -> list[tuple[float, np.ndarray]]:
+    """Springs fitted to a motion, the best first: mean squared torque that is left [N²m²], summed over the moving joints, and parameters
+    (np,). Several fits may be the same.
+
+    It is the load torque with the task's own payload that is fitted, whatever the design's cost and scenarios are.
 
     Args:
         design: The problem; none of its springs may stand between drives and links.
+        fits: Number of fits, each from one of the best of the drawn springs.
         width: Smoothing width of the springs [rad]; each effect's own if none.
-        fits: Number of drawn springs from which a fit begins.
+        evaluations: Of each fit at most; None where it goes on until it has converged.
     """
     low, high = drawn_bounds(design.springs)
-    free = low < high
-    torques = [_SpringTorques(design, i, motion, design.widths(design.data(width))) for i, motion in enumerate(phases)]
+    free, widths = low < high, design.widths(design.data(width))
+    inputs = design.torques.sx_in()
+    springs = ca.Function("springs", inputs, [design.torques(*inputs)[1]])  # without the arm it takes a fraction of the time
     weights = np.array([motion.weight for motion in phases])
-    factors = np.sqrt(weights / weights.sum())
+    needed = [_needed(design, i, motion, widths) for i, motion in enumerate(phases)]
 
     def parameters(x: np.ndarray) -> np.ndarray:
         """Of variables in [0, 1] (free, count), as (np, count)."""
@@ -68,40 +72,31 @@ def fitted_springs(
         drawn[free] += (high - low)[free, None] * x
         return from_drawn(design.springs, drawn)
 
-    def left(x: np.ndarray) -> np.ndarray:
+    def residuals(x: np.ndarray) -> np.ndarray:
         """Torque that is left with variables (free, count), weighted for the mean of its square (·, count)."""
-        theta = parameters(x)
-        return np.vstack([factor * each.left(theta) for factor, each in zip(factors, torques, strict=True)])
+        theta, count, rows = parameters(x), x.shape[1], []
+        for i, (motion, total, weight) in enumerate(zip(phases, needed, weights / weights.sum(), strict=True)):
+            m, number = total.shape
+            engaged = np.repeat(design.engaged(i, theta.T).T, number, axis=1)
+            rates = (np.tile(v, count) for v in (motion.q, motion.dq, motion.ddq))
+            own = np.array(springs(*rates, design.task.payloads[i], engaged, widths)).reshape(m, count, number)
+            rows.append((total[:, None] - own).swapaxes(1, 2).reshape(-1, count) * np.sqrt(weight / number))
+        return np.vstack(rows)
 
     def slopes(x: np.ndarray) -> np.ndarray:
         steps = np.where(x < 0.5, STEP, -STEP)
-        found = left(np.column_stack([x, x[:, None] + np.diag(steps)]))
+        found = residuals(np.column_stack([x, x[:, None] + np.diag(steps)]))
         return (found[:, 1:] - found[:, :1]) / steps
 
     drawn = sobol_points(int(free.sum()), max(DRAWN, fits), 0).T
-    order = np.argsort(np.square(left(drawn)).sum(axis=0))[:fits]
+    order = np.argsort(np.square(residuals(drawn)).sum(axis=0))[:fits]
     starts = 0.01 + 0.98 * drawn[:, order].T
-    found = [least_squares(lambda x: left(x[:, None])[:, 0], x, slopes, (0, 1), max_nfev=EVALUATIONS) for x in starts]
-    best = min(found, key=lambda fit: fit.cost)
-    return 2 * float(best.cost), parameters(best.x[:, None])[:, 0]
+    found = [least_squares(lambda x: residuals(x[:, None])[:, 0], x, slopes, (0, 1), max_nfev=evaluations) for x in starts]
+    return [(2 * float(fit.cost), parameters(fit.x[:, None])[:, 0]) for fit in sorted(found, key=lambda fit: fit.cost)]
 
 
-class _SpringTorques:
-    """Torques of a design's springs along a phase's motion."""
-
-    def __init__(self, design: CoDesign, phase: int, motion: HeldMotion, widths: np.ndarray) -> None:
-        self._design, self._phase, self._motion, self._widths = design, phase, motion, widths
-        self._payload = design.task.payloads[phase]
-        inputs = design.torques.sx_in()
-        self._springs = ca.Function("springs", inputs, [design.torques(*inputs)[1]])
-        theta = design.engaged(phase, design.problem.p_upper)
-        load, springs = design.torques(motion.q, motion.dq, motion.ddq, self._payload, theta, widths)
-        self._needed = np.array(load + springs)  # (m, N) [Nm]
-
-    def left(self, theta: np.ndarray) -> np.ndarray:
-        """Torque that springs of parameters (np, count) leave to the drives [Nm], over the root of the number of times (m N, count)."""
-        count, motion, (m, number) = theta.shape[1], self._motion, self._needed.shape
-        engaged = np.repeat(self._design.engaged(self._phase, theta.T).T, number, axis=1)
-        rates = (np.tile(v, count) for v in (motion.q, motion.dq, motion.ddq))
-        springs = np.array(self._springs(*rates, self._payload, engaged, self._widths)).reshape(m, count, number)
-        return (self._needed[:, None] - springs).swapaxes(1, 2).reshape(m * number, count) / np.sqrt(number)
+def _needed(design: CoDesign, phase: int, motion: HeldMotion, widths: np.ndarray) -> np.ndarray:
+    """Torque that a phase's motion needs without springs (m, N) [Nm]."""
+    theta = design.engaged(phase, design.problem.p_upper)
+    load, springs = design.torques(motion.q, motion.dq, motion.ddq, design.task.payloads[phase], theta, widths)
+    return np.array(load + springs)

@@ -3,6 +3,7 @@
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +12,13 @@ from rrr_oc.codesign.search.local_optima import ACCEPTED, Solvable, transcribed
 from rrr_oc.codesign.search.proposals import LAYERS, SearchOptions, cma_strategy, dimensions, proposed_guess, sobol_points
 from rrr_oc.optimal_control.problem import Guess
 from rrr_oc.optimal_control.solver import Options, Solution, Solver
-from rrr_oc.parallel import once_per_process, ordered, unordered
+from rrr_oc.parallel import once_per_process, unordered
 
 # Initial barrier parameters of the starts from Sobol points, in turn; None is IPOPT's adaptive strategy, which all other starts have. A
 # large one leads every start to the middle of all bounds first, and from there to one good optimum or few; more of them, and the
 # optima that are not on that way are missed.
 BARRIERS = (1.0, None, None, None)
+_Call = tuple[str, CoDesign, SearchOptions, str, np.ndarray, float | None]
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,8 @@ class Start:
     """A starting point and the optimum that IPOPT found from it.
 
     Attributes:
-        layer: Its source: of `LAYERS`, "motions" for the best motions of each phase put together, or "known" for what was known
-            before; of several tasks that share the springs "alone" for the springs of one of them.
+        layer: Its source: of `LAYERS`, or "known" for what was known before; of several tasks that share the springs "alone" for the
+            springs of one of them.
         proposed: Cost of the starting point itself; its motion may exceed limits.
         polished: Cost after IPOPT, on the coarse mesh; infinite where IPOPT found no optimum.
         message: IPOPT's status.
@@ -84,48 +86,45 @@ class CoarseSolver:
 
 
 class Polisher(CoarseSolver):
-    """Solves the coarse problem of one task from vectors in [0, 1]. Built once a process."""
+    """Solves the coarse problem of one task, in each process with solvers of its own.
+
+    Attributes:
+        key: Of its solvers in a process.
+    """
 
     def __init__(self, design: CoDesign, options: SearchOptions) -> None:
         super().__init__(design, options, {None, *BARRIERS}, 200)
         self.design, self.options, self.key = design, options, uuid.uuid4().hex
 
-    def __call__(self, layer: str, index: int, vector: np.ndarray) -> Start:
-        """Polish one starting point of a layer, of the index that it has there."""
+    def call(self, layer: str, guess: Guess, barrier: float | None = None) -> _Call:
+        """The arguments of a polish of a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`, or
+        IPOPT's adaptive one."""
+        return self.key, self.design, self.options, layer, self.transcription.pack(guess), barrier
+
+    def proposal(self, layer: str, vector: np.ndarray, index: int) -> _Call:
+        """As `call`, for the guess that a vector in [0, 1] stands for, of the index that it has in its layer."""
         barrier = BARRIERS[index % len(BARRIERS)] if layer == LAYERS[0] else None
-        return self.polished(layer, proposed_guess(self.design, vector, self.options.via), barrier)
-
-    def polished(self, layer: str, guess: Guess, barrier: float | None = None) -> Start:
-        """Polish a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`, or IPOPT's adaptive one."""
-        return self.started(layer, self.transcription.pack(guess), (barrier,))
+        return self.call(layer, proposed_guess(self.design, vector, self.options.via), barrier)
 
 
-def all_polished(guesses: Iterable[tuple[Polisher, str, Guess]]) -> list[Start]:
-    """What guesses lead to, each of a layer and polished by its own polisher."""
-    calls = [(p.key, p.design, p.options, layer, p.transcription.pack(guess)) for p, layer, guess in guesses]
-    return ordered(_polish_guess, calls)
+def polish(key: str, design: CoDesign, options: SearchOptions, layer: str, w: np.ndarray, barrier: float | None) -> Start:
+    """What scaled variables lead to, as `Polisher.call` has them."""
+    return once_per_process(key, lambda: Polisher(design, options)).started(layer, w, (barrier,))
 
 
-def _polish_guess(key: str, design: CoDesign, options: SearchOptions, layer: str, w: np.ndarray) -> Start:
-    return once_per_process(key, lambda: Polisher(design, options)).started(layer, w, (None,))
-
-
-def all_starts(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
+def all_starts(polisher: Polisher) -> Iterator[Start]:
     """All starts: first Sobol points, then CMA-ES, which sees the costs after IPOPT and is restarted where it converges."""
-    key, size = uuid.uuid4().hex, dimensions(design, options.via)
+    options, size = polisher.options, dimensions(polisher.design, polisher.options.via)
     half = (options.starts + 1) // 2 if options.layers == LAYERS else options.starts if LAYERS[0] in options.layers else 0
-
-    def polish(layer: str, vectors: Iterable[np.ndarray]) -> Iterator[tuple[int, Start]]:
-        return unordered(_polish, [(key, design, options, layer, i, v) for i, v in enumerate(vectors)])
-
-    yield from sobol_starts(design, options, range(half), key)
+    yield from sobol_starts(polisher, half)
     left = options.starts - half
     while left > 0:
         strategy = cma_strategy(size, options, left)
         while left > 0 and not strategy.stop():
             vectors = strategy.ask()
             costs = np.full(len(vectors), np.inf)
-            for i, start in polish("cma-es", vectors[:left]):
+            calls = [(i, *polisher.proposal("cma-es", vector, i)) for i, vector in enumerate(vectors[:left])]
+            for i, start in unordered(_numbered, calls):
                 costs[i] = start.polished
                 yield start
             left -= len(vectors)
@@ -133,14 +132,11 @@ def all_starts(design: CoDesign, options: SearchOptions) -> Iterator[Start]:
             strategy.tell(vectors, np.where(np.isfinite(costs), costs, 2 * worst).tolist())
 
 
-def sobol_starts(design: CoDesign, options: SearchOptions, numbers: range, key: str = "") -> Iterator[Start]:
-    """The starts from the Sobol points of these numbers, in the order of their polishes' ends; a process keeps a polisher for each key."""
-    points = sobol_points(dimensions(design, options.via), numbers.stop, options.seed)[numbers.start :]
-    shared = key or uuid.uuid4().hex, design, options, LAYERS[0]
-    for _, start in unordered(_polish, [(*shared, i, point) for i, point in zip(numbers, points, strict=True)]):
-        yield start
+def sobol_starts(polisher: Polisher, count: int) -> Iterator[Start]:
+    """The starts from so many Sobol points, in the order of their polishes' ends."""
+    points = sobol_points(dimensions(polisher.design, polisher.options.via), count, polisher.options.seed)
+    yield from unordered(polish, [polisher.proposal(LAYERS[0], point, i) for i, point in enumerate(points)])
 
 
-def _polish(key: str, design: CoDesign, options: SearchOptions, layer: str, index: int, vector: np.ndarray):
-    polisher = once_per_process(key, lambda: Polisher(design, options))
-    return index, polisher(layer, index, vector)
+def _numbered(number: int, *call: Any) -> tuple[int, Start]:
+    return number, polish(*call)
