@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -91,7 +92,8 @@ def fitted_springs(
     drawn = sobol_points(int(free.sum()), max(DRAWN, fits), 0).T
     order = np.argsort(np.square(residuals(drawn)).sum(axis=0))[:fits]
     starts = 0.01 + 0.98 * drawn[:, order].T
-    found = [least_squares(lambda x: residuals(x[:, None])[:, 0], x, slopes, (0, 1), max_nfev=evaluations) for x in starts]
+    settings = {"jac": cast(Any, slopes), "bounds": (0, 1), "max_nfev": evaluations}
+    found = [least_squares(lambda x: residuals(x[:, None])[:, 0], x, **settings) for x in starts]
     return [(2 * float(fit.cost), parameters(fit.x[:, None])[:, 0]) for fit in sorted(found, key=lambda fit: fit.cost)]
 
 
