@@ -12,7 +12,7 @@ from small_searches import OPTIONS, PEA, TASK, design_of
 from rrr_oc.codesign.certificate import certify
 from rrr_oc.codesign.design_problem import CoDesign
 from rrr_oc.codesign.optimum import embedded
-from rrr_oc.codesign.search import multistart
+from rrr_oc.codesign.search import coarse, multistart
 from rrr_oc.codesign.search.coarse import SEVERAL, Springs, alike, coarse_search
 from rrr_oc.codesign.search.local_optima import follow_to_fine_mesh, moving_apart, same_optimum
 from rrr_oc.codesign.search.motions import Covered, MotionSearch
@@ -229,6 +229,23 @@ def test_ctrl_c_keeps_what_was_found(jobs):
     assert result.interrupted
     assert len(result.starts) == 3
     assert result.best.solution.cost == pytest.approx(66.75, rel=5e-3)
+
+
+def test_ctrl_c_while_springs_are_improved_keeps_what_was_found(monkeypatch):
+    """The fine mesh is all that follows: no motions are searched for any more."""
+
+    def stop(*_) -> None:
+        raise KeyboardInterrupt
+
+    stages: list[str] = []
+    monkeypatch.setattr(coarse, "_fitted", stop)
+    few = replace(OPTIONS, starts=2, motions=6, springs=4)
+    result = solve_multistart(PEA, few, report=lambda step: stages.append(step.stage))
+    assert result.interrupted
+    assert result.covered.springs == 1
+    assert "other springs" in stages
+    assert "best motions" not in stages
+    assert result.best.cost == pytest.approx(66.75, rel=2e-2)
 
 
 def test_progress_sees_every_start():

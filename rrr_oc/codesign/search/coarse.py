@@ -1,8 +1,10 @@
 """The search on a coarse mesh: from starting points to optima, and from these to better springs and motions, over all ways to mount
 the springs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from rrr_oc.optimal_control.solver import Solver
 from rrr_oc.parallel import ordered
 from rrr_oc.progress import Progress
 
+_T = TypeVar("_T")
 APART = 0.03  # [1] of their torque by which springs differ to be others; halved, more of them that are nearly the same
 POSTURES = 64  # in which their torque is compared; doubled, springs that differ in a few postures only are told apart
 IDLE = 16  # springs tried one after the other without a lower cost, before no more are; doubled, slower and surer
@@ -34,11 +37,11 @@ class Coarse:
     """A search on the coarse mesh, over one or several ways to mount the springs.
 
     Attributes:
-        way: Number of the way with the least of these costs.
-        costs: Of the cheapest optimum of each way, on the fine mesh where there are several ways; infinite where there is none.
+        way: Number of the way with the least cost.
+        costs: Of the cheapest optimum of each way, on the fine mesh where several ways were compared; infinite where there is none.
         polisher, search: Of that way; there is no search of motions for held springs where the options or Ctrl-C leave it out.
         optima: The distinct optima of that way, cheapest first.
-        starts: All starts, in the order of their polishes' ends.
+        starts: All starts way by way, in the order of their polishes' ends, then what was known.
         interrupted: Whether Ctrl-C ended it.
     """
 
@@ -75,8 +78,7 @@ def coarse_search(
     few = min(EACH, options.starts)
     total = options.starts if len(ways) == 1 else len(ways) * few
     streams = [all_starts(polishers[0])] if len(ways) == 1 else [sobol_starts(polisher, few) for polisher in polishers]
-    searches, interrupted = list[MotionSearch](), False
-    optima: list[list[Optimum]] = [[] for _ in ways]
+    searches, costs, interrupted = list[MotionSearch](), list[float](), False
     try:
         for some, stream in zip(starts, streams, strict=True):
             for start in stream:
@@ -85,7 +87,7 @@ def coarse_search(
                 every = [s for one in starts for s in one]
                 progress.count("starts", len(every), total, _coarse_cost(every), "starts")
         for polisher, some, guesses in zip(polishers, starts, known or [()] * len(ways), strict=True):
-            some += ordered(polish, [polisher.call("known", guess) for guess in guesses])
+            some += ordered(polish, [polisher.call(guess, "known") for guess in guesses])
     except KeyboardInterrupt:
         interrupted = True
     every = [s for some in starts for s in some]
@@ -96,9 +98,11 @@ def coarse_search(
         if not interrupted and options.motions:
             searches = [MotionSearch(design, options) for design in ways]
             _add_better_springs(polishers, searches, optima, progress)
+        if not interrupted and len(ways) > 1:
+            costs = _costs(ways, options, optima)
     except KeyboardInterrupt:
         interrupted = True
-    costs = _costs(ways, options, optima) if len(ways) > 1 and not interrupted else [_least(some) for some in optima]
+    costs = costs or [_least(some) for some in optima]
     best = int(np.argmin(costs))
     search = searches.pop(best) if searches else None
     if search is not None:
@@ -158,7 +162,7 @@ def _add_better_springs(
 
     def add(guesses: Sequence[tuple[int, Guess]]) -> list[Optimum]:
         """The optima to which guesses of some ways lead, now among those of their way."""
-        starts = ordered(polish, [polishers[w].call("", guess) for w, guess in guesses])
+        starts = ordered(polish, [polishers[w].call(guess) for w, guess in guesses])
         added = [(w, Optimum(polishers[w].solution(s), [])) for (w, _), s in zip(guesses, starts, strict=True) if s.w.size]
         for w, optimum in added:
             optima[w] = distinct([*optima[w], optimum])
@@ -196,15 +200,9 @@ def _fitted(polishers: Sequence[Polisher], springs: Sequence["Springs"], guess: 
     motions, fits = [HeldMotion.of(phase) for phase in guess.phases], max(FITTED // len(polishers), FITS)
     found = ordered(fitted_springs, [(p.design, motions, fits, p.options.width) for p in polishers])
     every = [(left, way, theta) for way, some in enumerate(found) for left, theta in some]
-    best, torques = list[tuple[int, Guess]](), list[np.ndarray]()
-    for _, way, theta in sorted(every, key=lambda one: one[0]):
-        torque = springs[way].torque(theta)
-        if not any(alike(torque, other) for other in torques):
-            best.append((way, replace(guess, parameters=theta)))
-            torques.append(torque)
-        if len(best) == FITTED:
-            break
-    return best
+    order = ((way, theta) for _, way, theta in sorted(every, key=lambda one: one[0]))
+    different = unlike((springs[way].torque(theta), (way, replace(guess, parameters=theta))) for way, theta in order)
+    return list(islice(different, FITTED))
 
 
 class Springs:
@@ -217,19 +215,22 @@ class Springs:
 
     def others(self, optima: Sequence[Optimum]) -> list[Optimum]:
         """Those optima of which none before has nearly the same springs."""
-        torques, kept = list[np.ndarray](), []
-        for o in optima:
-            torque = self.torque(o.solution.parameters)
-            if not any(alike(torque, t) for t in torques):
-                kept.append(o)
-                torques.append(torque)
-        return kept
+        return list(unlike((self.torque(o.solution.parameters), o) for o in optima))
 
     def torque(self, parameters: np.ndarray) -> np.ndarray:
         """Of springs of parameters (np,) and of whatever the arm has [Nm], phase by phase: (m, number of postures of both)."""
         still = np.zeros_like(self._q)
         engaged = [self._design.engaged(phase, parameters) for phase in range(len(PHASES))]
         return np.hstack([np.array(self._design.torques(self._q, still, still, 0.0, p, self._widths)[1]) for p in engaged])
+
+
+def unlike(springs: Iterable[tuple[np.ndarray, _T]]) -> Iterator[_T]:
+    """What springs belong to, given with their torques, of which none before has nearly the same."""
+    torques = list[np.ndarray]()
+    for torque, what in springs:
+        if not any(alike(torque, other) for other in torques):
+            torques.append(torque)
+            yield what
 
 
 def alike(one: np.ndarray, other: np.ndarray) -> bool:

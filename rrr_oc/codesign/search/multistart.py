@@ -79,7 +79,7 @@ def solve_multistart(
 ) -> SearchResult:
     """The best co-design from many starting points: every start is polished on a coarse mesh, the distinct optima are solved on a
     fine one, the best motions for their springs are looked for phase by phase, the best optima are refined, and motions with a swing
-    more or less are tried. Ctrl-C ends the search early with what has been found.
+    more or less are tried. Ctrl-C on the coarse mesh ends the search early with what has been found.
 
     Args:
         known: Further starting points, such as optima of designs with fewer springs; they are solved on the fine mesh.
@@ -131,7 +131,8 @@ def continue_from(starts: Sequence[tuple[Solvable, Guess]], options: SearchOptio
 
 def _best_optima(found: Coarse, known: Sequence[Guess], progress: Progress) -> tuple[Optimum, ...]:
     """The distinct optima on a fine mesh, of no more than `kept` on the coarse one, the best of them refined; cheapest first."""
-    design, options, search = found.polisher.design, found.polisher.options, found.search
+    design, options = found.polisher.design, found.polisher.options
+    search = None if found.interrupted else found.search
     progress.tell("fine mesh")
     some = moving_apart(found.optima, 1 if found.interrupted else options.kept)
     guesses = [*(o.solution.guess() for o in some), *known]

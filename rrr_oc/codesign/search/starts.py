@@ -26,8 +26,8 @@ class Start:
     """A starting point and the optimum that IPOPT found from it.
 
     Attributes:
-        layer: Its source: of `LAYERS`, or "known" for what was known before; of several tasks that share the springs "alone" for the
-            springs of one of them.
+        layer: Its source: of `LAYERS`, "known" for what was known before, or "improved" for what is made of other optima; of several
+            tasks that share the springs "alone" for the springs of one of them.
         proposed: Cost of the starting point itself; its motion may exceed limits.
         polished: Cost after IPOPT, on the coarse mesh; infinite where IPOPT found no optimum.
         message: IPOPT's status.
@@ -96,7 +96,7 @@ class Polisher(CoarseSolver):
         super().__init__(design, options, {None, *BARRIERS}, 200)
         self.design, self.options, self.key = design, options, uuid.uuid4().hex
 
-    def call(self, layer: str, guess: Guess, barrier: float | None = None) -> _Call:
+    def call(self, guess: Guess, layer: str = "improved", barrier: float | None = None) -> _Call:
         """The arguments of a polish of a guess that has a layer as its source, with an initial barrier parameter of `BARRIERS`, or
         IPOPT's adaptive one."""
         return self.key, self.design, self.options, layer, self.transcription.pack(guess), barrier
@@ -104,7 +104,7 @@ class Polisher(CoarseSolver):
     def proposal(self, layer: str, vector: np.ndarray, index: int) -> _Call:
         """As `call`, for the guess that a vector in [0, 1] stands for, of the index that it has in its layer."""
         barrier = BARRIERS[index % len(BARRIERS)] if layer == LAYERS[0] else None
-        return self.call(layer, proposed_guess(self.design, vector, self.options.via), barrier)
+        return self.call(proposed_guess(self.design, vector, self.options.via), layer, barrier)
 
 
 def polish(key: str, design: CoDesign, options: SearchOptions, layer: str, w: np.ndarray, barrier: float | None) -> Start:
