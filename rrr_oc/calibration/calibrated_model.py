@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rrr_oc.effects import Effect, OfEach
+from rrr_oc.effects import Delay, Effect, OfEach
 from rrr_oc.errors import UserError
 from rrr_oc.model.recorded_physics import Physics
 from rrr_oc.model.shared_model import shared_model
@@ -141,7 +141,7 @@ class CalibratedModel:
 
     def physics(self, recording: Recording) -> Physics:
         """What is at work in a recording: the springs it lists, then the terms that hold for it."""
-        terms = [term for term in self.terms if term.holds_for(recording)]
+        terms = [term for term in self.prompt_terms if term.holds_for(recording)]
         effects = (*(spring for spring, _ in recording.springs), *(term.effect for term in terms))
         springs = [theta[p.name] for effect, theta in recording.springs for p in effect.parameters]
         widths = [effect.width.nominal for effect, _ in recording.springs if effect.width is not None]
@@ -150,7 +150,21 @@ class CalibratedModel:
             np.concatenate([springs, *(term.values for term in terms)]),
             np.array(widths + [term.width for term in terms if term.width is not None]),
             self.robot.inertial,
+            self.delays(recording),
         )
+
+    @property
+    def prompt_terms(self) -> tuple[Term, ...]:
+        """The terms that are no delays."""
+        return tuple(term for term in self.terms if not isinstance(term.effect, Delay))
+
+    def delays(self, recording: Recording) -> tuple[float, ...]:
+        """By how much the recorded torque of each joint lags the motion of a recording [s], (n,)."""
+        result = np.zeros(self.robot.n)
+        for term in self.terms:
+            if isinstance(term.effect, Delay) and term.holds_for(recording):
+                result[list(term.effect.joints) or slice(None)] += term.effect.delay(term.named)
+        return tuple(result.tolist())
 
     def torques(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         """Motor torque and load torque that a recorded motion needs, each (n, K) [Nm]."""

@@ -1,6 +1,6 @@
 """The plain model of inverse dynamics: what a calibration starts from, and what is said of it at the end.
 
-The plain model has the effects of the role "plain" in every joint: dry friction, viscous friction and armature.
+The plain model has the effects of the role "plain" in every joint: dry friction, viscous friction, armature, and a lag of the torque.
 """
 
 import platform
@@ -28,13 +28,12 @@ PACKAGES = ("casadi", "mujoco", "numpy", "pin", "scipy")
 def plain_model(recordings: RecordingSet) -> CalibratedModel:
     """The model that calibration starts from, its parameters at their nominal 0.
 
-    Links that are to be identified start from the bodies of the prior, since a URDF may give them no mass. Recorded load torque
-    does not depend on the drives, so the model then has no terms.
+    Links that are to be identified start from the bodies of the prior, since a URDF may give them no mass.
     """
     robot, n = recordings.robot, recordings.robot.n
     if recordings.inertial == "identify":
         robot = replace(robot, inertial=links_from_log_cholesky(prior(robot).centre)[0])
-    kinds = () if recordings.torque == "load" else plain_effects()
+    effects = [kind((j,)) for j in range(n) for kind in plain_effects(recordings.torque)]
     return CalibratedModel(
         robot=robot,
         source=str(recordings.source) if str(recordings.source) in BUNDLED else "urdf",
@@ -43,7 +42,7 @@ def plain_model(recordings: RecordingSet) -> CalibratedModel:
         torque=recordings.torque,
         torque_constant=recordings.torque_constant,
         inertial=recordings.inertial,
-        terms=tuple(nominal_term(kind((j,))) for j in range(n) for kind in kinds),
+        terms=tuple(map(nominal_term, sorted(effects, key=lambda effect: effect.side == "sensor"))),
         noise=np.full(n, np.nan),
         nrmse=np.full(n, np.nan),
         versions={"rrr_oc": __version__, "python": platform.python_version()} | {p: version(p) for p in PACKAGES},

@@ -103,31 +103,40 @@ class Prediction:
         Args:
             inertial: Whether the derivatives by the inertial parameters (10, n) are wanted too, link by link.
         """
-        return self.nonzero_by_parameters(inertial).dense(self.model.robot.n)
+        dense = self.nonzero_by_parameters(inertial).dense(self.model.robot.n)
+        for column in np.moveaxis(dense, 2, 0) if any(self.physics.delays) else ():
+            column[:] = self.physics.late(self.recording, column)
+        return dense
 
     def nonzero_by_parameters(self, inertial: bool = False) -> Columns:
-        """As `by_parameters`, without those that are 0."""
+        """As `by_parameters`, without those that are 0, as recorded without delays."""
         terms, physics, r = self.model.terms, self.physics, self.recording
         sizes, holds = [len(t.estimates) for t in terms], [t.holds_for(r) for t in terms]
+        late = [isinstance(t.effect, Delay) for t in terms]
         inexact = [t.effect.side in ("motion", "sensor") or bool(t.effect.states) for t in terms]  # no torque of the instant
         n, parts = self.model.robot.n, [Columns.none(len(r.t))]
         size = sum(sizes) + (10 * n if inertial else 0)
         if not all(inexact):
-            parts.append(
-                self._sensitivity("theta", self.physics.inertial).placed(np.repeat(holds, sizes), ~np.repeat(inexact, sizes))
-            )
+            prompt = np.repeat(np.array(holds) & ~np.array(late), sizes)
+            parts.append(self._sensitivity("theta", self.physics.inertial).placed(prompt, ~np.repeat(inexact, sizes)))
         if inertial:
             parts.append(self._sensitivity("inertial", self.physics.inertial).moved(sum(sizes)))
-        if any(t.effect.side == "sensor" for t in terms):
+        if any(effect.side == "sensor" for effect in physics.model.effects):
             dense = Columns.joined(parts, size).dense(n)
             for k in np.flatnonzero(np.any(dense, axis=(0, 1))):
                 dense[:, :, k] = physics.passed_on(r, dense[:, :, k])
             parts = [Columns.of(dense)]
-        if which := [i for i in range(len(terms)) if inexact[i] and holds[i]]:
-            numbers = len(physics.model.effects) - sum(holds) + np.cumsum(holds) - 1  # of the terms among the effects
-            true, ends = self.model.true_torque(r, physics), np.cumsum(sizes)
+        at_work, ends = np.array(holds) & ~np.array(late), np.cumsum(sizes)
+        if which := [i for i in range(len(terms)) if inexact[i] and at_work[i]]:
+            numbers = len(physics.model.effects) - sum(at_work) + np.cumsum(at_work) - 1  # of the terms among the effects
+            true = self.model.true_torque(r, physics)
             found = physics.by_differences(r, [int(numbers[i]) for i in which], true, self.model.torque == "load")
             parts += [Columns.of(part).moved(int(ends[i]) - sizes[i]) for i, part in zip(which, found, strict=True)]
+        if which := [i for i in range(len(terms)) if late[i] and holds[i]]:
+            values = -differentiated(r, physics.measured(r, self.model.true_torque(r, physics)))
+            for i in which:
+                joints = np.array(terms[i].effect.joints or range(n))
+                parts.append(Columns(joints, np.full(len(joints), ends[i] - 1), values[joints].T, int(ends[i])))
         return Columns.joined(parts, size)
 
     @property
@@ -147,7 +156,7 @@ class Prediction:
         return self._sensitivity("inertial", np.tile(UNIT_BODY, (self.model.robot.n, 1)).T)
 
     def by_widths(self, joints: Sequence[tuple[int, ...]]) -> Columns:
-        """d `CalibratedModel.output_torque` / d logarithm of the width over which all friction on each of these joints changes sign."""
+        """d measured torque / d logarithm of the width over which all friction on each of these joints changes sign."""
         found, smooth = self._sensitivity("widths", self.physics.inertial), [e for e in self.physics.model.effects if e.width]
         if not len(found.joints):
             return replace(found, size=len(joints))
@@ -156,13 +165,13 @@ class Prediction:
         for j, number, column in zip(found.joints, found.numbers, found.values.T, strict=True):
             if own[number] >= 0:
                 dense[j, :, own[number]] += column * self.physics.widths[number]
-        if any(t.effect.side == "sensor" for t in self.model.terms):
+        if any(effect.side == "sensor" for effect in self.physics.model.effects):
             for k in range(len(joints)):
                 dense[:, :, k] = self.physics.passed_on(self.recording, dense[:, :, k])
         return Columns.of(dense)
 
     def by_trial(self, trial: Trial) -> np.ndarray:
-        """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm]."""
+        """Change of the measured torque for each coefficient of a trial, (m, n, K) [Nm]."""
         true = self.before_sensors(trial)
         if trial.effect.side == "sensor":
             return true
@@ -193,10 +202,8 @@ class Prediction:
         return self._at_work["body"] if effect.side == "body" else ()
 
     @cached_property
-    def gain(self) -> np.ndarray | None:
-        """Recorded over true change of each joint's torque (n,), by the model's sensors; None where they delay it."""
-        if any(isinstance(effect, Delay) for effect in self.physics.model.effects):
-            return None
+    def gain(self) -> np.ndarray:
+        """Measured over true change of each joint's torque (n,), by the model's sensors."""
         return self.physics.passed_on(self.recording, np.ones_like(self.recording.q))[:, 0]
 
     @cached_property
@@ -319,7 +326,7 @@ class Prediction:
     def _of_sensor(self, effect: Effect, theta: Mapping[str, float], width: Any) -> np.ndarray:
         true = self.physics.torques(self.recording)[self.model.torque == "load"]
         if isinstance(effect, Delay):
-            return later(self.recording, true, effect.delay(theta)) - true
+            return later(self.recording, true, [effect.delay(theta)] * len(true)) - true
         return self._on_joints(effect, effect.torque(replace(self.signals, load=true), theta, width))
 
     def _on_joints(self, effect: Effect, torques: Sequence[Any]) -> np.ndarray:
@@ -357,6 +364,15 @@ class Prediction:
         for row in np.flatnonzero(np.any(shift, axis=1)).tolist():
             result += self.partials[row // n][:, row % n] * shift[row]
         return result
+
+
+def differentiated(recording: Recording, x: np.ndarray) -> np.ndarray:
+    """Derivative by time of signals (m, K), central and within each segment, (m, K)."""
+    result = np.zeros(x.shape)
+    for s in recording.segments:
+        if s.stop - s.start > 1:
+            result[:, s] = np.gradient(x[:, s], recording.t[s], axis=1)
+    return result
 
 
 def changes_sign(effect: Effect) -> bool:

@@ -76,6 +76,7 @@ def _starts(prepared: Prepared, model: CalibratedModel, physics: Physics) -> lis
     found = physics.starts(r, model.torque == "load")
     if not len(found):
         return []
+    found = np.array([physics.late(r, one) for one in found])
     passed = prepared.passed(found.reshape(-1, len(r.t)), np.tile(np.arange(n), len(found))).reshape(len(found), n, -1)
     inside = np.zeros((len(kept_rows(r)[1]), passed.shape[2]))
     for row, stretch in zip(inside, kept_rows(r)[1], strict=True):
@@ -103,7 +104,7 @@ def _rows(prepared: Prepared, model: CalibratedModel, inertial: bool, widths: Se
     residual = residuals(prepared, model, at.physics)
     jacobian = _derivatives(prepared, at, inertial)
     if widths:
-        jacobian = np.concatenate([jacobian, _filtered(prepared, at.by_widths(widths))], axis=2)
+        jacobian = np.concatenate([jacobian, _filtered(prepared, at, at.by_widths(widths))], axis=2)
     starts = _starts(prepared, model, at.physics)
     cleared = _cleared(prepared.passed(residual, range(len(residual))), starts)
     jacobian = _cleared(jacobian, starts)
@@ -134,16 +135,22 @@ def _derivatives(prepared: Prepared, at: Prediction, inertial: bool) -> np.ndarr
     """Filtered derivatives at the rows that are kept, (n, kept, p); those by inertial parameters once for as long as they hold."""
     depends_on = at.regressor_depends_on if inertial else None
     if depends_on is None:
-        return _filtered(prepared, at.nonzero_by_parameters(inertial))
+        return _filtered(prepared, at, at.nonzero_by_parameters(inertial))
+    depends_on = depends_on, coarse(at.physics.delays)
     if _REGRESSORS.get(prepared, (None,))[0] != depends_on:
-        _REGRESSORS[prepared] = depends_on, _filtered(prepared, at.by_inertial())
-    return np.concatenate([_filtered(prepared, at.nonzero_by_parameters()), _REGRESSORS[prepared][1]], axis=2)
+        _REGRESSORS[prepared] = depends_on, _filtered(prepared, at, at.by_inertial())
+    return np.concatenate([_filtered(prepared, at, at.nonzero_by_parameters()), _REGRESSORS[prepared][1]], axis=2)
 
 
-def _filtered(prepared: Prepared, found: Columns) -> np.ndarray:
-    """Derivatives as `Prepared.passed` filters torques, at the rows that are kept, (n, kept, p)."""
-    passed = prepared.matrix @ (found.values * prepared.moving.T[:, found.joints]) * prepared.counted.T[:, found.joints]
-    result = np.zeros((len(prepared.measured), len(passed), found.size))
-    for j, columns in enumerate(result):
-        columns[:, found.numbers[found.joints == j]] = passed[:, found.joints == j]
+def _filtered(prepared: Prepared, at: Prediction, found: Columns) -> np.ndarray:
+    """Derivatives as `Prepared.passed` filters torques, late as they are recorded, at the rows that are kept, (n, kept, p)."""
+    result = np.zeros((len(prepared.measured), prepared.counted.shape[1], found.size))
+    for j, (columns, late) in enumerate(zip(result, coarse(at.physics.delays), strict=True)):
+        own = found.joints == j
+        columns[:, found.numbers[own]] = prepared.filter_of(j, late) @ found.values[:, own] * prepared.counted[j][:, None]
     return result
+
+
+def coarse(delays: Sequence[float]) -> tuple[float, ...]:
+    """Delays to a millisecond: so late are derivatives; what is predicted is late by the exact ones."""
+    return tuple(np.round(delays, 3).tolist())

@@ -265,7 +265,8 @@ def _response(recordings: RecordingSet, drives: Actuators | None, timestep: floa
         raise UserError(
             f"{recordings.path}: load torques hold no friction and no armature; only inverse dynamics calibrates on them"
         )
-    return Response(recordings, calibrate(recordings), drives, timestep=timestep)
+    model = calibrate(recordings)  # the engine's torques are compared as they are
+    return Response(recordings, replace(model, terms=model.prompt_terms), drives, timestep=timestep)
 
 
 def _finished(response: Response, theta: np.ndarray, report: dict[str, Any], began: float) -> CalibratedModel:

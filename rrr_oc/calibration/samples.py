@@ -13,11 +13,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.errors import UserError
-from rrr_oc.model.recorded_physics import Physics
+from rrr_oc.model.recorded_physics import Physics, samples_before
 from rrr_oc.numerics.savitzky_golay import as_matrix, local_polynomial, smooth, window_samples
 from rrr_oc.recordings.recording import Recording, RecordingSet
 
@@ -77,6 +77,22 @@ class Prepared:
     def counted(self) -> np.ndarray:
         """Rows that count: of those kept, the ones to which samples in motion contribute at least half, (n, kept)."""
         return (self.matrix @ self.moving.T.astype(float)).T > 0.5
+
+    def filter_of(self, joint: int, delay: float = 0.0) -> csr_matrix:
+        """The common filter of a joint's torques that are recorded late [s] and count while it moves, (kept, K)."""
+        if self._late.get(joint, (None,))[0] != delay:
+            matrix = self.matrix @ diags(self.moving[joint].astype(float))
+            if delay:
+                before, after, share = samples_before(self.recording, delay)
+                rows, size = np.arange(len(before)), len(before)
+                pairs = np.concatenate([rows, rows]), np.concatenate([before, after])
+                matrix = matrix @ csr_matrix((np.concatenate([1 - share, share]), pairs), shape=(size, size))
+            self._late[joint] = delay, csr_matrix(matrix)
+        return self._late[joint][1]
+
+    @cached_property
+    def _late(self) -> dict[int, tuple[float | None, csr_matrix]]:
+        return {}
 
     def passed(self, torques: np.ndarray, joints: Sequence[int] | np.ndarray) -> np.ndarray:
         """Torques (m, K) of joints (m,), filtered, at the rows that are kept, (m, kept); 0 at rest."""

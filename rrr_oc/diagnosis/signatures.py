@@ -7,7 +7,6 @@ what is missing is found by linear algebra on few numbers.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 from scipy.sparse import block_diag, csr_matrix
@@ -15,6 +14,7 @@ from scipy.sparse import block_diag, csr_matrix
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.data import dry_friction
 from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.calibration.regression import coarse
 from rrr_oc.calibration.samples import REST_SPEED, Prepared
 from rrr_oc.effects import CATALOGUE, BlackBox, Delay, OfEach, Signals, Trial, View
 from rrr_oc.effects.base import SOUGHT
@@ -59,8 +59,11 @@ def view(prepared: Sequence[Prepared], model: CalibratedModel) -> View:
 
 
 def trials(seen: View, torque: str) -> list[Trial]:
-    """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive."""
-    kinds = [kind for kind in CATALOGUE.values() if kind.role in SOUGHT and torque in kind.recorded_as]
+    """All ways in which effects of the catalogue might be missing; what is recorded as load torque holds no drive.
+
+    A delay is none: it is a part of every model.
+    """
+    kinds = [k for k in CATALOGUE.values() if k.role in SOUGHT and torque in k.recorded_as and not issubclass(k, Delay)]
     kinds = [kind for kind in kinds if not (torque == "load" and kind.side == "drive")]
     return [trial for kind in kinds for trial in kind.trials(seen)]
 
@@ -190,7 +193,7 @@ class Table:
 def table(
     prepared: Sequence[Prepared], model: CalibratedModel, every: Iterable[Trial], kept: Sequence[np.ndarray] | None = None
 ) -> Table:
-    """The signatures of trials at a model without its sensors, filtered, at the rows of `regression.rows`.
+    """The signatures of trials at a model without its sensors but for their delays, filtered, at the rows of `regression.rows`.
 
     Args:
         kept: Of each recording the rows that are wanted; all if None.
@@ -200,14 +203,16 @@ def table(
     along = Along(tuple(Prediction(model, p.recording) for p in prepared))
     start = np.concatenate([[0], np.cumsum([len(t.points) for t in every])]).astype(int)
     rows = [np.arange(p.counted.shape[1]) for p in prepared] if kept is None else list(kept)
-    whole = csr_matrix(block_diag([p.matrix[k] for p, k in zip(prepared, rows, strict=True)], "csr"))
-    moving = np.concatenate([p.moving for p in prepared], axis=1)
     counted = np.concatenate([p.counted[:, k] for p, k in zip(prepared, rows, strict=True)], axis=1)
-    filtered = [Filtered(whole, at) for at in counted]
-    numbers: list[list[int]] = [[] for _ in moving]
+    late = [coarse(model.delays(p.recording)) for p in prepared]
+    filtered = []
+    for j, at in enumerate(counted):
+        own = [p.filter_of(j, d[j])[k] for p, d, k in zip(prepared, late, rows, strict=True)]
+        filtered.append(Filtered(csr_matrix(block_diag(own, "csr")), at))
+    numbers: list[list[int]] = [[] for _ in counted]
     for first, trial in zip(start, every, strict=False):
         for j, torques in along.by_trial(trial).items():
-            filtered[j].add(torques * moving[j])
+            filtered[j].add(torques)
             numbers[j] += range(first, first + len(torques))
     return Table(every, start, tuple(f.whole for f in filtered), tuple(np.array(n, int) for n in numbers))
 
@@ -239,15 +244,15 @@ class Filtered:
 
 
 def without_sensors(model: CalibratedModel) -> CalibratedModel:
-    """The model with perfect sensors."""
-    return replace(model, terms=tuple(t for t in model.terms if t.effect.side != "sensor"))
+    """The model with perfect sensors, as late as they are."""
+    return replace(model, terms=tuple(t for t in model.terms if t.effect.side != "sensor" or isinstance(t.effect, Delay)))
 
 
 class Tables:
     """The signatures of the catalogue and of the black-box terms of each joint, at the models that are asked for.
 
     They are made anew where the load torque, or what of it the motors feel, has changed by more than `SAME`; the newest and the
-    catalogue's first are kept. Sensors scale them; that sensors delay them, by much less than the common filter takes, is neglected.
+    catalogue's first are kept. Sensors scale them, and they are as late as the torque was when they were made.
     """
 
     def __init__(self, prepared: Sequence[Prepared], kept: Sequence[np.ndarray], trials: Sequence[Trial], seen: View) -> None:
@@ -285,14 +290,19 @@ class Tables:
         return before.renewed(which, table(self.prepared, model, [self.trials[k] for k in which], self.kept))
 
     def _state(self, model: CalibratedModel) -> np.ndarray:
-        """What signatures depend on, as torques by joint, (2, n, K): the load, and what of it the motors feel."""
+        """What signatures depend on, as torques by joint, (3, n, K): the load, what of it the motors feel, and as late as it is recorded."""
         at = Along(tuple(Prediction(model, p.recording) for p in self.prepared))
-        return np.array([at.signals.load, at.through * at.signals.load])
+        load = [at.signals.load, at.through * at.signals.load]
+        recorded = [one.physics.late(one.recording, x) for one, x in zip(at.parts, self._split(load[0]), strict=True)]
+        return np.array([*load, np.concatenate(recorded, axis=1)])
+
+    def _split(self, x: np.ndarray) -> list[np.ndarray]:
+        """Signals (n, K) of all recordings, by recording."""
+        return np.split(x, np.cumsum([len(p.recording.t) for p in self.prepared])[:-1], axis=1)
 
     def _gains(self, model: CalibratedModel) -> np.ndarray:
         """Recorded over true change of each joint's torque, (n, M)."""
-        there = replace(model, terms=tuple(t for t in model.terms if not isinstance(t.effect, Delay)))
-        gains = [cast(np.ndarray, Prediction(there, p.recording).gain) for p in self.prepared]
+        gains = [Prediction(model, p.recording).gain for p in self.prepared]
         return np.repeat(np.array(gains).T, [len(k) for k in self.kept], axis=1)
 
 

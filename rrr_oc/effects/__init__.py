@@ -47,9 +47,14 @@ def register(kind: Kind) -> Kind:
     return kind
 
 
-def plain_effects() -> tuple[type[Effect], ...]:
-    """The effects of every calibrated model, friction first."""
-    return tuple(sorted((k for k in CATALOGUE.values() if k.role == "plain"), key=lambda k: (k.provides != "friction", k.name)))
+def plain_effects(recorded: str = "motor") -> tuple[type[Effect], ...]:
+    """The effects of every calibrated model where such torques are recorded, friction first and sensors last.
+
+    A recorded load torque does not depend on the drives.
+    """
+    plain = [k for k in CATALOGUE.values() if k.role == "plain" and recorded in k.recorded_as]
+    plain = [k for k in plain if not (recorded == "load" and k.side == "drive")]
+    return tuple(sorted(plain, key=lambda k: (k.side == "sensor", k.provides != "friction", k.name)))
 
 
 def listed_springs() -> dict[str, type[ListedSpring]]:

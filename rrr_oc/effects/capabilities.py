@@ -115,7 +115,7 @@ class MotionShift(Effect):
 
 
 class Delay(Effect):
-    """The recorded torque lags the recorded motion, for all joints alike."""
+    """The recorded torque lags the recorded motion, of its joint or, if it has none, of all joints alike."""
 
     side = "sensor"
     placement = "arm"
@@ -126,7 +126,7 @@ class Delay(Effect):
 
     def torque(self, signals, theta, width):
         """None on any joint; the recorded torque is later."""
-        return ()
+        return tuple(0 * signals.q[j] for j in self.joints)
 
 
 class LoopChange(Effect):

@@ -1,6 +1,6 @@
 """The physics of one recording, with numbers: the torques that its motion needs, and what the sensors record of them."""
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial, wraps
 from typing import Any, TypeVar
@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
-from rrr_oc.effects import Delay, Effect, FollowsLoad, LoopChange, MotionShift, MovesLink, OnlyRecorded, Signals, WithStates
+from rrr_oc.effects import Effect, FollowsLoad, LoopChange, MotionShift, MovesLink, OnlyRecorded, Signals, WithStates
 from rrr_oc.model.motion import Motion
 from rrr_oc.model.shared_model import KEPT, shared_model
 from rrr_oc.model.symbolic_model import Model
@@ -19,6 +19,7 @@ from rrr_oc.numerics.relaxation import relaxed
 DIFFERENCE = 1e-4  # step of finite differences: this share of a parameter, or of 1 where the parameter is 0
 # Substeps of a sampling interval, over which the rates of internal states are constant; doubled, it takes twice the time
 PARTS = 4
+LATEST = 16  # delays of a motion that are kept; doubled, twice the memory
 SWEEPS = 2  # iterations over coupled and nonlinear links behind elastic gears; doubled, it takes twice the time
 # By joint: d (its load torque) / d (its own position) [Nm/rad] and d / d (its own acceleration) [kg m²], each (K,)
 Reactions = dict[int, tuple[np.ndarray, np.ndarray]]
@@ -28,8 +29,8 @@ Shifts = dict[int, tuple[Callable[[Mapping[str, float]], np.ndarray], np.ndarray
 
 # By motion: load torques, and reactions of joints, of the last links that were asked for, and what they depend on
 _OF_LINKS: WeakKeyDictionary[Motion, dict[Hashable, tuple[Hashable, Any]]] = WeakKeyDictionary()
-# By motion: the last delay, and the samples between which each signal was so long ago, with the share of the later one
-_LATE: WeakKeyDictionary[Motion, tuple[float, np.ndarray, np.ndarray, np.ndarray]] = WeakKeyDictionary()
+# By motion and delay: the samples between which a signal was so long ago, with the share of the later one
+_LATE: WeakKeyDictionary[Motion, dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]]] = WeakKeyDictionary()
 
 
 def _kept(find: Callable[..., Result]) -> Callable[..., Result]:
@@ -54,12 +55,14 @@ class Physics:
         theta: Parameters of the effects, as in `Model.theta`.
         widths: Smoothing widths, as in `Model.widths`.
         inertial: Inertial parameters of the links, (10, n).
+        delays: By how much the recorded torque of each joint lags the motion [s], (n,); () for none.
     """
 
     model: Model
     theta: np.ndarray
     widths: np.ndarray
     inertial: np.ndarray
+    delays: tuple[float, ...] = ()
     _cache: dict[tuple[Any, ...], tuple[Motion, Any]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @staticmethod
@@ -80,7 +83,8 @@ class Physics:
             return self
         kept = np.repeat(own, [len(effect.parameters) for effect in self.model.effects])
         effects = tuple(effect for effect, stays in zip(self.model.effects, own, strict=True) if stays)
-        return Physics(shared_model(self.model.robot, self.model.tool, effects), self.theta[kept], self.widths, self.inertial)
+        model = shared_model(self.model.robot, self.model.tool, effects)
+        return Physics(model, self.theta[kept], self.widths, self.inertial, self.delays)
 
     @_kept
     def torques(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
@@ -187,7 +191,7 @@ class Physics:
         return dict(zip(keys, np.moveaxis(found.reshape((n, len(keys), len(motion.t)), order="F"), 1, 0), strict=True))
 
     def by_differences(self, motion: Motion, numbers: Iterable[int], true: np.ndarray, load: bool) -> list[np.ndarray]:
-        """Derivatives of the recorded torque by the parameters of some effects, (n, K, p) for each effect.
+        """Derivatives of the measured torque by the parameters of some effects, (n, K, p) for each effect.
 
         For effects whose torque is not a function of the instant alone: those of sensors, of motion, and with internal states. The
         change of what is recorded, of the links' motion or of the states is that of a small step of the parameter; the torque's
@@ -208,7 +212,7 @@ class Physics:
                 step = DIFFERENCE * max(abs(value), 1.0 if value else DIFFERENCE)
                 if effect.side == "sensor":
                     there = replace(self, theta=self.theta + step * (np.arange(len(self.theta)) == first[i] + k))
-                    columns[:, :, k] = (there.recorded(motion, true) - self.recorded(motion, true)) / step
+                    columns[:, :, k] = (there.measured(motion, true) - self.measured(motion, true)) / step
                     continue
                 change = self._change(motion, i, theta | {parameter.name: value + step}, load) / step
                 if effect.states:
@@ -237,7 +241,7 @@ class Physics:
         return states_along(motion, effect, theta, width, self._load(motion) if isinstance(effect, FollowsLoad) else None)
 
     def starts(self, motion: Motion, load: bool) -> np.ndarray:
-        """Change of the recorded torque with the unknown initial states of links behind elastic gears, (number, n, K) [Nm].
+        """Change of the measured torque with the unknown initial states of links behind elastic gears, (number, n, K) [Nm].
 
         To first order, for an initial deviation as large as the root mean square displacement of the link. `load`: whether the load
         torque is recorded, not the motor torque.
@@ -258,16 +262,23 @@ class Physics:
         return np.array(found).reshape(-1, n, len(motion.t))
 
     def recorded(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
-        """Torque that the sensors record of a true torque (n, K), by the effects of the side "sensor", (n, K) [Nm]."""
-        result, delay = np.array(torque), 0.0
+        """Torque that the sensors record of a true torque (n, K), by the effects of the side "sensor" and delays, (n, K) [Nm]."""
+        return self.late(motion, self.measured(motion, torque))
+
+    def late(self, motion: Motion, x: np.ndarray) -> np.ndarray:
+        """Torques (n, K) as late as they are recorded."""
+        return later(motion, x, self.delays) if any(self.delays) else x
+
+    def measured(self, motion: Motion, torque: np.ndarray) -> np.ndarray:
+        """As `recorded`, without delays."""
+        result = np.array(torque)
         for effect, theta, width in self.named():
             if effect.side == "sensor":
-                delay += effect.delay(theta) if isinstance(effect, Delay) else 0.0
                 signals = Signals(motion.q, load=torque, group=group_of(motion), braking=braking_of(motion))
                 more = effect.torque(signals, theta, width)
                 for j, one in zip(effect.on(len(torque)), more, strict=True):
                     result[j] += one
-        return later(motion, result, delay) if delay else result
+        return result
 
     def gains(self, motion: Motion) -> tuple[np.ndarray, np.ndarray] | None:
         """kp and kd (n,) of the loop at work where commands were recorded, [Nm/rad] and [Nm s/rad]; None where they were not."""
@@ -282,15 +293,15 @@ class Physics:
         return kp, kd
 
     def passed_on(self, motion: Motion, change: np.ndarray) -> np.ndarray:
-        """Change of the recorded torque with a change (n, K) of the true torque, (n, K) [Nm]."""
+        """Change of the measured torque with a change (n, K) of the true torque, (n, K) [Nm]."""
         if all(effect.side != "sensor" for effect in self.model.effects):
             return change
-        return self.recorded(motion, change) - self._of_nothing(motion)
+        return self.measured(motion, change) - self._of_nothing(motion)
 
     @_kept
     def _of_nothing(self, motion: Motion) -> np.ndarray:
-        """What the sensors record of no torque, (n, K) [Nm]."""
-        return self.recorded(motion, np.zeros(motion.q.shape))
+        """What the sensors measure of no torque, (n, K) [Nm]."""
+        return self.measured(motion, np.zeros(motion.q.shape))
 
     @_kept
     def states(self, motion: Motion) -> np.ndarray:
@@ -374,18 +385,29 @@ def moved(
     return result
 
 
-def later(motion: Motion, x: np.ndarray, delay: float) -> np.ndarray:
-    """Signals (m, K) delayed by `delay` [s], within each segment."""
-    if motion not in _LATE or _LATE[motion][0] != delay:
-        before, share = np.arange(x.shape[1]), np.zeros(x.shape[1])
+def later(motion: Motion, x: np.ndarray, delays: Sequence[float]) -> np.ndarray:
+    """Signals (m, K) delayed by `delays` (m,) [s], within each segment; linear between samples."""
+    result = np.array(x, float)
+    for i in np.flatnonzero(delays):
+        before, after, share = samples_before(motion, float(delays[i]))
+        result[i] = x[i, before] * (1 - share) + x[i, after] * share
+    return result
+
+
+def samples_before(motion: Motion, delay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The samples between which each sample was a delay [s] ago, within its segment, and the share of the later one, (K,) each."""
+    known = _LATE.setdefault(motion, {})
+    if delay not in known:
+        before, share = np.arange(len(motion.t)), np.zeros(len(motion.t))
         for s in motion.segments:
             t = motion.t[s]
             if len(t) > 1:
                 at = np.clip(np.searchsorted(t, t - delay, "right") - 1, 0, len(t) - 2)
                 before[s], share[s] = s.start + at, np.clip((t - delay - t[at]) / (t[at + 1] - t[at]), 0.0, 1.0)
-        _LATE[motion] = delay, before, np.minimum(before + 1, x.shape[1] - 1), share
-    _, before, after, share = _LATE[motion]
-    return np.take(x, before, axis=1) * (1 - share) + np.take(x, after, axis=1) * share
+        while len(known) >= LATEST:
+            known.pop(next(iter(known)))
+        known[delay] = before, np.minimum(before + 1, len(motion.t) - 1), share
+    return known[delay]
 
 
 def states_along(

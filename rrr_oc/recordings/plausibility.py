@@ -1,14 +1,16 @@
 """Checks of units and columns: a recording is refused where it contradicts the robot, or itself, by the factor between two units.
 
-A measured rate that contradicts its value in another way is not used; what looks wrong and is no error for certain is a sentence.
+A measured rate that is late, of another scale or noisier than the derivative of its value is not used; what looks wrong and is no error
+for certain is a sentence.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.numerics.savitzky_golay import differentiate
+from rrr_oc.numerics.savitzky_golay import differentiate, local_polynomial, smooth, window_samples
 from rrr_oc.robot.robot import Robot
 
 DEGREES = 180 / np.pi
@@ -48,10 +50,9 @@ LEAST_CHANGE = (
     0.01,
     0.05,
 )  # [rad], [rad/s] root mean square change over a lag from which they are compared; doubled, small motions are not
-BELIEVED = (
-    0.5,
-    2.0,
-)  # slope of the integral over the change within which a rate is used; real sets have 0.9 … 1.1; doubled, 0.25 … 4
+SAME_SCALE, SAME_TIME = 0.01, 1e-3  # and [s] by which a rate may be off and be used; doubled, armatures are 1 to 2 % off
+NOISIER = 2.0  # times the noise of the derivative that a rate may have and be used; doubled, noisier speeds are
+NOISE_WINDOW = 0.07  # [s] of the derivative whose noise is compared; doubled, that has a third of the noise
 ROWS = 20_000  # first rows by which a derivative is judged; doubled, the check takes twice as long
 
 
@@ -150,27 +151,90 @@ def check_derivative(
         )
 
 
-def contradiction(
-    t: np.ndarray, segments: tuple[slice, ...], value: np.ndarray, rate: np.ndarray, least: float
-) -> float | None:
-    """How many times the derivative of a value (K,) a measured rate (K,) is, where that is no measurement of it; None where it may be one.
+@dataclass(frozen=True)
+class Rate:
+    """A measured rate beside the derivative of its value.
 
-    The integral of the rate over a lag is regressed on the change of the value, which is insensitive to noise, resolution and delay.
-    `least` is the change [unit of the value] from which there is something to compare.
+    Attributes:
+        column, value: Names of both.
+        times: How many times the derivative it is.
+        late: By how much it lags the derivative [s].
+        std: Standard errors of these two.
+        noise: Its noise over that of the derivative.
+    """
+
+    column: str
+    value: str
+    times: float
+    late: float
+    std: tuple[float, float]
+    noise: float
+
+    @property
+    def of_scale(self) -> bool:
+        """Whether it is another number of times the derivative than 1."""
+        return abs(self.times - 1) > SAME_SCALE + 2 * self.std[0]
+
+    @property
+    def in_time(self) -> bool:
+        """Whether it is as late as the derivative."""
+        return abs(self.late) <= SAME_TIME + 2 * self.std[1]
+
+    @property
+    def used(self) -> bool:
+        """Whether it is as good as the derivative: neither late, nor of another scale, nor noisier."""
+        return not self.of_scale and self.in_time and self.noise <= NOISIER
+
+    @property
+    def said(self) -> str:
+        """What it is, for people, after its name."""
+        if self.of_scale:
+            return f"is {0.0 + self.times:.3g} times the derivative of {self.value}"
+        if not self.in_time:
+            return f"comes {abs(1e3 * self.late):.2g} ms {'later' if self.late > 0 else 'earlier'} than the derivative of {self.value}"
+        return f"has {self.noise:.2g} times the noise of the derivative of {self.value}"
+
+
+def measured_rate(
+    t: np.ndarray, segments: tuple[slice, ...], value: tuple[str, np.ndarray], rate: tuple[str, np.ndarray], least: float
+) -> Rate | None:
+    """A measured rate (K,) beside the derivative of a value (K,); None where too little changes to tell.
+
+    The integral of the rate over a span is regressed on the change of the value and of its derivative, which is insensitive to noise and
+    resolution: ∫ rate = times (Δ value − late Δ derivative).
+
+    Args:
+        value, rate: Names of columns, and their samples.
+        least: Change [unit of the value] from which there is something to compare.
     """
     longest = max(segments, key=lambda s: s.stop - s.start)
     part = slice(longest.start, min(longest.stop, longest.start + ROWS))
-    times, x, v = t[part], value[part], rate[part]
+    times, x, v = t[part], value[1][part], rate[1][part]
     if len(times) < 2 * LAG[1]:
         return None
-    lag = min(max(LAG[1], round(LAG[0] / float(np.median(np.diff(times))))), len(times) // 2)
+    span = min(max(LAG[1], round(LAG[0] / float(np.median(np.diff(times))))), len(times) // 2)
     integral = np.append(0.0, np.cumsum(np.diff(times) * (v[1:] + v[:-1]) / 2))
-    change, summed = x[lag:] - x[:-lag], integral[lag:] - integral[:-lag]
+    derivative = differentiate(times, x[None], (slice(0, len(times)),))[0]
+    change, summed, turned = (y[span:] - y[:-span] for y in (x, integral, derivative))
     size = float(np.sqrt(np.mean(change**2)))
-    if not (np.isfinite(size) and size > least):
+    if not (np.isfinite(size) and size > least and np.all(np.isfinite(turned))):
         return None
-    slope = float(np.mean(change * summed)) / size**2
-    return None if BELIEVED[0] <= slope <= BELIEVED[1] else slope
+    columns = np.column_stack([change, -turned])
+    scale, shift = np.linalg.lstsq(columns, summed, rcond=1e-9)[0]
+    late = float(shift / scale) if abs(scale) > SAME_SCALE else 0.0
+    left = summed - columns @ [scale, shift]
+    spans = max(len(left) / span, 1.0)  # that are independent
+    std = np.sqrt(np.mean(left**2) / spans / np.maximum(np.mean(columns**2, axis=0), 1e-300))
+    count = window_samples(times, NOISE_WINDOW, 7)
+    own, other = (
+        _noise(times, y) for y in (v, local_polynomial(times, x[None], 1, 3, min(count, len(times) - 1 + len(times) % 2))[0])
+    )
+    return Rate(rate[0], value[0], float(scale), late, (float(std[0]), float(std[1])), own / max(abs(scale) * other, 1e-300))
+
+
+def _noise(t: np.ndarray, x: np.ndarray) -> float:
+    """Root mean square of what the usual window takes off a signal (K,)."""
+    return float(np.sqrt(np.mean((x - smooth(t, x[None], (slice(0, len(t)),))[0]) ** 2)))
 
 
 def is_derivative(t: np.ndarray, segments: tuple[slice, ...], rate: np.ndarray, values: Sequence[np.ndarray]) -> bool:

@@ -13,6 +13,7 @@ from rrr_oc.numerics.savitzky_golay import LEAST_ROWS, differentiate, split
 from rrr_oc.recordings import plausibility
 from rrr_oc.recordings.csv_table import Table, read_table
 from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Entry, Header, Spring, read_header
+from rrr_oc.recordings.plausibility import Rate
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
@@ -80,7 +81,7 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
             _turn_commands(columns, turned)
         filled = _fill_rates(columns, robot.joints, segments)
         plausibility.check_positions(str(path), robot, np.array([columns[f"q_{joint}"] for joint in robot.joints]))
-        wrong = _drop_wrong_rates(str(path), columns, robot.joints, segments)
+        rates = _compare_rates(str(path), columns, robot.joints, segments)
         q, dq, ddq, computed = _motion(columns, robot.joints, segments)
         tau = signal = np.array([columns[name] for name in recorded])
         if header.loop is not None:
@@ -89,7 +90,7 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
-            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, wrong=wrong,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, rates=rates,
             command=None if header.loop is None else signal, loop=header.loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)
@@ -194,26 +195,29 @@ def _fill_rates(
     return tuple(filled)
 
 
-def _drop_wrong_rates(
+def _compare_rates(
     where: str, columns: dict[str, np.ndarray], joints: Sequence[str], segments: tuple[slice, ...]
-) -> tuple[tuple[str, float], ...]:
-    """Drop measured rates that are no derivative of their values, unless they are of another joint's; returns how many times it they are.
+) -> tuple[Rate, ...]:
+    """Measured rates beside the derivatives of their values, and drop those that are not as good, unless they are of another joint.
 
-    Raises `UserError` where a unit explains how many times, or the sign is wrong.
+    Raises `UserError` where a unit explains how many times the derivative one is, or the sign is wrong.
     """
-    t, wrong = columns["t"], []
+    t, result = columns["t"], []
     for joint in joints:
         for value, rate, least in zip(("q_", "dq_"), RATES, plausibility.LEAST_CHANGE, strict=True):
             one, other = f"{value}{joint}", f"{rate}{joint}"
-            if one not in columns or other not in columns:
+            if other not in columns:
                 continue
-            plausibility.check_derivative(where, t, segments, (one, columns[one]), (other, columns[other]))
-            times = plausibility.contradiction(t, segments, columns[one], columns[other], least)
+            x = columns[one] if one in columns else differentiate(t, columns[f"q_{joint}"][None], segments)[0]
+            plausibility.check_derivative(where, t, segments, (one, x), (other, columns[other]))
+            found = plausibility.measured_rate(t, segments, (one, x), (other, columns[other]), least)
             others = [f"{value}{j}" for j in joints if j != joint and f"{value}{j}" in columns]
-            if times is not None and not plausibility.is_derivative(t, segments, columns[other], [columns[o] for o in others]):
-                wrong.append((other, times))
+            if found is None or plausibility.is_derivative(t, segments, columns[other], [columns[o] for o in others]):
+                continue
+            result.append(found)
+            if not found.used:
                 del columns[other]
-    return tuple(wrong)
+    return tuple(result)
 
 
 def _motion(

@@ -32,7 +32,7 @@ class Recording(Motion):
         ignored: Columns of the file that are not read.
         turned: Columns of positions that jumped by a whole turn and were unwrapped.
         filled: Columns of rates that are missing in some rows, where derivatives fill them, and the number of these rows.
-        wrong: Columns of rates that are not used since they are no derivatives, and how many times the derivative they are.
+        rates: Measured rates beside the derivatives of their values; those that are not as good are not used.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -47,7 +47,7 @@ class Recording(Motion):
     ignored: tuple[str, ...] = ()
     turned: tuple[str, ...] = ()
     filled: tuple[tuple[str, int], ...] = ()
-    wrong: tuple[tuple[str, float], ...] = ()
+    rates: tuple[plausibility.Rate, ...] = ()
     command: np.ndarray | None = None
     loop: Loop | None = None
 
@@ -134,17 +134,14 @@ class RecordingSet:
 
     def _of_rates(self) -> list[str]:
         """Which measured rates are not used, or not everywhere, a sentence each."""
-        notes = []
-        for name in dict.fromkeys(name for r in self.recordings for name, _ in r.wrong):
-            found = {r: times for r in self.recordings for one, times in r.wrong if one == name}
-            low, high = (f"{0.0 + edge(found.values()):.3g}" for edge in (min, max))
-            times, of = (
-                low if low == high else f"{low} to {high}",
-                f"{'q' if name.startswith('dq') else 'dq'}_{name.partition('_')[2]}",
-            )
-            notes.append(
-                f"{_named(list(found))}: {name} is {times} times the derivative of {of} and is not used; the derivative is"
-            )
+        notes, found = [], dict[tuple[str, ...], dict[str, None]]()
+        for name in dict.fromkeys(rate.column for r in self.recordings for rate in r.rates if not rate.used):
+            some = {r.file: rate for r in self.recordings for rate in r.rates if rate.column == name and not rate.used}
+            worst = max(some.values(), key=lambda rate: (abs(rate.times - 1), abs(rate.late)))
+            found.setdefault(tuple(some), {})[f"{name} {worst.said}"] = None
+        for files, said in found.items():
+            where = _named([r for r in self.recordings if r.file in files])
+            notes.append(f"{where}: {'; '.join(said)}; derivatives take {'its' if len(said) == 1 else 'their'} place")
         for r in self.recordings:
             for name, count in r.filled:
                 notes.append(

@@ -23,7 +23,9 @@ TRUTH = np.array([[5.2, 7.1, 3.3], [14.0, 21.0, 9.0], [0.31, 0.22, 0.12]])
 def known(recordings: RecordingSet, truth: np.ndarray = TRUTH) -> CalibratedModel:
     """The model with these parameters, without any calibration."""
     start = plain_model(recordings)
-    return replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, truth.T.reshape(-1, 1), strict=True)))
+    return replace(
+        start, terms=tuple(t.with_values(v) for t, v in zip(start.prompt_terms, truth.T.reshape(-1, 1), strict=True))
+    )
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,7 @@ def arm() -> tuple[CalibratedModel, tuple[Prepared, ...]]:
     recordings = as_set(plant, [record(plant, f"{i}.csv", rng, 6.0, payload=1.0 + i) for i in range(2)])
     model = plain_model(recordings)
     drives = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
-    terms = tuple(t.with_values(v) for t, v in zip(model.terms, drives, strict=True))
+    terms = tuple(t.with_values(v) for t, v in zip(model.prompt_terms, drives, strict=True))
     return replace(model, terms=terms), prepare(recordings)
 
 

@@ -37,7 +37,7 @@ def model() -> CalibratedModel:
     """A calibrated model of the paper's arm without friction, with nothing left open."""
     plant = Plant("rrr", np.zeros(3), np.zeros(3), np.zeros(3))
     start = plain_model(as_set(plant, [record(plant, "a.csv", np.random.default_rng(0), 1.0)]))
-    terms = tuple(t.with_values(np.zeros(len(t.estimates))) for t in start.terms)
+    terms = tuple(t.with_values(np.zeros(len(t.estimates))) for t in start.prompt_terms)
     return replace(start, terms=terms, noise=np.full(3, 0.1))
 
 

@@ -31,7 +31,10 @@ def calibrated(dry=0.0, viscous=0.0, armature=0.0):
     plant = Plant("rrr", np.zeros(3), np.zeros(3), np.zeros(3))
     start = plain_model(as_set(plant, [record(plant, "a.csv", np.random.default_rng(0), 1.0)]))
     return replace(
-        start, terms=tuple(t.with_values(np.array([v])) for t, v in zip(start.terms, (dry, viscous, armature) * 3, strict=True))
+        start,
+        terms=tuple(
+            t.with_values(np.array([v])) for t, v in zip(start.prompt_terms, (dry, viscous, armature) * 3, strict=True)
+        ),
     )
 
 

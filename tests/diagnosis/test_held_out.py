@@ -46,7 +46,9 @@ def diagnosis() -> Diagnosis:
     start = plain_model(recordings)
     truth = [v for j in range(3) for v in (1.0, 4.0, 0.1)]
     plain = replace(
-        start, terms=tuple(t.with_values(np.array([v])) for t, v in zip(start.terms, truth, strict=True)), noise=np.ones(3)
+        start,
+        terms=tuple(t.with_values(np.array([v])) for t, v in zip(start.prompt_terms, truth, strict=True)),
+        noise=np.ones(3),
     )
     spring = Term(ParallelSpring((1,)), (Estimate(STIFFNESS), Estimate(REST)), 0.003)
     model = replace(plain, terms=(*plain.terms, spring))

@@ -81,7 +81,7 @@ def test_the_engine_follows_commands_as_the_arm_did(plant, kp):
     recordings = driven_set(plant, TRUE, listed, rng, 1)
     start = plain_model(recordings)
     values = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
-    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, values, strict=True)))
+    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.prompt_terms, values, strict=True)))
     gain = nominal_term(ControllerGain((1,))).with_values(np.array([kp, 1.0]))
     known = replace(model, terms=(*model.terms, gain))
     (r,) = recordings.recordings

@@ -781,7 +781,7 @@ def arm():
     recordings = replace(recordings, recordings=tuple(replace(r, loop=LOOP) for r in recordings.recordings))
     start = plain_model(recordings)
     values = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
-    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, values, strict=True)))
+    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.prompt_terms, values, strict=True)))
     prepared = prepare(recordings)
     by_name: dict[str, list[Trial]] = {}
     for torque in ("motor", "command"):

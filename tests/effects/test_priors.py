@@ -60,7 +60,7 @@ def arm():
     recordings = as_set(plant, [record(plant, "a.csv", rng, 6.0, pea={1: (6.0, 0.5)}, payload=2.0, tool=tool)])
     start, prepared = plain_model(recordings), prepare(recordings)
     values = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
-    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, values, strict=True)))
+    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.prompt_terms, values, strict=True)))
     return model, prepared, view(prepared, model)
 
 

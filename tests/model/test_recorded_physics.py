@@ -59,7 +59,7 @@ def arm() -> tuple[CalibratedModel, Recording]:
     recordings = as_set(plant, [record(plant, "0.csv", rng, 6.0, motion=multisine(3, np.arange(600) / 100, rng))])
     model = plain_model(recordings)
     drives = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
-    model = replace(model, terms=tuple(t.with_values(v) for t, v in zip(model.terms, drives, strict=True)))
+    model = replace(model, terms=tuple(t.with_values(v) for t, v in zip(model.prompt_terms, drives, strict=True)))
     return model, recordings.recordings[0]
 
 
@@ -72,12 +72,15 @@ def test_derivatives_are_those_of_the_whole_model(arm, name):
     for i, term in enumerate(added, len(plain.terms)):
         for k, value in enumerate(term.values):
             there = []
+            # torques are linear between samples: they are differentiated over whole samples of 10 ms
+            step = 0.01 if isinstance(term.effect, Delay) else STEP * value
             for sign in (1, -1):
-                moved = term.with_values(term.values + sign * STEP * value * (np.arange(len(term.values)) == k))
+                moved = term.with_values(term.values + sign * step * (np.arange(len(term.values)) == k))
                 terms = (*model.terms[:i], moved, *model.terms[i + 1 :])
                 there.append(replace(model, terms=terms).output_torque(recording))
-            slope = (there[0] - there[1]) / (2 * STEP * value)
-            off = np.sqrt(np.mean((found[:, :, column] - slope) ** 2) / np.mean(slope**2))
+            slope = (there[0] - there[1]) / (2 * step)
+            inside = slice(5, -5)  # before a recording began there is nothing that is late
+            off = np.sqrt(np.mean((found[:, inside, column] - slope[:, inside]) ** 2) / np.mean(slope[:, inside] ** 2))
             tolerance = 0.2 if echo and term.effect.moves_link else 0.03 if term.effect.side == "motion" else 5e-3
             assert off < tolerance, f"{term.effect.name} {term.effect.parameters[k].name}: {off:.2g}"
             column += 1
@@ -129,7 +132,7 @@ def test_delayed_signals_are_interpolated_within_each_segment():
     motion = Motion(t, x, x, x, 0 * t, segments)
     for delay in (0.0, 0.013, -0.02, 5.0):
         expected = [np.interp(t[s] - delay, t[s], row[s]) for row in x for s in segments]
-        np.testing.assert_allclose(later(motion, x, delay).ravel(), np.concatenate(expected), atol=1e-12)
+        np.testing.assert_allclose(later(motion, x, [delay] * 3).ravel(), np.concatenate(expected), atol=1e-12)
 
 
 def test_what_is_kept_of_the_links_holds_for_other_models(arm):

@@ -15,13 +15,10 @@ def load(tmp_path):
 
 
 WRONG = {
-    "speeds are zero": ("dq", 0.0, "dq_joint2 is 0 times the derivative of q_joint2 and is not used; the derivative is"),
-    "accelerations are zero": (
-        "ddq",
-        0.0,
-        "ddq_joint2 is 0 times the derivative of dq_joint2 and is not used; the derivative is",
-    ),
-    "speeds of the motors": ("dq", 50.0, "dq_joint2 is 50 times the derivative of q_joint2 and is not used; the derivative is"),
+    "speeds are zero": ("dq", 0.0, "dq_joint2 is 0 times the derivative of q_joint2"),
+    "accelerations are zero": ("ddq", 0.0, "ddq_joint2 is 0 times the derivative of dq_joint2"),
+    "speeds of the motors": ("dq", 50.0, "dq_joint2 is 50 times the derivative of q_joint2"),
+    "speeds twice as large": ("dq", 2.0, "dq_joint2 is 2 times the derivative of q_joint2"),
     "speeds of motors that turn the other way": ("dq", -50.0, None),
 }
 
@@ -36,7 +33,10 @@ def test_rates_that_are_none_are_not_used(load, kind, factor, said):
             load(a=wrong)
         return
     found = load(a=wrong, b=wrong)
-    assert f"a.csv and 1 more: {said}" in found.notes
+    (note,) = found.notes
+    assert note.startswith("a.csv and 1 more: ")
+    assert said in note
+    assert note.endswith("; derivatives take their place")
     expected = load(a=without((kind,), right)).recordings[0]
     np.testing.assert_array_equal(found.recordings[0].dq, expected.dq)
     np.testing.assert_array_equal(found.recordings[0].ddq, expected.ddq)
@@ -44,14 +44,29 @@ def test_rates_that_are_none_are_not_used(load, kind, factor, said):
     np.testing.assert_allclose(friction, PLANT.viscous, rtol=0.05)  # noise and smoothing
 
 
-def test_rates_that_are_noisy_coarse_or_late_are_used(load):
-    """Speeds with noise as large as themselves, in steps of 0.1 rad/s, or 40 ms late; positions in steps of 0.1°."""
+def test_rates_that_are_not_as_good_as_derivatives_are_not_used(load):
+    """Speeds with noise, in steps of 0.1 rad/s, or 6 or 40 ms late; positions in steps of 0.001 rad; and right speeds, which are used."""
     right, rng = without(("ddq",), columns()), np.random.default_rng(1)
-    for spoil in (lambda x: x + rng.normal(0, np.std(x), x.shape), lambda x: np.round(x, 1), lambda x: np.roll(x, 4)):
+    t = right["t"]
+    spoilt = {
+        "times the noise": lambda x: x + rng.normal(0, np.std(x), x.shape),
+        "has": lambda x: np.round(x, 0),
+        "comes 6 ms later": lambda x: np.interp(t - 0.006, t, x),
+        "comes 40 ms later": lambda x: np.roll(x, 4),
+        "comes 10 ms earlier": lambda x: np.roll(x, -1),
+    }
+    for said, spoil in spoilt.items():
         spoiled = {n: spoil(v) if n.startswith("dq") else np.round(v, 3) if n.startswith("q") else v for n, v in right.items()}
-        (recording,) = load(a=spoiled).recordings
-        assert recording.wrong == ()
-        np.testing.assert_array_equal(recording.dq, [spoiled[f"dq_{joint}"] for joint in JOINTS])
+        found = load(a=spoiled)
+        (recording,) = found.recordings
+        assert set(recording.computed) >= {f"dq_{joint}" for joint in JOINTS}, said
+        assert said in found.notes[0]
+        np.testing.assert_allclose(
+            recording.dq, [right[f"dq_{joint}"] for joint in JOINTS], atol=0.05
+        )  # of the steps of positions
+    (recording,) = load(a={n: np.round(v, 3) if n.startswith("q") else v for n, v in right.items()}).recordings
+    np.testing.assert_array_equal(recording.dq, [right[f"dq_{joint}"] for joint in JOINTS])
+    assert all(rate.used for rate in recording.rates)
 
 
 def test_rows_without_a_speed_are_kept(load):

@@ -268,7 +268,7 @@ def test_round_trip_is_exact(write, tmp_path):
                 for (kind, theta), (copied, other) in zip(a.springs, b.springs, strict=True):
                     assert copied.joints == kind.joints
                     assert other == pytest.approx(theta, rel=1e-14)
-            elif field.name != "dropped":  # the row with a NaN is not written again
+            elif field.name not in ("dropped", "rates"):  # a row with a NaN, and rates that are not used, are not written again
                 np.testing.assert_equal(getattr(b, field.name), getattr(a, field.name), err_msg=field.name)
 
 

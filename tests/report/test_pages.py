@@ -53,7 +53,7 @@ def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
     made = [record(plant, file, rng, 25.0, pea={1: (15.0, 1.5)}) for file in (FILE, "1.csv")]
     recordings = as_set(plant, [replace(r, springs=()) for r in made], robot=replace(load_robot("rrr"), joints=joints))
     start, truth = plain_model(recordings), [v for _ in joints for v in (1.0, 4.0, 0.1)]
-    terms = tuple(t.with_values(np.array([v])) for t, v in zip(start.terms, truth, strict=True))
+    terms = tuple(t.with_values(np.array([v])) for t, v in zip(start.prompt_terms, truth, strict=True))
     plain = replace(start, terms=terms, noise=np.ones(3))
     spring = Term(ParallelSpring((1,)), (Estimate(15.0), Estimate(1.5)), 0.003)
     model, errors = replace(plain, terms=(*plain.terms, spring)), (np.array([[0.1, 0.4, 0.1]]), np.array([[0.1, 0.1, 0.1]]))

@@ -71,7 +71,7 @@ def plain(tmp_path_factory):
         recording = record(plant, "0.csv", rng, 5.0, pea={1: (6.0, 0.8)}, payload=2.0, tool=tool)
         start = plain_model(as_set(plant, [recording]))
         values = np.array([plant.dry, plant.viscous, plant.armature]).T.reshape(-1, 1)
-        model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, values, strict=True)))
+        model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.prompt_terms, values, strict=True)))
         yield model, replace(recording, t=recording.t + 40.0)
 
 
@@ -121,7 +121,9 @@ def test_the_twin_has_gears_that_give(name, friction, tmp_path, monkeypatch):
     if friction:
         exact = replace(exact, tau=exact.tau + 0.2 * np.abs(load) * np.tanh(motion[1] / plant.width))
     start = plain_model(as_set(plant, [exact]))
-    terms = [t.with_values(v) for t, v in zip(start.terms, np.array([plant.dry, plant.viscous, plant.armature]), strict=True)]
+    terms = [
+        t.with_values(v) for t, v in zip(start.prompt_terms, np.array([plant.dry, plant.viscous, plant.armature]), strict=True)
+    ]
     if friction:
         terms.append(Term(CATALOGUE["load_dependent_friction"]((0,)), (Estimate(0.2),), plant.width))
     rigid = replace(start, terms=tuple(terms))

@@ -63,7 +63,9 @@ def test_the_middle_of_recordings(recordings):
 
 def test_the_table_of_a_true_model_shows_noise_alone(recordings):
     start = plain_model(recordings)
-    model = replace(start, terms=tuple(t.with_values(v) for t, v in zip(start.terms, TRUTH.T.reshape(-1, 1), strict=True)))
+    model = replace(
+        start, terms=tuple(t.with_values(v) for t, v in zip(start.prompt_terms, TRUTH.T.reshape(-1, 1), strict=True))
+    )
     drives = load_actuators(("joint2", "joint3"))
     runs = [calibration.follow(model, recordings, r, drives) for r in recordings.recordings]
     rows = calibration.table(runs, 0.15, 0.1)

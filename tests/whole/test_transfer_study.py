@@ -41,7 +41,9 @@ def known(arm: study.Prototype, task) -> tuple[CalibratedModel, CalibratedModel]
     start, own = plain_model(recordings), arm.arm
     values = np.column_stack([own.coulomb, own.viscous, own.armature]).ravel()
     plain = replace(
-        start, terms=tuple(t.with_values(np.array([v])) for t, v in zip(start.terms, values, strict=True)), noise=np.ones(3)
+        start,
+        terms=tuple(t.with_values(np.array([v])) for t, v in zip(start.prompt_terms, values, strict=True)),
+        noise=np.ones(3),
     )
     plain = replace(plain, nrmse=np.ones(3))
     effect, (true,) = EFFECTS[arm.name], arm.truth()

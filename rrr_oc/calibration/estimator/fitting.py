@@ -286,7 +286,11 @@ def bent(post: Posterior, size: np.ndarray) -> np.ndarray:
 
 
 def plain_std(data: Data) -> np.ndarray:
-    """Prior standard deviations of the plain terms' parameters: each alone would add `WIDE` times the torque of a joint, (p,)."""
+    """Prior standard deviations of the plain terms' parameters, (p,).
+
+    Those that their effects declare in the parameters' own units; of others, each alone would add `WIDE` times the torque of a joint.
+    """
     found = rows(data.prepared, data.start)
     sizes = np.sqrt(np.mean(found.jacobian**2, axis=1)) / data.torque[:, None]  # (n, p) of a unit of each parameter
-    return WIDE / np.maximum(sizes.max(axis=0, initial=0.0), 1e-12)
+    declared = [t.effect.prior.typical.get(p.name, (np.inf, ""))[0] for t in data.start.terms for p in t.effect.parameters]
+    return np.minimum(WIDE / np.maximum(sizes.max(axis=0, initial=0.0), 1e-12), declared)
