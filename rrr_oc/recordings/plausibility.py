@@ -1,7 +1,7 @@
 """Checks of units and columns: a recording is refused where it contradicts the robot, or itself, by the factor between two units.
 
-A measured rate that is late, of another scale or noisier than the derivative of its value is not used; what looks wrong and is no error
-for certain is a sentence.
+A measured rate that is no better than the derivative of its value is not used; what looks wrong and is no error for certain is a
+sentence.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrr_oc.errors import UserError
-from rrr_oc.numerics.savitzky_golay import differentiate, local_polynomial, smooth, window_samples
+from rrr_oc.numerics.savitzky_golay import WINDOW, differentiate, local_polynomial, smooth, window_samples
 from rrr_oc.robot.robot import Robot
 
 DEGREES = 180 / np.pi
@@ -50,9 +50,14 @@ LEAST_CHANGE = (
     0.01,
     0.05,
 )  # [rad], [rad/s] root mean square change over a lag from which they are compared; doubled, small motions are not
-SAME_SCALE, SAME_TIME = 0.01, 1e-3  # and [s] by which a rate may be off and be used; doubled, armatures are 1 to 2 % off
-NOISIER = 2.0  # times the noise of the derivative that a rate may have and be used; doubled, noisier speeds are
-NOISE_WINDOW = 0.07  # [s] of the derivative whose noise is compared; doubled, that has a third of the noise
+SAME_SCALE = 0.01  # by which a rate may be off and be used; doubled, armatures are 1 to 2 % off
+LATEST = 0.015  # [s] by which a rate may be late and be used; doubled, filters have taken off more of fast motion than noise
+SAME_TIME = 5e-4  # [s] by which a rate may be off and counts as in time; doubled, armatures are 1 % off
+NOISIER, QUIETER = (
+    1.1,
+    0.7,
+)  # times the derivative's noise that a rate has at most, in time and late; doubled, noisier rates are used
+NOISE_WINDOW = 0.07  # [s] of both when their noise is compared; doubled, both have less
 ROWS = 20_000  # first rows by which a derivative is judged; doubled, the check takes twice as long
 
 
@@ -172,27 +177,35 @@ class Rate:
 
     @property
     def of_scale(self) -> bool:
-        """Whether it is another number of times the derivative than 1."""
-        return abs(self.times - 1) > SAME_SCALE + 2 * self.std[0]
+        """Whether it is as many times the derivative as it should be."""
+        return abs(self.times - 1) <= SAME_SCALE + 2 * self.std[0]
 
     @property
-    def in_time(self) -> bool:
-        """Whether it is as late as the derivative."""
-        return abs(self.late) <= SAME_TIME + 2 * self.std[1]
+    def is_late(self) -> bool:
+        """Whether it is known to be late, or early."""
+        return abs(self.late) > SAME_TIME + 2 * self.std[1]
 
     @property
     def used(self) -> bool:
-        """Whether it is as good as the derivative: neither late, nor of another scale, nor noisier."""
-        return not self.of_scale and self.in_time and self.noise <= NOISIER
+        """Whether it is better than the derivative: of the same scale, not noisier, and if it is late not by much and much quieter."""
+        quiet = self.noise <= (QUIETER if self.is_late else NOISIER)
+        return self.of_scale and quiet and abs(self.late) <= LATEST
 
     @property
     def said(self) -> str:
         """What it is, for people, after its name."""
-        if self.of_scale:
+        if not self.of_scale:
             return f"is {0.0 + self.times:.3g} times the derivative of {self.value}"
-        if not self.in_time:
+        if self.is_late:
             return f"comes {abs(1e3 * self.late):.2g} ms {'later' if self.late > 0 else 'earlier'} than the derivative of {self.value}"
         return f"has {self.noise:.2g} times the noise of the derivative of {self.value}"
+
+    def in_time(self, t: np.ndarray, segments: tuple[slice, ...], rate: np.ndarray) -> np.ndarray:
+        """The rate (K,) as it would be if it were not late."""
+        result = rate.copy()
+        for s in segments if self.is_late else ():
+            result[s] = np.interp(t[s] + self.late, t[s], rate[s])
+        return result
 
 
 def measured_rate(
@@ -225,16 +238,15 @@ def measured_rate(
     left = summed - columns @ [scale, shift]
     spans = max(len(left) / span, 1.0)  # that are independent
     std = np.sqrt(np.mean(left**2) / spans / np.maximum(np.mean(columns**2, axis=0), 1e-300))
-    count = window_samples(times, NOISE_WINDOW, 7)
-    own, other = (
-        _noise(times, y) for y in (v, local_polynomial(times, x[None], 1, 3, min(count, len(times) - 1 + len(times) % 2))[0])
-    )
+    count = min(window_samples(times, NOISE_WINDOW, 7), len(times) - 1 + len(times) % 2)
+    own, other = (_noise(times, local_polynomial(times, y[None], k, 3, count)) for y, k in ((v, 0), (x, 1)))
     return Rate(rate[0], value[0], float(scale), late, (float(std[0]), float(std[1])), own / max(abs(scale) * other, 1e-300))
 
 
 def _noise(t: np.ndarray, x: np.ndarray) -> float:
-    """Root mean square of what the usual window takes off a signal (K,)."""
-    return float(np.sqrt(np.mean((x - smooth(t, x[None], (slice(0, len(t)),))[0]) ** 2)))
+    """Mean size of what the usual window takes off a signal (1, K), but for the ends, at which filters begin."""
+    cut = window_samples(t, WINDOW) if len(t) > 4 * window_samples(t, WINDOW) else 0
+    return float(np.mean(np.abs(x - smooth(t, x, (slice(0, len(t)),)))[0, cut : len(t) - cut]))
 
 
 def is_derivative(t: np.ndarray, segments: tuple[slice, ...], rate: np.ndarray, values: Sequence[np.ndarray]) -> bool:

@@ -198,7 +198,9 @@ def _fill_rates(
 def _compare_rates(
     where: str, columns: dict[str, np.ndarray], joints: Sequence[str], segments: tuple[slice, ...]
 ) -> tuple[Rate, ...]:
-    """Measured rates beside the derivatives of their values, and drop those that are not as good, unless they are of another joint.
+    """Measured rates beside the derivatives of their values; drop those that are no better, unless they are of another joint.
+
+    Those that are better and late are moved by as much.
 
     Raises `UserError` where a unit explains how many times the derivative one is, or the sign is wrong.
     """
@@ -215,7 +217,9 @@ def _compare_rates(
             if found is None or plausibility.is_derivative(t, segments, columns[other], [columns[o] for o in others]):
                 continue
             result.append(found)
-            if not found.used:
+            if found.used:
+                columns[other] = found.in_time(t, segments, columns[other])
+            else:
                 del columns[other]
     return tuple(result)
 

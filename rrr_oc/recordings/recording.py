@@ -32,7 +32,7 @@ class Recording(Motion):
         ignored: Columns of the file that are not read.
         turned: Columns of positions that jumped by a whole turn and were unwrapped.
         filled: Columns of rates that are missing in some rows, where derivatives fill them, and the number of these rows.
-        rates: Measured rates beside the derivatives of their values; those that are not as good are not used.
+        rates: Measured rates beside the derivatives of their values; those that are no better are not used.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -134,14 +134,23 @@ class RecordingSet:
 
     def _of_rates(self) -> list[str]:
         """Which measured rates are not used, or not everywhere, a sentence each."""
-        notes, found = [], dict[tuple[str, ...], dict[str, None]]()
-        for name in dict.fromkeys(rate.column for r in self.recordings for rate in r.rates if not rate.used):
-            some = {r.file: rate for r in self.recordings for rate in r.rates if rate.column == name and not rate.used}
-            worst = max(some.values(), key=lambda rate: (abs(rate.times - 1), abs(rate.late)))
-            found.setdefault(tuple(some), {})[f"{name} {worst.said}"] = None
-        for files, said in found.items():
-            where = _named([r for r in self.recordings if r.file in files])
-            notes.append(f"{where}: {'; '.join(said)}; derivatives take {'its' if len(said) == 1 else 'their'} place")
+        notes, found = [], dict[tuple[bool, tuple[str, ...]], dict[str, None]]()
+        wrong = [(r.file, rate) for r in self.recordings for rate in r.rates if rate.is_late or not rate.of_scale]
+        for name, used in dict.fromkeys((rate.column, rate.used) for _, rate in wrong):
+            some = {file: rate for file, rate in wrong if (rate.column, rate.used) == (name, used)}
+            worst = max(
+                some.values(), key=lambda rate: (not rate.of_scale, abs(rate.times - 1) * (not rate.of_scale), abs(rate.late))
+            )
+            found.setdefault((used, tuple(some)), {})[f"{name} {worst.said}"] = None
+        for (used, files), said in found.items():
+            where, several = _named([r for r in self.recordings if r.file in files]), len(said) > 1
+            instead = (
+                "the derivative takes its place",
+                "derivatives take their place",
+                "it is moved by that",
+                "they are moved by that",
+            )
+            notes.append(f"{where}: {'; '.join(said)}; {instead[2 * used + several]}")
         for r in self.recordings:
             for name, count in r.filled:
                 notes.append(
@@ -155,8 +164,7 @@ class RecordingSet:
         doubts = [f"{_named(still)}: no joint moves, which says nothing of friction and inertia"] if still else []
         doubts += self._of_times_and_travel()
         for r in self.recordings:
-            measured = not any(f"dq_{joint}" in r.computed for joint in self.joints)
-            for i, j in plausibility.swapped(r.t, r.segments, r.q, r.dq) if measured and len(self.joints) > 1 else ():
+            for i, j in plausibility.swapped(r.t, r.segments, r.q, r.dq) if len(self.joints) > 1 else ():
                 columns = f"dq_{self.joints[i]} is the derivative of q_{self.joints[j]}, not of q_{self.joints[i]}"
                 doubts.append(f"{r.file}: {columns}; are columns swapped?")
         return doubts

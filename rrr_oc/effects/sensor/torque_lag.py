@@ -15,7 +15,7 @@ class TorqueLag(Delay):
     name = "torque_lag"
     equation = "recorded torque(t) = true torque(t - delay), of one joint"
     plain = "The recorded torque of {joints} lags the recorded motion by {delay:ms}."
-    parameters = (Parameter("delay", "s", 0.0, lower=-0.1, upper=0.1),)
+    parameters = (Parameter("delay", "s", 0.0, lower=-0.02, upper=0.05),)
     amplitudes = ("delay",)
     step = 1e-3
     role = "plain"
