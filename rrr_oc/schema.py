@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
-from msgspec import Meta
+from msgspec import Meta, inspect
 
 from rrr_oc.errors import UserError
 from rrr_oc.storage import read_utf8
@@ -135,6 +135,34 @@ def validated(where: str | Path, data: Any, schema: type[T], path: str = "") -> 
     except msgspec.ValidationError:
         path, said = _fault(path, data, schema)
         raise UserError(f"{_place(where, path)}: {said}") from None
+
+
+def built(data: Any, schema: type[T]) -> T:
+    """Plain data that this program made of its own results, as what they were: null is NaN where a number stands that may be any."""
+    return msgspec.convert(with_nan(data, schema), schema)
+
+
+def with_nan(data: Any, schema: Any) -> Any:
+    """Plain data with NaN in the place of each null for which there is a number in a structure."""
+    return _with_nan(data, inspect.type_info(schema))
+
+
+def _with_nan(data: Any, kind: Any) -> Any:
+    """The same for a type as `msgspec.inspect` has it."""
+    if data is None:
+        kinds = [type(member) for member in getattr(kind, "types", [kind])]
+        return math.nan if inspect.FloatType in kinds and inspect.NoneType not in kinds else None
+    if isinstance(kind, inspect.UnionType):
+        ways = ("fields", "value_type") if isinstance(data, dict) else ("item_type", "item_types")
+        kind = next((member for member in kind.types if any(hasattr(member, way) for way in ways)), None)
+    if isinstance(data, dict):
+        of_all, fields = getattr(kind, "value_type", None), {f.encode_name: f.type for f in getattr(kind, "fields", ())}
+        return {key: _with_nan(value, fields.get(key, of_all)) for key, value in data.items()}
+    if isinstance(data, list):
+        kinds = getattr(kind, "item_types", ())
+        kinds = kinds if len(kinds) == len(data) else [getattr(kind, "item_type", None)] * len(data)
+        return [_with_nan(value, one) for value, one in zip(data, kinds, strict=True)]
+    return data
 
 
 def without_comments(text: str) -> str:

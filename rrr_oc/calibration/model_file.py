@@ -17,7 +17,7 @@ from rrr_oc.robot.inertial_parameters import is_possible
 from rrr_oc.robot.parameters import Parameter
 from rrr_oc.robot.robot import Robot, ToolPoint, load_robot
 from rrr_oc.schema import Interval, NonNegative, Text, Vector, check_interval, check_names, read_json, validated
-from rrr_oc.storage import number, write_json
+from rrr_oc.storage import number, plain, write_json
 
 FORMAT = "rrr_oc-model/1"
 DIGITS = 6  # of a standard deviation in the file; with fewer, files are shorter
@@ -31,7 +31,9 @@ JOINTS = {
     "arm": (0,),
 }  # how many an effect has, by its placement
 Links = dict[str, Annotated[list[float], Meta(min_length=10, max_length=10, description="ten numbers are required")]]
-Spread = list[list[Annotated[float, Meta(ge=-1e12, le=1e12)]]]
+MOST = 1e12  # of an estimate and of what is not known of it, in any unit; more of either is no knowledge
+Number = Annotated[float, Meta(ge=-MOST, le=MOST)]
+Spread = list[list[Number]]
 T = TypeVar("T")
 # Keys that are not known here are ignored, so that files of later versions can be read.
 
@@ -89,7 +91,7 @@ class ParameterEntry(msgspec.Struct):
         at_bound: Whether the estimate lies at a bound of the parameter.
     """
 
-    value: Annotated[float, Meta(ge=-1e12, le=1e12)]
+    value: Number
     unit: str
     std: NonNegative | None
     interval: Interval | None
@@ -180,7 +182,7 @@ class ModelFile(msgspec.Struct):
     report: dict[str, Any]
     spread: Spread | None = None
     alternatives: list[AlternativeEntry] = []
-    unexplained: dict[str, NonNegative] = {}
+    unexplained: dict[str, NonNegative | None] = {}
 
 
 def save_model(model: CalibratedModel, path: str | Path) -> None:
@@ -204,7 +206,7 @@ def save_model(model: CalibratedModel, path: str | Path) -> None:
         alternatives=[alternative_entry(one) for one in model.alternatives],
         unexplained={} if model.unexplained is None else dict(zip(robot.joints, model.unexplained.tolist(), strict=True)),
     )
-    write_json(path, msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item()))  # of numpy
+    write_json(path, plain(msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item())))  # of numpy
 
 
 def links_of(robot: Robot) -> Links:
@@ -213,8 +215,11 @@ def links_of(robot: Robot) -> Links:
 
 
 def spread_entry(spread: np.ndarray | None) -> Spread | None:
-    """`CalibratedModel.spread` as in the file: a row for each change, to `DIGITS` digits, which is more than is known of any."""
-    return None if spread is None else [[float(f"{x:.{DIGITS}g}") for x in change] for change in spread.T.tolist()]
+    """`CalibratedModel.spread` as in the file: a row for each change, to `DIGITS` digits, which is more than is known of any; None where
+    it is no number."""
+    if spread is None or not np.all(np.isfinite(spread)):
+        return None
+    return [[float(f"{x:.{DIGITS}g}") for x in change] for change in np.clip(spread, -MOST, MOST).T.tolist()]
 
 
 def alternative_entry(one: Alternative) -> AlternativeEntry:
@@ -245,8 +250,14 @@ def spread_of(entry: Spread | None, terms: Sequence[Term], robot: Robot, where: 
 
 
 def term_entry(term: Term, robot: Robot) -> TermEntry:
-    """A term as in the file."""
+    """A term as in the file; raises `UserError` where an estimate is no number or beyond all that is known."""
     effect = term.effect
+    for p, e in zip(effect.parameters, term.estimates, strict=True):
+        if not abs(e.value) <= MOST:
+            where = f"{effect.name}{' of ' * bool(effect.joints)}{', '.join(robot.joints[j] for j in effect.joints)}"
+            raise UserError(
+                f"{where}: the fit ends with {p.name} = {e.value:g} {p.unit}; are torques, angles and masses in SI units?"
+            )
     return TermEntry(
         effect=effect.name,
         joints=[robot.joints[j] for j in effect.joints],
@@ -255,10 +266,15 @@ def term_entry(term: Term, robot: Robot) -> TermEntry:
         recordings=term.recordings,
         groups=term.groups,
         parameters={
-            p.name: ParameterEntry(e.value, p.unit, number(e.std), e.interval, e.at_bound)
+            p.name: ParameterEntry(e.value, p.unit, number(e.std), _between(e.interval), e.at_bound)
             for p, e in zip(effect.parameters, term.estimates, strict=True)
         },
     )
+
+
+def _between(interval: Interval | None) -> Interval | None:
+    """An interval whose ends are known."""
+    return interval if interval is not None and interval[0] <= interval[1] and np.all(np.isfinite(interval)) else None
 
 
 def options_of(effect: Effect) -> dict[str, Any]:

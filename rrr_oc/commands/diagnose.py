@@ -20,6 +20,7 @@ from rrr_oc.commands.shared import (
     shown,
     unexplained_torques,
 )
+from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
 from rrr_oc.diagnosis.files.stages import SHARES
 from rrr_oc.diagnosis.held_out import in_closed_loop
 from rrr_oc.diagnosis.procedure import Diagnosis
@@ -47,6 +48,7 @@ from rrr_oc.report.diagnosis_words import (
     unsaid,
 )
 from rrr_oc.report.pages.diagnosis_claims import small
+from rrr_oc.schema import with_nan
 from rrr_oc.storage import check_folder, code, hash_of
 from rrr_oc.storage import plain as plain_data
 
@@ -91,7 +93,7 @@ def diagnose(
         progress.tell("report")
         content = write_diagnosis(replace(found, failed=failed), out, simulated, command_line(context))
     output.result(content)
-    _show_diagnosis(content, output)
+    _show_diagnosis(with_nan(content, DiagnosisFile), output)
     for warning in unexplained_torques(found.model):
         output.note(f"{warning}.")
     output.show(f"{out} holds diagnosis.json, model.json and report.html.")

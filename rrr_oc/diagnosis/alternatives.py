@@ -1,7 +1,7 @@
 """Models that recordings do not tell from the reported one, as whole models: whoever designs for the arm has to reckon with each."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,12 +11,14 @@ from rrr_oc.calibration.calibrated_model import Alternative, CalibratedModel, Te
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Key, equal_terms, shown_as
+from rrr_oc.calibration.model_file import alternative_entry, alternative_of
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Key, contribution, equal_terms, negligible, shown_as
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.knobs import NEGLIGIBLE
 from rrr_oc.diagnosis.suggestion import Suggestion
 from rrr_oc.effects import LinkSpring
 from rrr_oc.effects.words import listed
+from rrr_oc.errors import noted
 
 STEP = 0.25  # [rad] between moves of an equilibrium that are tried first; doubled, a spring that is hardly taut may be missed
 CLOSE = 1e-7  # [rad] to which the move is found
@@ -58,52 +60,37 @@ def beside(
 
 
 def alternatives(
-    fitter: Fitter, exchanges: Sequence[Exchange], told: CalibratedModel, closest: Fitted
+    fitter: Fitter, exchanges: Sequence[Exchange], told: CalibratedModel, closest: Fitted, failed: dict[str, str]
 ) -> tuple[Alternative, ...]:
-    """Each exchange as the model that predicts best, and laws that are equal where the recordings went, in the place of claimed ones.
+    """Each exchange as the model that predicts best, laws that are equal where the recordings went, in the place of claimed ones, and
+    springs with other equilibria; as they are read back.
 
     Args:
         told: The reported model, as `described` gives it.
         closest: The fit that it is of.
+        failed: Takes why there is none.
     """
-    result = []
+    data, result = fitter.data, []
     for one in exchanges:
-        model = described(fitter.closest(one.fitted))
-        result.append(_alternative(model, one.has, one.lacks))
+        with noted(failed, f"alternative: {_says(one.has, one.lacks, told.joints)}"):
+            result += _exchanged(fitter, one)
     for i, term in enumerate(told.terms[closest.base :]):
-        for other in equal_terms(fitter.data, closest, i):
-            result.append(_alternative(_with(told, term, other), (shown_as(other),), (shown_as(term),)))
-    return (*result, *pretensions(fitter.data, told))
-
-
-def pretensions(data: Data, told: CalibratedModel) -> list[Alternative]:
-    """For each claimed torque beside a spring of the same joints that the spring gives as well with another equilibrium: the model without
-    that torque. A spring that is taut in all recordings and an offset of the torque sensor are one such pair."""
-    result, residual = [], data.residual(told)
+        with noted(failed, f"alternatives to {_named(shown_as(term), told.joints)}"):
+            others = equal_terms(data, closest, i)
+            result += [_alternative(_with(told, term, other), (shown_as(other),), (shown_as(term),)) for other in others]
     for spring, other in itertools.permutations(told.terms, 2):
-        one = _Turned(told, spring, other)
-        if not one.may_be:
-            continue
-
-        def change(x: float, one: _Turned = one) -> np.ndarray:
-            return (data.residual(one.at(x)) - residual) * data.counted
-
-        def missed(x: float, change: Callable[[float], np.ndarray] = change) -> float:
-            return float(np.sum(change(x) ** 2))
-
-        start = min(MOVES, key=missed)
-        x = float(np.ravel(fminbound(missed, start - STEP, start + STEP, xtol=CLOSE))[0])
-        if np.all(np.sqrt(np.mean(change(x) ** 2, axis=1)) < NEGLIGIBLE * data.torque):
-            own, gone = (_named(shown_as(t), told.joints) for t in (spring, other))
-            says = f"{own} with another equilibrium in the place of {gone}"
-            model = replace(one.at(x), spread=one.spread(x))
-            result.append(Alternative(model, says, (spring.effect.name, other.effect.name)))
-    return result
+        one, (own, gone) = _Turned(told, spring, other), (_named(shown_as(t), told.joints) for t in (spring, other))
+        says = f"{own} with another equilibrium in the place of {gone}"
+        with noted(failed, f"alternative: {says}"):
+            if one.may_be and (model := one.as_good(data)) is not None:
+                result.append(replace(_alternative(model, (shown_as(spring),), (shown_as(other),)), says=says))
+    return tuple(result)
 
 
 @dataclass(frozen=True)
 class _Turned:
-    """A model without one term, in the place of which the equilibrium of a spring is moved."""
+    """A model without one term, in the place of which the equilibrium of a spring is moved: one that is taut in all recordings gives
+    the torque of an offset of the torque sensor as well."""
 
     told: CalibratedModel
     spring: Term
@@ -116,6 +103,25 @@ class _Turned:
         everywhere = spring.recordings == other.recordings == "all" and other.effect.side != "link"
         inside = bool(other.effect.joints) and set(other.effect.joints) <= set(spring.effect.joints)
         return isinstance(spring.effect, LinkSpring) and everywhere and inside and len(other.estimates) == 1
+
+    def as_good(self, data: Data) -> CalibratedModel | None:
+        """The model with the equilibrium that stands for the other term best, if none of its predictions differs by what counts.
+
+        A term without which that is so already, such as one whose size is at a bound of 0, needs nothing in its place.
+        """
+        residual = data.residual(self.told)
+
+        def change(x: float) -> np.ndarray:
+            return (data.residual(self.at(x)) - residual) * data.counted
+
+        def missed(x: float) -> float:
+            return float(np.sum(change(x) ** 2))
+
+        if negligible(data, change(0.0)):
+            return None
+        start = min(MOVES, key=missed)
+        x = float(np.ravel(fminbound(missed, start - STEP, start + STEP, xtol=CLOSE))[0])
+        return replace(self.at(x), spread=self.spread(x)) if negligible(data, change(x)) else None
 
     def moved(self, x: float) -> np.ndarray:
         """The spring's parameters with its equilibrium moved by x [rad]."""
@@ -154,10 +160,30 @@ def decided(found: Sequence[Alternative], suggestions: Sequence[Suggestion]) -> 
     return tuple(replace(a, decided_by=file) for a, file in zip(found, files, strict=True))
 
 
+def _exchanged(fitter: Fitter, one: Exchange) -> list[Alternative]:
+    """An exchange as the model that predicts best. What does nothing there, such as a gear that has become rigid, is not in it; none where
+    that is all that it has."""
+    closest = fitter.closest(one.fitted)
+    does = [
+        shown_as(t) not in one.has or contribution(fitter.data, closest, i) >= NEGLIGIBLE for i, t in enumerate(closest.extra)
+    ]
+    if not all(does):
+        terms = (*one.fitted.model.terms[: one.fitted.base], *itertools.compress(one.fitted.extra, does))
+        closest = fitter.closest(replace(one.fitted, model=replace(one.fitted.model, terms=terms)))
+    has = tuple(dict.fromkeys(key for key in map(shown_as, closest.extra) if key in one.has))
+    return [_alternative(described(closest), has, one.lacks)] if has else []
+
+
 def _alternative(model: CalibratedModel, has: Sequence[Key], lacks: Sequence[Key]) -> Alternative:
-    own, other = ([_named(key, model.joints) for key in keys] for keys in (has, lacks))
+    """As it is read back, so that one that no file can hold fails here."""
+    names = tuple(dict.fromkeys(name for name, _ in (*has, *lacks)))
+    return alternative_of(alternative_entry(Alternative(model, _says(has, lacks, model.joints), names)), model)
+
+
+def _says(has: Sequence[Key], lacks: Sequence[Key], joints: Sequence[str]) -> str:
+    own, other = ([_named(key, joints) for key in keys] for keys in (has, lacks))
     says = " in the place of ".join(listed(names) for names in (own, other) if names)
-    return Alternative(model, says if own else f"without {says}", tuple(dict.fromkeys(name for name, _ in (*has, *lacks))))
+    return says if own else f"without {says}"
 
 
 def _named(key: Key, joints: Sequence[str]) -> str:

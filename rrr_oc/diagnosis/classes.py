@@ -23,18 +23,20 @@ from rrr_oc.diagnosis.structures.linear import Level
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects import Effect
+from rrr_oc.errors import noted
 
 NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
 FAR_OFF = max(EXCESS)  # times their declared errors, by which links may be off to stand for an effect
 
 
 def separated(
-    search: Search, fitted: Fitted, findings: Sequence[Finding], small: Sequence[Finding]
+    search: Search, fitted: Fitted, findings: Sequence[Finding], small: Sequence[Finding], failed: dict[str, str]
 ) -> tuple[list[Finding], list[Undecided], list[Exchange]]:
     """Findings with all that cannot be told from them, what cannot be told from errors of the links, and fits that are as good.
 
     Args:
         fitted: A fit with all these effects.
+        failed: Takes why what may be in an effect's place was not compared.
     """
     near = search.neighbours(fitted)
     own, blocks, hyper = {id(a.source): a for a in near.linear.own}, in_blocks(near), fitted.posterior.hyper
@@ -47,13 +49,17 @@ def separated(
         others = [a for a in near.candidates(near.at(less, hyper, True)) if kind(a.effect) != kind(f.term.effect)]
         found, fits = [], []
         for a in others:
-            if as_good(squares(blocks, (*less, a), hyper).sum(axis=0), with_all, NEAR * MATTERS):
-                exact = search.fit(fitted, near.at((*(b for b in near.linear.own if b.source is not f.term), a), hyper))
-                if as_good(squared(exact), squared(fitted)):
-                    found += described(exact).terms[-1:]
-                    fits.append(exact)
+            with noted(failed, f"comparison: {a.effect.name} in the place of {f.term.effect.name}"):
+                if as_good(squares(blocks, (*less, a), hyper).sum(axis=0), with_all, NEAR * MATTERS):
+                    exact = search.fit(fitted, near.at((*(b for b in near.linear.own if b.source is not f.term), a), hyper))
+                    if as_good(squared(exact), squared(fitted)):
+                        found += described(exact).terms[-1:]
+                        fits.append(exact)
         rivals = tuple(dict.fromkeys([*f.rivals, *map(shown_as, found)]))
-        by_links = near.linear.fitter.data.free and as_good(squares(blocks, less, far_off(hyper), "free").sum(axis=0), with_all)
+        by_links = False
+        with noted(failed, f"comparison: links in the place of {f.term.effect.name}"):
+            if near.linear.fitter.data.free:
+                by_links = as_good(squares(blocks, less, far_off(hyper), "free").sum(axis=0), with_all)
         if not by_links:
             told.append(replace(f, rivals=rivals))
         elif all(t.effect.side == "body" for t in (f.term, *found)):  # all of which say the same to who reads it
@@ -66,10 +72,14 @@ def separated(
     return told, undecided, exchanges
 
 
-def with_links(undecided: Sequence[Undecided], search: Search, fitted: Fitted) -> tuple[list[Undecided], list[Exchange]]:
+def with_links(
+    undecided: Sequence[Undecided], search: Search, fitted: Fitted, failed: dict[str, str]
+) -> tuple[list[Undecided], list[Exchange]]:
     """What is undecided, with the effects that explain as well what links explain that are far off in a fit, and their fits."""
-    found = link_findings(fitted)
-    fits = instead_of_links(search, fitted) if found else []
+    found, fits = link_findings(fitted), list[Exchange]()
+    if found:
+        with noted(failed, "effects in the place of links"):
+            fits += instead_of_links(search, fitted, failed)
     terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
     if not terms:
@@ -80,7 +90,7 @@ def with_links(undecided: Sequence[Undecided], search: Search, fitted: Fitted) -
     return [*(u for u in undecided if u not in same), Undecided(every, probability)], fits
 
 
-def instead_of_links(search: Search, fitted: Fitted) -> list[Exchange]:
+def instead_of_links(search: Search, fitted: Fitted, failed: dict[str, str]) -> list[Exchange]:
     """Fits with an effect, their last, beside which no link is far off, and which explain as much as the links of a fit do."""
     data, hyper = search.fitter.data, fitted.posterior.hyper
     start = replace(fitted.posterior, hyper=replace(hyper, links=np.full_like(hyper.links, EXACT)))
@@ -90,10 +100,11 @@ def instead_of_links(search: Search, fitted: Fitted) -> list[Exchange]:
     for a in near.candidates(near.at(near.linear.own, start.hyper, True)):
         if is_link_error(a.effect):
             continue
-        exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
-        there = wald(exact, len(exact.extra) - 1) < 1 - CLAIM
-        if there and as_good(squared(exact), squared(fitted)) and not link_findings(exact):
-            result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
+        with noted(failed, f"comparison: {a.effect.name} in the place of links"):
+            exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
+            there = wald(exact, len(exact.extra) - 1) < 1 - CLAIM
+            if there and as_good(squared(exact), squared(fitted)) and not link_findings(exact):
+                result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
     return result
 
 

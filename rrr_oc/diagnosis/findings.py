@@ -221,11 +221,17 @@ def equal_terms(data: Data, fitted: Fitted, i: int) -> list[Term]:
     for effect, theta in term.effect.equivalents(term.named):
         estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
         other = replace(term, effect=effect, estimates=estimates, width=nominal_term(effect).width)
+        if any((t.effect, t.groups) == (effect, term.groups) for t in fitted.model.terms):
+            continue  # it would count twice
         model = replace(fitted.model, terms=tuple(other if t is term else t for t in fitted.model.terms))
-        change = (data.residual(model) - fitted.residual) * data.counted
-        if np.all(np.sqrt(np.mean(change**2, axis=1)) < NEGLIGIBLE * data.torque):
+        if negligible(data, (data.residual(model) - fitted.residual) * data.counted):
             result.append(other)
     return result
+
+
+def negligible(data: Data, change: np.ndarray) -> bool:
+    """Whether a change of the predictions (n, M) is too small to count on any joint."""
+    return bool(np.all(np.sqrt(np.mean(change**2, axis=1)) < NEGLIGIBLE * data.torque))
 
 
 def wald(fitted: Fitted, i: int) -> float:

@@ -23,7 +23,7 @@ from rrr_oc.diagnosis.structures.linear import Structure
 from rrr_oc.diagnosis.structures.neighbours import Levels, Neighbours
 from rrr_oc.diagnosis.structures.search import Search, terms_of
 from rrr_oc.effects import Effect
-from rrr_oc.errors import reason
+from rrr_oc.errors import noted, reason
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
@@ -66,19 +66,37 @@ def folds_of(data: Data) -> list[list[int]]:
     return [sorted(alike[k::number]) for k in range(number)]
 
 
-def repeated(search: Search, begin: Fitted, stages: Stages) -> list[Fold]:
-    """The folds, in which the search is repeated, in the linear problems about its fits, if it found anything."""
+def repeated(search: Search, begin: Fitted, stages: Stages, failed: dict[str, str]) -> list[Fold]:
+    """The folds, in which the search is repeated, in the linear problems about its fits, if it found anything.
+
+    Args:
+        failed: Takes why a fold is missing.
+    """
     held = folds_of(search.fitter.data)
     names = [f"search without part {k} of {len(held)}" for k in range(1, len(held) + 1)]
     saved = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
     missing = [k for k in range(len(held)) if k not in saved]
     stages.progress.count("search without parts", len(saved), len(held), kind="parts")
     levels = search.levels if missing and len(search.path) > 1 else None
-    calls = [(k, search.fitter, begin, None if levels is None else _found(levels, held[k]), held[k]) for k in missing]
-    for k, fold in parallel.unordered(_fold, calls) if levels else (_fold(*one) for one in calls):
-        saved[k] = stages.keep(names[k], FoldData.of(fold))
+    calls = []
+    for k in missing:
+        with noted(failed, names[k]):
+            calls.append((names[k], k, search.fitter, begin, None if levels is None else _found(levels, held[k]), held[k]))
+    calls = [(_fold, *call) for call in calls]
+    for found, why in parallel.unordered(_tried, calls) if levels else (_tried(*call) for call in calls):
+        failed |= why
+        for k, fold in found:
+            saved[k] = stages.keep(names[k], fold)
         stages.progress.count("search without parts", len(saved), len(held), kind="parts")
-    return [saved[k].fold(stages.start) for k in range(len(held))]
+    return [saved[k].fold(stages.start) for k in sorted(saved)]
+
+
+def _tried(function: Callable, step: str, *arguments: Any) -> tuple[list[Any], dict[str, str]]:
+    """The result of a call, in a list, or why there is none, by the name of this step."""
+    found, failed = [], dict[str, str]()
+    with noted(failed, step):
+        found.append(function(*arguments))
+    return found, failed
 
 
 def _found(levels: Levels, held: Sequence[int]) -> Start:
@@ -101,21 +119,26 @@ def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) ->
     return parallel.ordered(function, arguments) if long else [function(*a) for a in arguments]
 
 
-def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, Fold]:
+def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, FoldData]:
     """A fold and its number; `start` is where the fit of what was found begins."""
     train, test, plain = _parts(fitter, begin, held)
     near = train.closest(plain)  # as of the whole diagnosis, the model is reported that predicts best
     before = nrmse(test, near.model)
     if start is None or len(start[0].terms) == plain.base:
-        return number, Fold(tuple(held), near.model, near.model, near.links, before, before)
+        return number, FoldData.of(Fold(tuple(held), near.model, near.model, near.links, before, before))
     found = train.closest(train.fit(*start, plain.posterior))
-    return number, Fold(tuple(held), near.model, found.model, found.links, before, nrmse(test, found.model))
+    return number, FoldData.of(Fold(tuple(held), near.model, found.model, found.links, before, nrmse(test, found.model)))
 
 
-def with_claims(fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding]) -> list[Fold]:
+def with_claims(
+    fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding], failed: dict[str, str]
+) -> list[Fold]:
     """The folds with those effects alone that were found in them and are claimed."""
-    arguments = [(fitter, begin, fold, tuple(findings)) for fold in folds]
-    return _each(_claimed, arguments, any(fold.extra for fold in folds))
+    names = [f"claims without part {k} of {len(folds)}" for k in range(1, len(folds) + 1)]
+    arguments = [(_claimed, name, fitter, begin, fold, tuple(findings)) for name, fold in zip(names, folds, strict=True)]
+    found, why = zip(*_each(_tried, arguments, any(fold.extra for fold in folds)), strict=True) if folds else ((), ())
+    failed.update(pair for some in why for pair in some.items())
+    return [fold for one in found for fold in one]
 
 
 def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Finding]) -> Fold:
@@ -190,8 +213,7 @@ def intervals(diagnosis: "Diagnosis") -> dict[str, dict[str, Any]]:
     replacement, before and after in pairs (Efron & Tibshirani 1993, `scipy.stats.bootstrap`; its corrections for bias and skewness
     are unstable with so few). They measure the variation between recordings; with fewer than three there is no interval.
     """
-    before, after = (np.concatenate([getattr(f, key) for f in diagnosis.folds]) for key in ("before", "after"))
-    result = {}
+    before, after, result = *errors_of(diagnosis.folds, len(diagnosis.model.joints)), {}
     for j, joint in enumerate(diagnosis.model.joints):
         known = np.isfinite(before[:, j]) & np.isfinite(after[:, j])
         pair = before[known, j], after[known, j]
@@ -201,6 +223,13 @@ def intervals(diagnosis: "Diagnosis") -> dict[str, dict[str, Any]]:
             "ratio": _interval(pair, _ratio),
         }
     return result
+
+
+def errors_of(folds: Sequence[Fold], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """NRMSE before and after on all that was held out, (number of them, n) each."""
+    none = np.zeros((0, n))
+    before, after = (np.concatenate([none, *(getattr(f, key) for f in folds)]) for key in ("before", "after"))
+    return before, after
 
 
 def _ratio(before: np.ndarray, after: np.ndarray, axis: int = -1) -> np.ndarray:

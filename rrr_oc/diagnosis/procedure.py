@@ -32,7 +32,7 @@ from rrr_oc.diagnosis.files.stages import (
 )
 from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, errors_of, mean_nrmse, nrmse, repeated, with_claims
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch, unexplained
 from rrr_oc.diagnosis.signatures import trials, view
@@ -112,7 +112,7 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Shares:
-    """What each effect contributes on held-out recordings; one entry per effect.
+    """What each effect contributes on held-out recordings; one entry per effect, NaN where it is not known.
 
     Attributes:
         share: Fall of the squared residual when the effect is added, relative to the plain model's squared residual.
@@ -161,8 +161,8 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     whole, fitter, every, plain = ready(recordings, priors, stages)
     begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
     search, at = _searched(fitter, every, begin, stages)
-    findings, possible = found(search, at)
-    searched = repeated(search, begin, stages)
+    findings, possible, failed = *found(search, at), dict[str, str]()
+    searched = repeated(search, begin, stages, failed)
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
     complete = search.completed(at)
     findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
@@ -170,17 +170,21 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     findings, rest = sized(near, findings, filtered_noise(fitter.data, complete.model))
     worse = [f for f in rest if f.fall and f.fall.share <= 0]
     small = [f for f in rest if f not in worse]
-    findings, undecided, as_good = separated(search, complete, findings, small)
-    checks = checked(near, [*findings, *small])
-    folds = with_claims(fitter, begin, searched, findings)
+    findings, undecided, as_good = separated(search, complete, findings, small, failed)
+    shares = Shares(*[(np.nan,) * len([*findings, *small])] * 3)
+    with noted(failed, "shares of effects"):
+        shares = Shares.of(checked(near, [*findings, *small]), [*findings, *small], fitter.data.n)
+    folds = with_claims(fitter, begin, searched, findings, failed)
     kept = tuple(f.term for f in findings)
     final = complete if kept else begin
     if kept and kept != complete.extra:  # some are missing, or in another order
         model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
         final = fitter.fit(model, complete.links, complete.posterior)
     closest = fitter.closest(final)
-    undecided, instead = with_links(undecided, search, closest)
-    as_good = [*beside(fitter, complete, findings, worse, bool(undecided)), *as_good, *instead]
+    undecided, instead = with_links(undecided, search, closest, failed)
+    as_good = [*as_good, *instead]
+    with noted(failed, "alternative: all effects that are not refuted"):
+        as_good = [*beside(fitter, complete, findings, worse, bool(undecided)), *as_good]
     small = with_intervals(complete, small)
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
     return _assembled(
@@ -189,7 +193,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         fitter,
         (begin, final, closest, as_good),
         (findings, undecided, small, possible, worse),
-        (way, checks, folds),
+        (way, shares, folds, failed),
     )
 
 
@@ -236,22 +240,21 @@ def ready(
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
-    (begin, final, closest, as_good), (findings, undecided, small, possible, refuted), (way, checks, folds) = fits, told, check
+    begin, final, closest, as_good = fits
+    (findings, undecided, small, possible, refuted), (way, shares, folds, failed) = told, check
     near_begin = fitter.closest(begin) if findings else closest
     plain, model = (
         finished(recordings, whole, described(one), {"way": "inverse dynamics"}, perf_counter())
         for one in (near_begin, closest)
     )
     findings = [replace(f, term=t) for f, t in zip(findings, model.terms[final.base :], strict=True)]
-    before = mean_nrmse(np.concatenate([f.before for f in folds]))
-    after = mean_nrmse(np.concatenate([f.after for f in folds])) if findings else before
     if not findings:
         folds = [replace(f, model=f.plain, after=f.before) for f in folds]
+    before, after = map(mean_nrmse, errors_of(folds, fitter.data.n))
     left = above_noise(fitter.data, final)
     calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
-    shares, failed = Shares.of(checks, [*findings, *small], fitter.data.n), dict[str, str]()
-    others = alternatives(fitter, as_good, model, closest)
-    model = replace(model, alternatives=others, unexplained=unexplained(fitter.data, closest))
+    others = alternatives(fitter, as_good, model, closest, failed)
+    model, suggestions = replace(model, alternatives=others, unexplained=unexplained(fitter.data, closest)), ()
     with noted(failed, "suggested recordings"):
         contested = [*findings, *(u.contested for u in undecided)]
         suggestions = suggest(recordings, plain, contested, bool(np.any(left > FAR)), fitter.view)
@@ -270,7 +273,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         numbers((before, after)),
         way,
         list(mismatch(fitter.data, begin, final, findings, left, (calibration[0], before))),
-        [] if failed else [SuggestionData.of(s) for s in suggestions],
+        [SuggestionData.of(s) for s in suggestions],
         [FoldData.of(f) for f in folds],
         left.tolist(),
         list(idle(fitter.data, final.model)),

@@ -55,9 +55,10 @@ def _write(diagnosis: Diagnosis, folder: Path, found: dict[str, Any], command: s
     with noted(failed, "before_after.png"):
         save_figure(draw_errors(found), folder / "before_after.png")
     with noted(failed, "report.html and prediction.png"):
-        shown = curves(diagnosis) | {"subject": np.array(about(diagnosis.recordings)), "command": np.array(command)}
+        shown = curves(diagnosis, failed) | {"subject": np.array(about(diagnosis.recordings)), "command": np.array(command)}
         write_npz(folder / FIGURES, shown)
-        save_figure(draw_prediction(shown), folder / "prediction.png")
+        with noted(failed, "prediction.png"):
+            save_figure(draw_prediction(shown), folder / "prediction.png")
         write_diagnosis_page(folder, found)
     write_json(folder / "diagnosis.json", found)
 

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from recorded import Plant, as_set, record
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
 from rrr_oc.calibration.model_file import load_model, save_model
 from rrr_oc.codesign.posterior.members import members, moved
 from rrr_oc.diagnosis import mismatch
-from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
+from rrr_oc.diagnosis.alternatives import Exchange, alternatives
+from rrr_oc.diagnosis.procedure import Diagnosis, diagnose, ready
+from rrr_oc.effects.priors import Priors
+from rrr_oc.effects.transmission.joint_elasticity import JointElasticity
 from rrr_oc.errors import UserError
 from rrr_oc.report.diagnosis_report import write_diagnosis
 
@@ -55,6 +58,22 @@ def test_an_offset_beside_a_spring_may_be_its_pretension(found):
     # the load torque, which the offset is none of, differs by all of it
     apart = other.model.torques(diagnosis.recordings.recordings[0])[1] - read.torques(diagnosis.recordings.recordings[0])[1]
     assert np.abs(apart[1]).min() == pytest.approx(abs(names["torque_offset"].values[0]), rel=0.02)
+
+
+def test_what_does_nothing_stands_for_nothing(found):
+    """A torque of 0 needs no spring in its place, and a gear that is rigid is in no model: of their sizes nothing can be said."""
+    told = found[0].model
+    _, fitter, _, plain = ready(found[0].recordings, Priors())
+    offset = next(t for t in told.terms if t.effect.name == "torque_offset")
+    terms = tuple(replace(offset, estimates=(Estimate(0.0),)) if t is offset else t for t in told.terms)
+    nothing = replace(told, terms=terms, alternatives=())
+    begin, failed = fitter.fit(plain, fitter.data.links.none), dict[str, str]()
+    effect = JointElasticity((1,))
+    rigid = Term(effect, tuple(Estimate(x) for x in (1e9, 0.002)))
+    gear = fitter.fit(replace(begin.model, terms=(*begin.model.terms, rigid)), begin.links, begin.posterior, steps=1)
+    exchange = Exchange(gear, (("joint_elasticity", (1,)),), ())
+    assert alternatives(fitter, [exchange], nothing, replace(begin, base=len(terms)), failed) == ()
+    assert failed == {}
 
 
 def test_the_file_holds_what_is_not_known(found):

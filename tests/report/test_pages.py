@@ -203,7 +203,7 @@ def test_the_twin_and_the_units_are_on_the_page_of_a_design(folders):
 
 def test_a_page_holds_the_extremes_of_a_long_recording(diagnosis):
     """25 s at 100 Hz are more samples than a curve may have."""
-    found = curves(diagnosis)
+    found = curves(diagnosis, {})
     recorded = diagnosis.recordings.recordings[0]
     assert len(recorded.t) > POINTS
     t, q, dq, *_, after = found["left 0 1"]

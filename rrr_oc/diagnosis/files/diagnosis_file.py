@@ -14,7 +14,7 @@ from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects import BlackBox, OfEach
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.storage import number
+from rrr_oc.storage import plain
 
 FORMAT = "rrr_oc-diagnosis/1"
 Files = Literal["all", "each"] | tuple[str, ...]  # recordings; "each": all, with another value in each
@@ -408,7 +408,7 @@ class Simulated(Struct, forbid_unknown_fields=True):
 
 
 class DiagnosisFile(Struct, forbid_unknown_fields=True):
-    """The content of `diagnosis.json`.
+    """The content of `diagnosis.json`; a number that could not be computed is null, wherever it stands.
 
     Attributes:
         format: What the file is.
@@ -465,10 +465,10 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     effects = [f.term.effect for f in diagnosis.findings]
 
     def by_joint(pair: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
-        before, after = (dict(zip(joints, map(number, values), strict=True)) for values in pair)
+        before, after = (dict(zip(joints, values.tolist(), strict=True)) for values in pair)
         return {"before": before, "after": after}
 
-    return {
+    found = {
         "format": FORMAT,
         "verdict": diagnosis.verdict,
         "held_out": diagnosis.way,
@@ -498,6 +498,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "versions": dict(model.versions),
         "failed": dict(diagnosis.failed),
     }
+    return plain(found)
 
 
 def _prior(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
@@ -535,7 +536,7 @@ def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
         "p_value": finding.p_value,
         "probability": finding.probability,
         "probability_of_itself": finding.alone,
-        "nrmse": {"held_out_before": number(shares.before[i]), "held_out_after": number(shares.after[i])},
+        "nrmse": {"held_out_before": shares.before[i], "held_out_after": shares.after[i]},
         "lowers_error": _lowered(finding, joints),
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
         "rivals": [{"effect": name, "joint": _names(j, joints)} for name, j in finding.rivals],

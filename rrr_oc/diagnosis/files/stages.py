@@ -39,6 +39,7 @@ from rrr_oc.model.motion import Motion
 from rrr_oc.progress import Progress
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.robot.robot import Robot
+from rrr_oc.schema import built
 from rrr_oc.storage import number, plain
 
 # Share of the time of a diagnosis that each stage takes, by experience
@@ -73,14 +74,15 @@ class Stages:
     def saved(self, name: str, schema: type[S]) -> S | None:
         """A stage that is there already."""
         found = None if self.kept is None else known(self.kept, name)
-        return None if found is None else msgspec.convert(found, schema)
+        return None if found is None else built(found, schema)
 
     def keep(self, name: str, content: S) -> S:
         """Save a stage; as it is read back."""
         data = plain(msgspec.to_builtins(content, enc_hook=lambda scalar: scalar.item()))  # of numpy
+        result = built(data, type(content))  # before it is saved, so that nothing is that could not be read
         if self.kept is not None:
             save(self.kept, name, data)
-        return msgspec.convert(data, type(content))
+        return result
 
     def once(self, name: str, schema: type[S], make: Callable[[], S]) -> S:
         """A stage that is there already, or is made and saved."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.diagnosis.procedure import Diagnosis
+from rrr_oc.errors import noted
 from rrr_oc.numerics.savitzky_golay import smooth
 from rrr_oc.recordings.recording import Recording
 from rrr_oc.report.pages.page import thinned
@@ -20,8 +21,11 @@ LEFT: tuple[str, ...] = ("t", "q", "dq", "load_before", "load_after", "residual_
 Curves = Mapping[str, np.ndarray]
 
 
-def curves(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
+def curves(diagnosis: Diagnosis, failed: dict[str, str]) -> dict[str, np.ndarray]:
     """The data of the figures by name, in SI units; K samples at most `POINTS`, with NaN between segments.
+
+    Args:
+        failed: Takes why there are no torques of a recording.
 
     Returns:
         "predicted k j": rows of `PREDICTED` (4, K) for recording k, where it was held out, and joint j. "left k j": rows of `LEFT`
@@ -37,14 +41,18 @@ def curves(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
     result["samples"] = np.array([len(r.t) for r in every])
     for k, r in enumerate(every):
         recorded, both = recordings.output_torque(r), (diagnosis.plain, diagnosis.model)
-        time, held = np.tile(r.t - r.t[0], (n, 1)), held_out_predictions(diagnosis, k, r)
-        if held is not None:
-            rows = np.array([time, *(smooth(r.t, x, r.segments) for x in (recorded, *held))])
-            missed[k] = np.sqrt(np.nanmean((rows[2:] - rows[1]) ** 2, axis=2)).T
-            result |= {f"predicted {k} {j}": _shown(rows[:, j], r.segments, points, (1, 2, 3)) for j in range(n)}
-        left = [smooth(r.t, recorded - model.predicted_torque(r), r.segments) for model in both]
-        remains[k] = np.sqrt(np.mean(np.square(left), axis=2)).T
-        rows = np.array([time, r.q, r.dq, *(model.torques(r)[1] for model in both), *left])
+        time, left = np.tile(r.t - r.t[0], (n, 1)), np.full((4, *r.q.shape), np.nan)
+        with noted(failed, f"held-out torques of {r.file}"):
+            held = held_out_predictions(diagnosis, k, r)
+            if held is not None:
+                rows = np.array([time, *(smooth(r.t, x, r.segments) for x in (recorded, *held))])
+                missed[k] = np.sqrt(np.nanmean((rows[2:] - rows[1]) ** 2, axis=2)).T
+                result |= {f"predicted {k} {j}": _shown(rows[:, j], r.segments, points, (1, 2, 3)) for j in range(n)}
+        with noted(failed, f"residuals of {r.file}"):
+            left[:2] = [model.torques(r)[1] for model in both]
+            left[2:] = [smooth(r.t, recorded - model.predicted_torque(r), r.segments) for model in both]
+            remains[k] = np.sqrt(np.mean(left[2:] ** 2, axis=2)).T
+        rows = np.array([time, r.q, r.dq, *left])
         result |= {f"left {k} {j}": _shown(rows[:, j], r.segments, points, (5, 6)) for j in range(n)}
     return result | {"missed": missed, "remains": remains}
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rrr_oc.calibration.prediction_error import SIGNALS
+from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile
 from rrr_oc.effects.words import joint_words, rounded
 from rrr_oc.report import diagnosis_words as say
 from rrr_oc.report.pages.diagnosis_claims import claims, covered, record_next, remaining, small
@@ -17,6 +18,7 @@ from rrr_oc.report.pages.diagnosis_curves import LEFT, PREDICTED, Curves
 from rrr_oc.report.pages.diagnosis_model import model_numbers
 from rrr_oc.report.pages.page import ALL, Curve, Figure, columns, joined, key, render
 from rrr_oc.report.tables import NONE
+from rrr_oc.schema import with_nan
 from rrr_oc.storage import write_text
 
 SIGNAL_NAMES: dict[str, str] = dict(
@@ -40,7 +42,7 @@ def write_diagnosis_page(folder: Path, found: Mapping[str, Any] | None = None) -
     Raises:
         UserError: The page cannot be written.
     """
-    content = _json(folder / "diagnosis.json") if found is None else found
+    content = with_nan(_json(folder / "diagnosis.json") if found is None else found, DiagnosisFile)
     with np.load(folder / FIGURES) as file:
         curves = {name: file[name] for name in file.files}
     write_text(folder / "report.html", diagnosis_page(content, curves, _json(folder / "model.json")))
