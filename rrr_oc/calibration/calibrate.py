@@ -22,7 +22,7 @@ from rrr_oc.calibration.samples import Prepared, pieces_of, prepare, thinned, wi
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import prior
-from rrr_oc.robot.link_errors import LinkErrors
+from rrr_oc.robot.link_errors import LinkErrors, most_of
 
 LEAST_ROWS = 10  # with which an estimate is tried
 
@@ -83,5 +83,6 @@ def data_of(
     bench, unknown = thinned(prepared), recordings.inertial == "identify"
     of_urdf = () if exact else (MASS_ERROR, *[CENTRE_ERROR] * 3, *[INERTIA_ERROR] * 3)
     std = prior(nominal.robot).std if unknown else np.tile(of_urdf, recordings.robot.n)
-    links = LinkErrors(nominal.robot.inertial, std)
+    most = most_of(nominal.robot, len(std) // recordings.robot.n)
+    links = LinkErrors(nominal.robot.inertial, std, most)
     return Data(pieces_of(bench[0]) if len(bench) == 1 else bench, about, links, not unknown)
