@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.fitting import FAR, Fitted
 from rrr_oc.calibration.estimator.intervals import covariance
 from rrr_oc.robot.link_errors import OF_URDF
 
-FAR = 3.0  # declared standard deviations that an error of a link exceeds, by its 95 % interval, to be found
 QUANTILE = 1.96  # of the normal distribution, of a 95 % interval
 PARTS = {"mass": slice(0, 1), "centre": slice(1, 4), "inertia": slice(4, 7)}  # of a link's errors
 

@@ -159,7 +159,7 @@ def diagnose(
 def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultData:
     """The result of all stages up to the check on held-out recordings."""
     whole, fitter, every, plain = ready(recordings, priors, stages)
-    begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
+    begin = fitter.begin(plain)
     search, at = _searched(fitter, every, begin, stages)
     findings, possible = found(search, at)
     searched = repeated(search, begin, stages)

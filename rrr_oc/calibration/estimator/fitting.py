@@ -16,6 +16,7 @@ from rrr_oc.calibration.regression import rows
 from rrr_oc.effects import Effect
 from rrr_oc.robot.link_errors import OF_URDF
 
+FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
@@ -113,9 +114,9 @@ class PlainFitter:
                 break
             for rung in range(first, len(DAMPINGS)):
                 step = post.damped(DAMPINGS[rung])
+                farthest = np.abs(step[len(model.values) :][: len(links)]).max(initial=0.0)
+                step = step * min(1.0, LINK_STEP / max(farthest, 1e-300))
                 there, errors = self.moved(model, links, step)
-                if np.any(np.abs(errors - links) > LINK_STEP):
-                    continue
                 after = data.residual(there)
                 cost = post.cost(after) + post.prior_cost(step)
                 if cost < before:
