@@ -17,7 +17,7 @@ from rrr_oc.calibration.estimator.fitting import PlainFitter
 from rrr_oc.calibration.estimator.intervals import described, fit_report
 from rrr_oc.calibration.estimator.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.link_findings import entries, link_findings
+from rrr_oc.calibration.link_findings import entries, link_findings, with_falls
 from rrr_oc.calibration.samples import Prepared, pieces_of, prepare, thinned, without_spikes
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
@@ -43,7 +43,8 @@ def fit(recordings: RecordingSet, nominal: CalibratedModel) -> CalibratedModel:
     clean = without_spikes(whole, model)
     fitter = PlainFitter.of(data_of(recordings, clean, nominal, model))
     found = fitter.closest(fitter.begin(nominal))
-    far_off = {"link_findings": entries(link_findings(found), recordings.robot.links)}
+    links = with_falls(fitter, found, link_findings(found))
+    far_off = {"link_findings": entries(links, recordings.robot.links, recordings.robot.joints)}
     report = {"way": "inverse dynamics"} | fit_report(found, clean) | far_off
     return finished(recordings, whole, described(found), report, began)
 

@@ -13,7 +13,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.link_findings import LinkFinding, link_findings
+from rrr_oc.calibration.link_findings import LinkFinding
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
 from rrr_oc.diagnosis.alternatives import alternatives, beside, decided
 from rrr_oc.diagnosis.classes import separated, with_links
@@ -104,7 +104,9 @@ class Diagnosis:
             if self.undecided or part:
                 return "cannot_tell"
             held = any(abs(mean) > FAR * max(float(self.model.noise[j]), spread) for j, mean, spread in self.idle)
-            return "cannot_tell" if held or max(self.above_noise, default=0.0) > FAR else "nothing_missing"
+            if held or max(self.above_noise, default=0.0) > FAR:
+                return "cannot_tell"
+            return "missing_physics" if self.links else "nothing_missing"
         contested = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
         named = any(not f.term.effect.black_box for f in self.findings)
         return "cannot_tell" if named and contested else "missing_physics"
@@ -179,7 +181,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
         final = fitter.fit(model, complete.links, complete.posterior)
     closest = fitter.closest(final)
-    undecided, instead = with_links(undecided, search, closest)
+    undecided, instead, links = with_links(undecided, search, closest)
     as_good = [*beside(fitter, complete, findings, worse, bool(undecided)), *as_good, *instead]
     small = with_intervals(complete, small)
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
@@ -188,7 +190,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         whole,
         fitter,
         (begin, final, closest, as_good),
-        (findings, undecided, small, possible, worse),
+        (findings, undecided, links, small, possible, worse),
         (way, checks, folds),
     )
 
@@ -228,7 +230,10 @@ def ready(
     model = stages.once("plain model", ModelData, first).model(nominal)
     data = data_of(recordings, without_spikes(whole, model), nominal, model, exact)
     seen = view(data.prepared, model)
-    every = tuple(t for t in trials(seen, model.torque) if t.effect.name not in priors.excluded)
+    # links whose errors are parameters of every model need no effect that says the same, of which no body need be the result
+    known = "inertial" if len(data.links.std) else None
+    sought = (t for t in trials(seen, model.torque) if t.effect.name not in priors.excluded)
+    every = tuple(t for t in sought if known is None or t.effect.alters != known)
     families: dict[tuple, list[Trial]] = {}
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)
@@ -236,7 +241,11 @@ def ready(
 
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
-    (begin, final, closest, as_good), (findings, undecided, small, possible, refuted), (way, checks, folds) = fits, told, check
+    (begin, final, closest, as_good), (findings, undecided, links, small, possible, refuted), (way, checks, folds) = (
+        fits,
+        told,
+        check,
+    )
     near_begin = fitter.closest(begin) if findings else closest
     plain, model = (
         finished(recordings, whole, described(one), {"way": "inverse dynamics"}, perf_counter())
@@ -261,7 +270,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         ModelData.of(model),
         [FindingData.of(f, model.robot) for f in findings],
         [UndecidedData.of(u, model.robot) for u in undecided],
-        link_findings(closest),
+        links,
         [FindingData.of(f, model.robot) for f in small],
         possible,
         [FindingData.of(f, model.robot) for f in refuted],

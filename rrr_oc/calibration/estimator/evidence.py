@@ -22,7 +22,9 @@ from rrr_oc.numerics.rank import lengths
 ROUNDING = 1e-12  # share of the largest squared length of a combination of features below which one is 0
 ROUNDED = 1e-13  # added to the diagonal of a precision with a diagonal of 1
 LARGEST = 1e100  # [Nm] of a residual, beyond which squares are not computed
-FARTHEST = 100.0  # times the declared ones that errors of a link are expected at most: masses within a factor of some 20, as a rule
+FARTHEST = (
+    100.0  # times the declared ones that errors of a link are expected at most: masses within a factor of some 20, as a rule
+)
 LEAST = 1e-5  # of a size over its unit, against a singular precision
 FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood

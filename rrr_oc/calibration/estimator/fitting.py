@@ -4,7 +4,7 @@ The one estimator: of a calibration, whose model has plain terms alone, and of a
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -67,10 +67,12 @@ class PlainFitter:
     Attributes:
         data: The data.
         plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
+        farthest: Declared standard deviations by which a link of a URDF may be off at most.
     """
 
     data: Data
     plain_std: np.ndarray
+    farthest: float = field(default=np.inf, kw_only=True)
 
     @classmethod
     def of(cls, data: Data) -> "PlainFitter":
@@ -238,14 +240,14 @@ class PlainFitter:
         factor = np.array([p.factor for t in model.terms for p in t.effect.parameters], float)
         f = np.flatnonzero(np.isfinite(factor))  # parameters that one step may change by a factor at most
         low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
-        free, number = np.full(k, np.inf), np.arange(end)
+        farthest, number = np.full(k, self.farthest), np.arange(end)
         return Prior(
             mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
             precision=np.concatenate([self.plain_std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),
             links=np.where((number >= size) & (number < size + k), 1 + (number - size) // OF_URDF, 0) * self.data.free,
-            lower=np.concatenate([np.minimum(low - values, 0), -free, np.log(WIDTHS[0] / widths)]),
-            upper=np.concatenate([np.maximum(high - values, 0), free, np.log(WIDTHS[-1] / widths)]),
+            lower=np.concatenate([np.minimum(low - values, 0), -farthest - links, np.log(WIDTHS[0] / widths)]),
+            upper=np.concatenate([np.maximum(high - values, 0), farthest - links, np.log(WIDTHS[-1] / widths)]),
             flat=np.concatenate([np.zeros(plain), flat, np.zeros(end - size)]),
         )
 
