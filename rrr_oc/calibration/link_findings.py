@@ -12,7 +12,7 @@ from rrr_oc.calibration.estimator.fitting import FAR, Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import covariance, half_width
 from rrr_oc.calibration.estimator.left_out import Fall, fall_of, squares_left_out
 from rrr_oc.robot.inertial_parameters import seen_quantities
-from rrr_oc.robot.link_errors import OF_URDF
+from rrr_oc.robot.link_errors import OF_URDF, LinkErrors
 
 USUAL = 2.33  # declared standard deviations within which 98 of 100 files are in one direction; doubled, a link half as heavy again is not told
 QUANTILE = 1.96  # of the normal distribution, of a 95 % interval
@@ -81,12 +81,11 @@ def link_findings(fitted: Fitted) -> list[LinkFinding]:
     if not data.free or np.linalg.norm(fitted.links) < USUAL:  # which bounds the difference in any direction
         return []
     own = slice(size, size + len(fitted.links))
-    by_link = _directions(fitted, covariance(fitted, loose=True)[own, own])
     std = np.sqrt(np.diag(covariance(fitted))[own])
     known = np.abs(fitted.links) - QUANTILE * std > FAR
     result = []
-    for i, seen in sorted(by_link.items()):
-        own = slice(OF_URDF * i, OF_URDF * (i + 1))
+    for finding in in_directions(fitted, data.links):
+        i, own = finding.link, slice(OF_URDF * finding.link, OF_URDF * (finding.link + 1))
         sigmas = np.where(known[own], np.abs(fitted.links[own]), 0.0)
         found, urdf = (_described(x[:, i]) for x in (fitted.model.robot.inertial, data.links.plain))
         off = {
@@ -94,21 +93,23 @@ def link_findings(fitted: Fitted) -> list[LinkFinding]:
             for name, part in PARTS.items()
             if sigmas[part].any()
         }
-        result.append(LinkFinding(i, tuple(d for d, _ in seen), off, max(p for _, p in seen)))
+        result.append(replace(finding, quantities=off))
     return result
 
 
-def _directions(fitted: Fitted, spread: np.ndarray) -> dict[int, list[tuple[Direction, float]]]:
-    """By the link that has most of it, what differs in directions that torques see, with the probability that it does.
+def in_directions(fitted: Fitted, described: LinkErrors) -> list[LinkFinding]:
+    """What differs from a URDF in directions that torques see, by the link that has most of it.
 
     What files usually have in a direction is the declared covariance of the errors along it. What mass and centre are believed to be
     tells nothing of a direction: its interval is of the recordings alone.
 
     Args:
-        spread: Covariance of the errors from the recordings alone, (k, k).
+        described: The errors that are declared of the links of the URDF.
     """
-    links, result = fitted.posterior.data.links, dict[int, list[tuple[Direction, float]]]()
-    (plain, usual), (bodies, slopes) = links.at(links.none), links.at(fitted.links)
+    size, result = len(fitted.model.values), dict[int, list[tuple[Direction, float]]]()
+    own = slice(size, size + len(fitted.links))
+    spread = covariance(fitted, loose=True)[own, own]
+    (plain, usual), (bodies, slopes) = described.at(described.none), fitted.posterior.data.links.at(fitted.links)
     half = half_width(min(one.count for one in fitted.posterior.joints))
     for seen in seen_quantities(replace(fitted.model.robot, inertial=plain)):
         value, urdf = (float(seen.row @ x.T.ravel()) for x in (bodies, plain))
@@ -120,7 +121,7 @@ def _directions(fitted: Fitted, spread: np.ndarray) -> dict[int, list[tuple[Dire
             interval = value - half * std, value + half * std
             told = Direction(seen.joint, seen.quantity, seen.unit, tuple(seen.along.tolist()), value, urdf, interval)
             result.setdefault(link, []).append((told, float(norm.cdf((off - limit) / std))))
-    return result
+    return [LinkFinding(i, tuple(d for d, _ in some), {}, max(p for _, p in some)) for i, some in sorted(result.items())]
 
 
 def with_falls(fitter: PlainFitter, fitted: Fitted, found: Sequence[LinkFinding]) -> list[LinkFinding]:
@@ -130,10 +131,14 @@ def with_falls(fitter: PlainFitter, fitted: Fitted, found: Sequence[LinkFinding]
     links, post = np.clip(fitted.links, -FAR, FAR), fitted.posterior
     model = replace(fitted.model, robot=replace(fitted.model.robot, inertial=fitter.data.links.at(links)[0]))
     declared = replace(fitter, farthest=FAR).fit(model, links, Start(post.hyper, post.joints), fixed=True)
-    before, after = squares_left_out(declared.posterior), squares_left_out(post)
-    falls = [fall_of(j, after[:, j], before[:, j]) for j in range(fitter.data.n) if before[:, j].any()]
-    fall = max(falls, key=lambda f: f.low)
+    fall = max(falls(fitted, declared), key=lambda f: f.low, default=None)
     return [replace(f, fall=fall) for f in found]
+
+
+def falls(fitted: Fitted, other: Fitted) -> list[Fall]:
+    """By how much a fit lowers the error of each joint that moves, on data left out, against another fit of the same rows."""
+    after, before = (squares_left_out(one.posterior) for one in (fitted, other))
+    return [fall_of(j, after[:, j], before[:, j]) for j in range(after.shape[1]) if before[:, j].any()]
 
 
 def entries(found: Sequence[LinkFinding], links: Sequence[str], joints: Sequence[str]) -> list[dict[str, Any]]:
