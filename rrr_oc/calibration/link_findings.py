@@ -80,8 +80,7 @@ def link_findings(fitted: Fitted) -> list[LinkFinding]:
     data, size = fitted.posterior.data, len(fitted.model.values)
     if not data.free or np.linalg.norm(fitted.links) < USUAL:  # which bounds the difference in any direction
         return []
-    own = slice(size, size + len(fitted.links))
-    std = np.sqrt(np.diag(covariance(fitted))[own])
+    std = np.sqrt(np.diag(covariance(fitted, loose=True))[size : size + len(fitted.links)])
     known = np.abs(fitted.links) - QUANTILE * std > FAR
     result = []
     for finding in in_directions(fitted, data.links):

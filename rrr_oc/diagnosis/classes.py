@@ -13,9 +13,10 @@ import numpy as np
 from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
+from rrr_oc.calibration.estimator.left_out import block_edges
 from rrr_oc.calibration.link_findings import LinkFinding, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
-from rrr_oc.diagnosis.effect_size import block_edges, in_shape, squares
+from rrr_oc.diagnosis.effect_size import in_shape, squares
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as, wald
 from rrr_oc.diagnosis.fitting import EXACT
 from rrr_oc.diagnosis.knobs import CLAIM, EXCESS, MATTERS

@@ -341,28 +341,43 @@ def undecided(found: Mapping[str, Any]) -> list[str]:
 
 
 def off_links(found: Mapping[str, Any]) -> list[str]:
-    """A sentence on each link that is far from the robot's description."""
+    """A sentence on each link that is far from the robot's description, by how much that lowers the error, and what does the same."""
     result = []
     for one in found.get("link_findings", ()):
-        said = [_direction(d) for d in one["directions"]]
-        said += [
-            f"by itself it fits with {said} {_numbers(one[name]['value'])} {unit} instead of {_numbers(one[name]['urdf'])} {unit}, "
-            f"{one[name]['sigmas']:.0f} times the usual error"
-            for name, said, unit in OF_LINKS
-            if one.get(name)
-        ]
-        size, others = one["lowers_error"], one.get("indistinguishable_from")
-        known = size is not None and size["interval"] and size["interval"][0] > 0
-        fall = f" That lowers the error of {lowered(size)} on data left out of the fit." * bool(known)
-        as_good = (
-            f"Or it is described well, and there is {' or '.join(map(called, others or ()))}: these recordings do not tell."
-        )
-        unsought = "A gain of the torque, a payload, a tilt or a joint's zero may do the same; rrr-oc diagnose says what would."
-        or_else = (
-            unsought if others is None else as_good if others else "Either that is so, or it takes up what the model lacks."
-        )
-        result.append(f"The link “{one['link']}” is not as the robot's description has it: {'; '.join(said)}.{fall} {or_else}")
+        fall, others = _fall(one["lowers_error"]), one.get("indistinguishable_from")
+        or_else = "Either that is so, or it takes up what the model lacks."
+        if others is None:
+            or_else = (
+                "A gain of the torque, a payload, a tilt or a joint's zero may do the same; rrr-oc diagnose says what would."
+            )
+        elif others:
+            or_else = f"Or it is described well, and there is {' or '.join(map(called, others))}: these recordings do not tell."
+        result.append(f"{_off(one)}{f' That lowers the error of {fall} on data left out of the fit.' * bool(fall)} {or_else}")
     return result
+
+
+def if_identified(report: Mapping[str, Any]) -> list[str]:
+    """Sentences on how links differ whose bodies are identified, where that explains far more than the described ones do."""
+    some = report.get("if_identified", ())
+    fall = _fall(some[0]["lowers_error"]) if some else ""
+    head = f'Set "inertial" to "identify" in recordings.json: that lowers the error of {fall} on data left out of the fit.'
+    return [head, *map(_off, some)] if some else []
+
+
+def _fall(size: Mapping[str, Any] | None) -> str:
+    return lowered(size) if size is not None and size["interval"] and size["interval"][0] > 0 else ""
+
+
+def _off(one: Mapping[str, Any]) -> str:
+    """How a link differs, in a sentence."""
+    said = [_direction(d) for d in one["directions"]]
+    said += [
+        f"by itself it fits with {how} {_numbers(one[name]['value'])} {unit} instead of {_numbers(one[name]['urdf'])} {unit}, "
+        f"{one[name]['sigmas']:.0f} times the usual error"
+        for name, how, unit in OF_LINKS
+        if one.get(name)
+    ]
+    return f"The link “{one['link']}” is not as the robot's description has it: {'; '.join(said)}."
 
 
 def _direction(d: Mapping[str, Any]) -> str:
