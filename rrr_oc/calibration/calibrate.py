@@ -8,23 +8,27 @@ Wensing 2022), so that they stay physically consistent whatever the recordings l
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.data import Data
-from rrr_oc.calibration.estimator.fitting import PlainFitter
+from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import described, fit_report
 from rrr_oc.calibration.estimator.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.link_findings import entries, link_findings
+from rrr_oc.calibration.link_findings import entries, falls, in_directions, link_findings, with_falls
 from rrr_oc.calibration.samples import Prepared, pieces_of, prepare, thinned, without_spikes
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import prior
-from rrr_oc.robot.link_errors import LinkErrors
+from rrr_oc.robot.link_errors import LinkErrors, most_of
 
 LEAST_ROWS = 10  # with which an estimate is tried
+POOR = 0.05  # of a joint's torque, the error from which links of which nothing is known are tried in the place of the URDF's
+FAR_BETTER = 0.3  # share by which these must lower the error of a joint on data left out; doubled, "identify" is proposed less
 
 
 def calibrate(recordings: RecordingSet) -> CalibratedModel:
@@ -43,9 +47,26 @@ def fit(recordings: RecordingSet, nominal: CalibratedModel) -> CalibratedModel:
     clean = without_spikes(whole, model)
     fitter = PlainFitter.of(data_of(recordings, clean, nominal, model))
     found = fitter.closest(fitter.begin(nominal))
-    far_off = {"link_findings": entries(link_findings(found), recordings.robot.links)}
-    report = {"way": "inverse dynamics"} | fit_report(found, clean) | far_off
+    links = with_falls(fitter, found, link_findings(found))
+    far_off = {"link_findings": entries(links, recordings.robot.links, recordings.robot.joints)}
+    report = {"way": "inverse dynamics"} | fit_report(found, clean) | far_off | if_identified(recordings, clean, fitter, found)
     return finished(recordings, whole, described(found), report, began)
+
+
+def if_identified(recordings: RecordingSet, prepared: Sequence[Prepared], fitter: PlainFitter, found: Fitted) -> dict[str, Any]:
+    """What links of which nothing is known explain beyond those of a URDF on data left out, and how they differ; nothing if not far more."""
+    poor = np.sqrt(np.mean(found.residual**2, axis=1)) > POOR * fitter.data.torque
+    if not (fitter.data.free and np.any(poor)):
+        return {}
+    unknown = replace(recordings, inertial="identify")
+    nominal = plain_model(unknown)
+    other = PlainFitter.of(data_of(unknown, prepared, nominal, fitter.data.start))
+    identified = other.closest(other.begin(nominal))
+    fall = max(falls(identified, found), key=lambda f: f.low, default=None)
+    if fall is None or fall.low < FAR_BETTER:
+        return {}
+    told = [replace(f, fall=fall) for f in in_directions(identified, fitter.data.links)]
+    return {"if_identified": entries(told, recordings.robot.links, recordings.robot.joints)}
 
 
 def first_estimate(
@@ -83,5 +104,6 @@ def data_of(
     bench, unknown = thinned(prepared), recordings.inertial == "identify"
     of_urdf = () if exact else (MASS_ERROR, *[CENTRE_ERROR] * 3, *[INERTIA_ERROR] * 3)
     std = prior(nominal.robot).std if unknown else np.tile(of_urdf, recordings.robot.n)
-    links = LinkErrors(nominal.robot.inertial, std)
+    most = most_of(nominal.robot, len(std) // recordings.robot.n)
+    links = LinkErrors(nominal.robot.inertial, std, most)
     return Data(pieces_of(bench[0]) if len(bench) == 1 else bench, about, links, not unknown)

@@ -13,9 +13,10 @@ import numpy as np
 from rrr_oc.calibration.estimator.evidence import Hyperparameters
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
-from rrr_oc.calibration.link_findings import link_findings
+from rrr_oc.calibration.estimator.left_out import block_edges
+from rrr_oc.calibration.link_findings import LinkFinding, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
-from rrr_oc.diagnosis.effect_size import block_edges, in_shape, squares
+from rrr_oc.diagnosis.effect_size import in_shape, squares
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as, wald
 from rrr_oc.diagnosis.fitting import EXACT
 from rrr_oc.diagnosis.knobs import CLAIM, EXCESS, MATTERS
@@ -74,20 +75,21 @@ def separated(
 
 def with_links(
     undecided: Sequence[Undecided], search: Search, fitted: Fitted, failed: dict[str, str]
-) -> tuple[list[Undecided], list[Exchange]]:
-    """What is undecided, with the effects that explain as well what links explain that are far off in a fit, and their fits."""
+) -> tuple[list[Undecided], list[Exchange], list[LinkFinding]]:
+    """What is undecided, with the effects that explain as well what links explain that are far off in a fit, their fits, and these links."""
     found, fits = link_findings(fitted), list[Exchange]()
     if found:
         with noted(failed, "effects in the place of links"):
             fits += instead_of_links(search, fitted, failed)
     terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
+    found = [replace(f, rivals=tuple(map(shown_as, terms))) for f in with_falls(search.fitter, fitted, found)]
     if not terms:
-        return list(undecided), []
+        return list(undecided), [], found
     known = {kind(t.effect) for u in same for t in u.terms}
     every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
     probability = max([*(u.probability for u in same), *(link.probability for link in found)])
-    return [*(u for u in undecided if u not in same), Undecided(every, probability)], fits
+    return [*(u for u in undecided if u not in same), Undecided(every, probability)], fits, found
 
 
 def instead_of_links(search: Search, fitted: Fitted, failed: dict[str, str]) -> list[Exchange]:

@@ -7,27 +7,16 @@ has to predict where it was never seen.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
-from scipy.stats import t as student
 
-from rrr_oc.calibration.estimator.data import EVERY
 from rrr_oc.calibration.estimator.evidence import Hyperparameters
-from rrr_oc.calibration.samples import STRIDE
-from rrr_oc.diagnosis.findings import Fall, Finding
+from rrr_oc.calibration.estimator.left_out import PARTS, Fall, block_edges, fall_of
+from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.held_out import acts_on
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.structures.linear import Addition, Level, Links, Structure
 from rrr_oc.diagnosis.structures.neighbours import Neighbours
-
-BLOCK, LEAST_BLOCKS, LEAST_ROWS = (
-    5.0,
-    4,
-    8,
-)  # length [s] of a block, number of a recording that shortens them, and least rows of one
-PARTS = 4  # of the blocks, each predicted once
-QUANTILE = 0.975  # of the upper end of an interval
 
 
 def sized(near: Neighbours, findings: Sequence[Finding], noise: np.ndarray) -> tuple[list[Finding], list[Finding]]:
@@ -66,15 +55,6 @@ def in_shape(effect: Addition) -> Addition:
     return replace(
         effect, columns=effect.columns[:, :, :1], mean=one, precision=one, flat=none, lower=none - np.inf, upper=none + np.inf
     )
-
-
-def block_edges(edges: np.ndarray) -> np.ndarray:
-    """First row of each block, and the number of rows, from those of the recordings."""
-    inner = []
-    for a, b in pairwise(edges.tolist()):
-        number = max(round((b - a) * STRIDE * EVERY / BLOCK), min(LEAST_BLOCKS, (b - a) // LEAST_ROWS), 1)
-        inner.append(np.linspace(a, b, number + 1)[:-1].astype(int))
-    return np.append(np.concatenate(inner), edges[-1])
 
 
 def falls(near: Neighbours, effects: Structure, noise: np.ndarray) -> list[Fall]:
@@ -117,15 +97,3 @@ def squares(near: Neighbours, structure: Structure, hyper: Hyperparameters, link
         rows = np.concatenate([np.arange(level.edges[b], level.edges[b + 1]) for b in held])
         residual[:, rows] = near.linear.left(structure, near.level.solved(structure, rest, hyper, True, links).step, rows)
     return np.array([(part**2).sum(axis=1) for part in np.split(residual, level.edges[1:-1], axis=1)])
-
-
-def fall_of(joint: int, after: np.ndarray, before: np.ndarray) -> Fall:
-    """From squared errors of a joint in each block, (B,) each: a ratio of sums with its interval (Cochran 1977, section 6.4)."""
-    total, count = float(before.sum()), int(np.count_nonzero(before))
-    if count < 2:
-        return Fall(joint, 0.0, -np.inf, np.inf)
-    ratio = float(after.sum()) / total
-    std = np.sqrt(count / (count - 1) * np.sum((after - ratio * before) ** 2)) / total
-    half = float(student.ppf(QUANTILE, count - 1) * std)
-    share, low, high = (float(1 - np.sqrt(max(r, 0.0))) for r in (ratio, ratio + half, ratio - half))
-    return Fall(joint, share, low, high)

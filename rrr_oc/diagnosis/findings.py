@@ -10,7 +10,8 @@ from scipy.stats import chi2
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
-from rrr_oc.diagnosis.knobs import CLAIM, MATTERS, NEGLIGIBLE
+from rrr_oc.calibration.estimator.left_out import Fall
+from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
 from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.effects import Effect
@@ -25,27 +26,6 @@ LINK_ERRORS: Key = ("link_errors", ())  # as the links stand among what an effec
 def shown_as(term: Term) -> Key:
     """Name and joints of a term's effect."""
     return term.effect.name, term.effect.joints
-
-
-@dataclass(frozen=True)
-class Fall:
-    """By how much an effect lowers the held-out rms of a joint, as a share of what it is without it, and its 95 % interval.
-
-    `needed` is the share that a claim's lower end exceeds, `of_torque` the fall over the rms of the joint's torque, by which effects of
-    different joints are compared.
-    """
-
-    joint: int
-    share: float
-    low: float
-    high: float
-    needed: float = MATTERS
-    of_torque: float = 0.0
-
-    @property
-    def margin(self) -> float:
-        """By how much the lower end exceeds what a claim needs."""
-        return self.low - self.needed
 
 
 @dataclass(frozen=True)

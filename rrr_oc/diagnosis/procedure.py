@@ -13,7 +13,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.link_findings import LinkFinding, link_findings
+from rrr_oc.calibration.link_findings import LinkFinding
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
 from rrr_oc.diagnosis.alternatives import alternatives, beside, decided
 from rrr_oc.diagnosis.classes import separated, with_links
@@ -104,7 +104,9 @@ class Diagnosis:
             if self.undecided or part:
                 return "cannot_tell"
             held = any(abs(mean) > FAR * max(float(self.model.noise[j]), spread) for j, mean, spread in self.idle)
-            return "cannot_tell" if held or max(self.above_noise, default=0.0) > FAR else "nothing_missing"
+            if held or max(self.above_noise, default=0.0) > FAR:
+                return "cannot_tell"
+            return "missing_physics" if self.links else "nothing_missing"
         contested = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
         named = any(not f.term.effect.black_box for f in self.findings)
         return "cannot_tell" if named and contested else "missing_physics"
@@ -159,7 +161,7 @@ def diagnose(
 def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultData:
     """The result of all stages up to the check on held-out recordings."""
     whole, fitter, every, plain = ready(recordings, priors, stages)
-    begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
+    begin = fitter.begin(plain)
     search, at = _searched(fitter, every, begin, stages)
     findings, possible, failed = *found(search, at), dict[str, str]()
     searched = repeated(search, begin, stages, failed)
@@ -181,7 +183,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
         final = fitter.fit(model, complete.links, complete.posterior)
     closest = fitter.closest(final)
-    undecided, instead = with_links(undecided, search, closest, failed)
+    undecided, instead, links = with_links(undecided, search, closest, failed)
     as_good = [*as_good, *instead]
     with noted(failed, "alternative: all effects that are not refuted"):
         as_good = [*beside(fitter, complete, findings, worse, bool(undecided)), *as_good]
@@ -192,7 +194,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         whole,
         fitter,
         (begin, final, closest, as_good),
-        (findings, undecided, small, possible, worse),
+        (findings, undecided, links, small, possible, worse),
         (way, shares, folds, failed),
     )
 
@@ -232,7 +234,10 @@ def ready(
     model = stages.once("plain model", ModelData, first).model(nominal)
     data = data_of(recordings, without_spikes(whole, model), nominal, model, exact)
     seen = view(data.prepared, model)
-    every = tuple(t for t in trials(seen, model.torque) if t.effect.name not in priors.excluded)
+    # links whose errors are parameters of every model need no effect that says the same, of which no body need be the result
+    known = "inertial" if len(data.links.std) else None
+    sought = (t for t in trials(seen, model.torque) if t.effect.name not in priors.excluded)
+    every = tuple(t for t in sought if known is None or t.effect.alters != known)
     families: dict[tuple, list[Trial]] = {}
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)
@@ -241,7 +246,7 @@ def ready(
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
     begin, final, closest, as_good = fits
-    (findings, undecided, small, possible, refuted), (way, shares, folds, failed) = told, check
+    (findings, undecided, links, small, possible, refuted), (way, shares, folds, failed) = told, check
     near_begin = fitter.closest(begin) if findings else closest
     plain, model = (
         finished(recordings, whole, described(one), {"way": "inverse dynamics"}, perf_counter())
@@ -264,7 +269,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         ModelData.of(model),
         [FindingData.of(f, model.robot) for f in findings],
         [UndecidedData.of(u, model.robot) for u in undecided],
-        link_findings(closest),
+        links,
         [FindingData.of(f, model.robot) for f in small],
         possible,
         [FindingData.of(f, model.robot) for f in refuted],

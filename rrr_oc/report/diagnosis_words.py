@@ -33,6 +33,9 @@ OF_LINKS = (
     ("centre", "its centre of mass at", "m"),
     ("inertia", "an inertia about that of", "kg m²"),
 )
+ACROSS = (
+    0.05  # share of a first moment that the description has at most in its direction for that to be across the described one
+)
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 
@@ -47,6 +50,10 @@ def sentence(found: Mapping[str, Any]) -> str:
         nothing = "Nothing that matters" if found.get("small") else "Nothing"
         return f"{nothing} is missing: the calibrated model explains these recordings to their noise.{few * bool(poor)}"
     if not (found["effects"] or found["unexplained"]):
+        if found["verdict"] == "missing_physics":
+            return " ".join(
+                ["With other links than described the model explains these recordings to their noise.", *off_links(found)]
+            )
         return " ".join(undecided(found)) or _undecided(found)
     lacking, gain = listed(_lacking(found)), _gain_held_out(found)
     if found["verdict"] == "cannot_tell":
@@ -334,20 +341,55 @@ def undecided(found: Mapping[str, Any]) -> list[str]:
 
 
 def off_links(found: Mapping[str, Any]) -> list[str]:
-    """A sentence on each link that is far from the robot's description."""
+    """A sentence on each link that is far from the robot's description, by how much that lowers the error, and what does the same."""
     result = []
     for one in found.get("link_findings", ()):
-        said = [
-            f"{said} {_numbers(one[name]['value'])} {unit}, where the robot's description has {_numbers(one[name]['urdf'])} {unit}"
-            for name, said, unit in OF_LINKS
-            if one.get(name)
-        ]
-        most = max(one[name]["sigmas"] for name, *_ in OF_LINKS if one.get(name))
-        result.append(
-            f"The link “{one['link']}” fits with {listed(said)}: {most:.0f} times the error that such a description usually has. Either that "
-            "is so, or it takes up what the model lacks."
-        )
+        fall, others = _fall(one["lowers_error"]), one.get("indistinguishable_from")
+        or_else = "Either that is so, or it takes up what the model lacks."
+        if others is None:
+            or_else = (
+                "A gain of the torque, a payload, a tilt or a joint's zero may do the same; rrr-oc diagnose says what would."
+            )
+        elif others:
+            or_else = f"Or it is described well, and there is {' or '.join(map(called, others))}: these recordings do not tell."
+        result.append(f"{_off(one)}{f' That lowers the error of {fall} on data left out of the fit.' * bool(fall)} {or_else}")
     return result
+
+
+def if_identified(report: Mapping[str, Any]) -> list[str]:
+    """Sentences on how links differ whose bodies are identified, where that explains far more than the described ones do."""
+    some = report.get("if_identified", ())
+    fall = _fall(some[0]["lowers_error"]) if some else ""
+    head = f'Set "inertial" to "identify" in recordings.json: that lowers the error of {fall} on data left out of the fit.'
+    return [head, *map(_off, some)] if some else []
+
+
+def _fall(size: Mapping[str, Any] | None) -> str:
+    return lowered(size) if size is not None and size["interval"] and size["interval"][0] > 0 else ""
+
+
+def _off(one: Mapping[str, Any]) -> str:
+    """How a link differs, in a sentence."""
+    said = [_direction(d) for d in one["directions"]]
+    said += [
+        f"by itself it fits with {how} {_numbers(one[name]['value'])} {unit} instead of {_numbers(one[name]['urdf'])} {unit}, "
+        f"{one[name]['sigmas']:.0f} times the usual error"
+        for name, how, unit in OF_LINKS
+        if one.get(name)
+    ]
+    return f"The link “{one['link']}” is not as the robot's description has it: {'; '.join(said)}."
+
+
+def _direction(d: Mapping[str, Any]) -> str:
+    """A first moment or an inertia of what turns about a joint, and what the robot's description has."""
+    value, urdf, half, unit = d["value"], d["urdf"], (d["interval"][1] - d["interval"][0]) / 2, d["unit"]
+    what = f"{words(d['quantity'])} of what turns about {joint_words(d['joint'])}"
+    between = f"{rounded(value, half)} {unit} (95 %: {' to '.join(rounded(x, half) for x in d['interval'])})"
+    if abs(urdf) < ACROSS * abs(value):
+        return f"the {what} has a part of {between} across its direction there"
+    more, of = 100 * (value / urdf - 1), 100 * half / abs(urdf)
+    digits = int(of < 1)
+    return f"the {what} is {between} instead of {rounded(urdf, half)}, {more:+.{digits}f} ± {of:.{digits}f} %"
 
 
 def _numbers(value: float | Sequence[float]) -> str:

@@ -14,6 +14,7 @@ from rrr_oc.robot.urdf import LARGEST, possible
 
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # the rows of `Robot.inertial`
 UNITS = ("kg", *["kg m"] * 3, *["kg m²"] * 6)
+ROUNDING = 1e-6  # of a combination of base parameters; doubled or halved, nothing changes
 SMALLEST_LENGTH = 0.05  # [m], assumed of a link whose next joint lies at its own origin; doubled, its prior is twice as wide
 
 
@@ -74,6 +75,52 @@ def _name(robot: Robot, column: int, mixing: np.ndarray, dependent: np.ndarray) 
         if coefficient != 0:
             size = "" if abs(abs(coefficient) - 1) < 1e-9 else f"{abs(coefficient):.4g} "
             result += f" {'-' if coefficient < 0 else '+'} {size}{every[other]}"
+    return result
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A quantity of what turns about a joint that torques see: a combination of base parameters.
+
+    Attributes:
+        joint: Number of the joint.
+        quantity: "first_moment" [kg m] or "inertia" [kg m²].
+        along: Unit vector in the joint's frame along which the first moment counts, or the joint's axis, (3,).
+        row: It is row @ (all 10 n inertial parameters): the joint's own link, and what base parameters add of the outer ones.
+    """
+
+    joint: int
+    quantity: str
+    along: np.ndarray
+    row: np.ndarray
+
+    @property
+    def unit(self) -> str:
+        return "kg m" if self.quantity == "first_moment" else "kg m²"
+
+
+def seen_quantities(robot: Robot) -> list[Seen]:
+    """First moments and inertias about joints that torques see: the first moment along its own direction, and across that.
+
+    The mass beyond a joint is seen through the first moment about the joint before alone, in chains of joints that turn.
+    """
+    base, values, result = base_parameters(robot), robot.inertial.T.ravel(), []
+    chosen, rows = base.independent, base.projection
+    for k, axis in enumerate(robot.axes):
+        own = rows[(chosen >= 10 * k + 1) & (chosen < 10 * k + 4)]
+        back = np.linalg.pinv(own[:, 10 * k + 1 : 10 * k + 4])  # (3, r), from what is seen to the moment in its plane
+        plane = np.linalg.svd(back, full_matrices=False)[0].T[: len(own)]
+        moment = plane @ (back @ (own @ values))
+        if np.linalg.norm(moment) > 0 and len(plane) == 2:
+            first = moment / np.linalg.norm(moment)
+            plane = np.array([first, [-first[1], first[0]]]) @ plane
+        result += [Seen(k, "first_moment", along, along @ back @ own) for along in plane]
+        own = rows[(chosen >= 10 * k + 4) & (chosen < 10 * k + 10)]
+        x, y, z = axis
+        about = np.array([x * x, 2 * x * y, y * y, 2 * x * z, 2 * y * z, z * z])
+        weights = about @ np.linalg.pinv(own[:, 10 * k + 4 : 10 * k + 10])
+        if np.allclose(weights @ own[:, 10 * k + 4 : 10 * k + 10], about, atol=ROUNDING):
+            result.append(Seen(k, "inertia", axis, weights @ own))
     return result
 
 

@@ -59,32 +59,29 @@ def mjcf(model: Model, theta: Sequence[float] | np.ndarray, payload: float = 0.0
     spec.option.disableflags = 0
     _draw(spec, robot, model.tool.position)
     left_out += without_form(model, generated)
-    _round_inertias(spec)
+    if not _made_possible(spec):
+        left_out.append("moments of inertia that no body has: the largest is the two others' sum")
     try:
         built(spec)
     except ValueError as error:
-        if "inertia" not in str(error):
-            raise UserError(f"MuJoCo refuses robot {robot.name!r}: {refusal(error)}") from None
-        spec.compiler.balanceinertia = True
-        built(spec)
-        left_out.append(
-            "moments of inertia that no body can have, of parameters that recordings do not determine: made possible"
-        )
+        raise UserError(f"MuJoCo refuses robot {robot.name!r}: {refusal(error)}") from None
     text = spec.to_xml()
     if left_out:
         text = "<!-- Not in this file:\n" + "".join(f"  {one.replace('--', '-')}\n" for one in left_out) + "-->\n" + text
     return Exported(text, tuple(left_out))
 
 
-def _round_inertias(spec: mujoco.MjSpec) -> None:
-    """Give thin bodies moments of inertia of which none exceeds the two others' sum when they are written with six digits."""
+def _made_possible(spec: mujoco.MjSpec) -> bool:
+    """Give bodies moments of inertia of which none exceeds the two others' sum, when they are written with six digits; whether none did."""
+    possible = True
     for body in spec.bodies[1:]:
         moments = np.array(body.inertia)
         most = int(np.argmax(moments))
         others = moments.sum() - moments[most]
-        if (1 - ROUNDED) * others < moments[most] <= others:
-            moments[most] = (1 - ROUNDED) * others
-            body.inertia = moments
+        possible &= moments[most] <= (1 + ROUNDED) * others
+        moments[most] = min(moments[most], (1 - ROUNDED) * others)
+        body.inertia = moments
+    return possible
 
 
 def as_in_a_file(model: Model, theta: Sequence[float] | np.ndarray) -> tuple[Model, np.ndarray, list[str]]:

@@ -48,9 +48,10 @@ def test_a_description_that_leaves_out_two_thirds_of_a_link_is_told(recordings):
     light = replace(robot, inertial=robot.inertial * np.array([1.0, 1 / 3]))
     wrong = as_set(plant, made, robot=light)
     told = {f["link"]: f for f in calibrate(wrong).report["link_findings"]}[robot.links[1]]
-    assert told["mass"]["urdf"] == pytest.approx(robot.inertial[0, 1] / 3)
-    # of a motion in a plane only the product with the centre is known; that of the other link takes up the rest of the mass
-    assert told["mass"]["value"] * told["centre"]["value"][0] == pytest.approx(robot.inertial[1, 1], rel=0.02)
+    # of a motion in a plane only the product of mass and centre is known
+    one = next(d for d in told["directions"] if (d["joint"], d["quantity"]) == (robot.joints[1], "first_moment"))
+    assert one["urdf"] == pytest.approx(robot.inertial[1, 1] / 3)
+    assert one["value"] == pytest.approx(robot.inertial[1, 1], rel=0.02)
     found = diagnose(wrong)
     assert not [f for f in found.findings if f.term.effect.side != "body"]
 

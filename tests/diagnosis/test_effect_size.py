@@ -8,9 +8,11 @@ import pytest
 from recorded import Plant, as_set, record
 
 from rrr_oc.calibration.calibrated_model import Estimate, Term
+from rrr_oc.calibration.estimator import left_out
 from rrr_oc.calibration.estimator.evidence import Start
+from rrr_oc.calibration.estimator.left_out import block_edges, fall_of
 from rrr_oc.diagnosis import effect_size
-from rrr_oc.diagnosis.effect_size import block_edges, fall_of, falls, sized
+from rrr_oc.diagnosis.effect_size import falls, sized
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.procedure import ready
@@ -90,8 +92,8 @@ def test_of_two_that_stand_for_each_other_one_matters(arm):
 
 def test_falls_are_those_of_exact_fits_to_the_other_recordings(arm, monkeypatch):
     """With blocks as long as recordings, of which each is predicted once, and the same hyperparameters."""
-    monkeypatch.setattr(effect_size, "BLOCK", 1e3)
-    monkeypatch.setattr(effect_size, "LEAST_BLOCKS", 1)
+    monkeypatch.setattr(left_out, "BLOCK", 1e3)
+    monkeypatch.setattr(left_out, "LEAST_BLOCKS", 1)
     fitter, begin, _ = arm
     near, findings = with_terms(arm, drag())
     assert list(block_edges(near.level.edges)) == list(fitter.data.edges)

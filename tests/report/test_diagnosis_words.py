@@ -10,6 +10,8 @@ from rrr_oc.effects.words import Number, joint_words, read
 from rrr_oc.report.diagnosis_words import (
     lowered,
     not_claimed,
+    if_identified,
+    if_identified,
     off_links,
     on_prior,
     percent,
@@ -82,11 +84,30 @@ def test_what_is_sure_but_small_is_said_with_its_size():
 
 def test_a_link_that_is_off_is_said_with_as_many_decimals_in_each_direction():
     off = {"value": [0.0619, 0.0873, 0.045], "urdf": [0.0, -0.009, 0.08], "sigmas": 10.2}
-    (said,) = off_links({"link_findings": [{"link": "link5", "centre": off}]})
-    assert said.startswith(
-        "The link “link5” fits with its centre of mass at (0.0619, 0.0873, 0.0450) m, where the robot's description has "
-        "(0.0000, -0.0090, 0.0800) m: 10 times"
+    (said,) = off_links({"link_findings": [{"link": "link5", "directions": [], "lowers_error": None, "centre": off}]})
+    assert (
+        "it fits with its centre of mass at (0.0619, 0.0873, 0.0450) m instead of (0.0000, -0.0090, 0.0800) m, 10 times" in said
     )
+
+
+def test_a_first_moment_is_said_with_its_change_and_what_would_do_the_same():
+    more = {"joint": "a", "quantity": "first_moment", "value": 0.364, "urdf": 0.293, "interval": [0.36, 0.368], "unit": "kg m"}
+    across = more | {"value": 0.033, "urdf": 0.0, "interval": [0.031, 0.035]}
+    size = {"joint": "a", "share": 0.5, "interval": [0.4, 0.6]}
+    one = {"link": "l1", "directions": [more, across], "lowers_error": size, "indistinguishable_from": ["torque_gain"]}
+    (said,) = off_links({"link_findings": [one]})
+    assert "first moment of what turns about a is 0.364 kg m (95 %: 0.360 to 0.368) instead of 0.293, +24 ± 1 %" in said
+    assert "has a part of 0.033 kg m (95 %: 0.031 to 0.035) across its direction there" in said
+    assert "lowers the error of a by 50.0 % (95 %: 40.0 to 60.0 %)" in said
+    assert "there is torque gain: these recordings do not tell" in said
+    (said,) = off_links({"link_findings": [{**one, "indistinguishable_from": []}]})
+    assert said.endswith("Either that is so, or it takes up what the model lacks.")
+    del one["indistinguishable_from"]
+    head, told = if_identified({"if_identified": [one]})
+    assert '"identify"' in head
+    assert told.startswith("The link “l1” is not as")
+    whole = sentence({"verdict": "missing_physics", "effects": [], "unexplained": [], "link_findings": [one]})
+    assert "rrr-oc diagnose says what would" in whole
 
 
 def test_what_is_said_above_is_not_said_again():

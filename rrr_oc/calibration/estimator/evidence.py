@@ -22,6 +22,9 @@ from rrr_oc.numerics.rank import lengths
 ROUNDING = 1e-12  # share of the largest squared length of a combination of features below which one is 0
 ROUNDED = 1e-13  # added to the diagonal of a precision with a diagonal of 1
 LARGEST = 1e100  # [Nm] of a residual, beyond which squares are not computed
+FARTHEST = (
+    100.0  # times the declared ones that errors of a link are expected at most: masses within a factor of some 20, as a rule
+)
 LEAST = 1e-5  # of a size over its unit, against a singular precision
 FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
@@ -409,7 +412,11 @@ def estimated(
         for g, one in zip(grams, joints, strict=True)
     )
     updates = 0 if fixed else UPDATES
-    log, misfit = extension.estimate(p, every, *arrays, size, updates, CONVERGED, LEAST, step, matrix, likelihood, right)
+    while True:
+        log, misfit = extension.estimate(p, every, *arrays, size, updates, CONVERGED, LEAST, step, matrix, likelihood, right)
+        if np.all(size[2 * n :] <= FARTHEST):
+            break
+        size[2 * n :], updates = np.minimum(size[2 * n :], FARTHEST), 0
     found = Hyperparameters(hyper.noise, size[:n], size[n : 2 * n], size[2 * n :])
     return Solution(log, step, matrix, likelihood, right, misfit, found, prior)
 

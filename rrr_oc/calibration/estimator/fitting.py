@@ -4,7 +4,7 @@ The one estimator: of a calibration, whose model has plain terms alone, and of a
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rrr_oc.calibration.regression import rows
 from rrr_oc.effects import Effect
 from rrr_oc.robot.link_errors import OF_URDF
 
+FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
@@ -66,10 +67,12 @@ class PlainFitter:
     Attributes:
         data: The data.
         plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
+        farthest: Declared standard deviations by which a link of a URDF may be off at most.
     """
 
     data: Data
     plain_std: np.ndarray
+    farthest: float = field(default=np.inf, kw_only=True)
 
     @classmethod
     def of(cls, data: Data) -> "PlainFitter":
@@ -113,9 +116,9 @@ class PlainFitter:
                 break
             for rung in range(first, len(DAMPINGS)):
                 step = post.damped(DAMPINGS[rung])
+                farthest = np.abs(step[len(model.values) :][: len(links)]).max(initial=0.0)
+                step = step * min(1.0, LINK_STEP / max(farthest, 1e-300))
                 there, errors = self.moved(model, links, step)
-                if np.any(np.abs(errors - links) > LINK_STEP):
-                    continue
                 after = data.residual(there)
                 cost = post.cost(after) + post.prior_cost(step)
                 if cost < before:
@@ -237,14 +240,14 @@ class PlainFitter:
         factor = np.array([p.factor for t in model.terms for p in t.effect.parameters], float)
         f = np.flatnonzero(np.isfinite(factor))  # parameters that one step may change by a factor at most
         low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
-        free, number = np.full(k, np.inf), np.arange(end)
+        farthest, number = np.full(k, self.farthest), np.arange(end)
         return Prior(
             mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
             precision=np.concatenate([self.plain_std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),
             links=np.where((number >= size) & (number < size + k), 1 + (number - size) // OF_URDF, 0) * self.data.free,
-            lower=np.concatenate([np.minimum(low - values, 0), -free, np.log(WIDTHS[0] / widths)]),
-            upper=np.concatenate([np.maximum(high - values, 0), free, np.log(WIDTHS[-1] / widths)]),
+            lower=np.concatenate([np.minimum(low - values, 0), -farthest - links, np.log(WIDTHS[0] / widths)]),
+            upper=np.concatenate([np.maximum(high - values, 0), farthest - links, np.log(WIDTHS[-1] / widths)]),
             flat=np.concatenate([np.zeros(plain), flat, np.zeros(end - size)]),
         )
 

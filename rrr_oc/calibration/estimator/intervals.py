@@ -19,21 +19,28 @@ from rrr_oc.robot.inertial_parameters import base_parameters, pseudo_inertia
 from rrr_oc.storage import number
 
 ROUNDING = 1e-14  # of a scaled precision, whose eigenvalues are not less
+LOOSE = 100.0  # times; ten times as much, nothing changes
 OPEN = 0.5  # share of a wide prior's variance that is left, from which the recordings do not determine a plain parameter
 CORRELATED = 0.9  # from which a pair of parameters is named
 
 
-def covariance(fitted: Fitted, bent: bool = True) -> np.ndarray:
+def covariance(fitted: Fitted, bent: bool = True, loose: bool = False) -> np.ndarray:
     """Posterior covariance of the parameters: of the terms, the links' errors and the widths, (p, p).
 
     Args:
         bent: Whether it has that by which a discrepancy bends them.
+        loose: Whether errors of links are `LOOSE` times as far off as they are believed to be, so that recordings alone tell of them.
     """
-    matrix = fitted.posterior.matrix
+    post = fitted.posterior
+    drawn = np.where(post.prior.links > 0, post.prior.precision * (1 - LOOSE**-2), 0.0) if loose else 0.0 * post.step
+    matrix = post.matrix - np.diag(drawn)
     scale = np.outer(lengths(matrix), lengths(matrix))
     values, vectors = np.linalg.eigh(matrix / scale)
     found = (vectors / np.maximum(values, ROUNDING)) @ vectors.T / scale
-    return found + fitted.bent @ fitted.bent.T if bent and fitted.bent is not None else found
+    if not bent or fitted.bent is None:
+        return found
+    moved = found @ (post.matrix @ fitted.bent) if loose else fitted.bent
+    return found + moved @ moved.T
 
 
 def half_width(count: float) -> float:

@@ -1,0 +1,84 @@
+"""Errors on data that a fit leaves out: recordings are cut into blocks of some seconds, a quarter of which is predicted from the others.
+
+Blocks lie in every recording, so that no law has to predict where it was never seen.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import t as student
+
+from rrr_oc.calibration.estimator.data import EVERY
+from rrr_oc.calibration.estimator.evidence import Gram, Posterior, Spectrum, estimated
+from rrr_oc.calibration.samples import STRIDE
+
+BLOCK, LEAST_BLOCKS, LEAST_ROWS = (
+    5.0,
+    4,
+    8,
+)  # length [s] of a block, number of a recording that shortens them, and least rows of one
+PARTS = 4  # of the blocks, each predicted once
+QUANTILE = 0.975  # of the upper end of an interval
+
+
+@dataclass(frozen=True)
+class Fall:
+    """By how much a change of a model lowers the held-out rms of a joint, as a share of what it is without, and its 95 % interval.
+
+    `needed` is the share that a claim's lower end exceeds, `of_torque` the fall over the rms of the joint's torque, by which effects of
+    different joints are compared.
+    """
+
+    joint: int
+    share: float
+    low: float
+    high: float
+    needed: float = 0.0
+    of_torque: float = 0.0
+
+    @property
+    def margin(self) -> float:
+        """By how much the lower end exceeds what a claim needs."""
+        return self.low - self.needed
+
+
+def block_edges(edges: np.ndarray) -> np.ndarray:
+    """First row of each block, and the number of rows, from those of the recordings."""
+    inner = []
+    for a, b in pairwise(edges.tolist()):
+        number = max(round((b - a) * STRIDE * EVERY / BLOCK), min(LEAST_BLOCKS, (b - a) // LEAST_ROWS), 1)
+        inner.append(np.linspace(a, b, number + 1)[:-1].astype(int))
+    return np.append(np.concatenate(inner), edges[-1])
+
+
+def fall_of(joint: int, after: np.ndarray, before: np.ndarray) -> Fall:
+    """From squared errors of a joint in each block, (B,) each: a ratio of sums with its interval (Cochran 1977, section 6.4)."""
+    total, count = float(before.sum()), int(np.count_nonzero(before))
+    if count < 2:
+        return Fall(joint, 0.0, -np.inf, np.inf)
+    ratio = float(after.sum()) / total
+    std = np.sqrt(count / (count - 1) * np.sum((after - ratio * before) ** 2)) / total
+    half = float(student.ppf(QUANTILE, count - 1) * std)
+    share, low, high = (float(1 - np.sqrt(max(r, 0.0))) for r in (ratio, ratio + half, ratio - half))
+    return Fall(joint, share, low, high)
+
+
+def squares_left_out(post: Posterior) -> np.ndarray:
+    """Squared errors of each block and joint, predicted from the other parts in the linear problem of a fit without discrepancy, (B, n)."""
+    edges, left = block_edges(post.data.edges), np.zeros_like(post.residual)
+    block = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    white = [(one.white @ x, one.white @ y) for one, x, y in zip(post.joints, post.columns, post.residual, strict=True)]
+    spectra = [Spectrum(np.zeros(0), one.log_det, one.count) for one in post.joints]
+    for part in range(min(PARTS, len(edges) - 1)):
+        held = block % PARTS == part
+        step = estimated([_gram(x[~held], y[~held]) for x, y in white], spectra, post.hyper, post.base, True).step
+        left[:, held] = post.residual[:, held] - post.columns[:, held] @ step
+    return np.add.reduceat(left**2, edges[:-1], axis=1).T
+
+
+def _gram(x: np.ndarray, y: np.ndarray) -> Gram:
+    """Products of whitened columns (M, p) and a residual (M,), without a discrepancy."""
+    live = np.flatnonzero(np.any(x != 0, axis=0))
+    x = x[:, live]
+    return Gram(x.T @ x, x.T @ y, float(y @ y), np.zeros((0, len(live))), np.zeros(0), live)
