@@ -32,7 +32,7 @@ from rrr_oc.diagnosis.files.stages import (
 )
 from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated, with_claims
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, mean_nrmse, nrmse, repeated
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch, unexplained
 from rrr_oc.diagnosis.signatures import trials, view
@@ -162,7 +162,6 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     begin = fitter.with_signs(fitter.fit(plain, fitter.data.links.none))
     search, at = _searched(fitter, every, begin, stages)
     findings, possible = found(search, at)
-    searched = repeated(search, begin, stages)
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
     complete = search.completed(at)
     findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
@@ -172,7 +171,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     small = [f for f in rest if f not in worse]
     findings, undecided, as_good = separated(search, complete, findings, small)
     checks = checked(near, [*findings, *small])
-    folds = with_claims(fitter, begin, searched, findings)
+    folds = repeated(search, begin, findings, stages)
     kept = tuple(f.term for f in findings)
     final = complete if kept else begin
     if kept and kept != complete.extra:  # some are missing, or in another order

@@ -275,14 +275,8 @@ class Posterior(Solution):
         return float(self.hyper.sigma[j] / self.hyper.discrepancy[j]) ** 2
 
     def cost(self, residual: np.ndarray) -> float:
-        """Weighted square of another residual (n, M), under this noise; infinite where squares would be."""
-        if not np.max(np.abs(residual), initial=0.0) < LARGEST:
-            return np.inf
-        total = 0.0
-        for j, one in enumerate(self.joints):
-            y = one.white @ residual[j]
-            total += one.square(y, one.along(y), self.hyper.sigma[j], self.hyper.discrepancy[j])
-        return total
+        """See `Start.cost`."""
+        return Start(self.hyper, self.joints).cost(residual)
 
 
 @dataclass(frozen=True)
@@ -296,6 +290,16 @@ class Start:
     def of(cls, data: Data, hyper: Hyperparameters) -> "Start":
         """With these hyperparameters."""
         return cls(hyper, tuple(Joint.of(data, j, noise) for j, noise in enumerate(hyper.noise)))
+
+    def cost(self, residual: np.ndarray) -> float:
+        """Weighted square of a residual (n, M), under this noise; infinite where squares would be."""
+        if not np.max(np.abs(residual), initial=0.0) < LARGEST:
+            return np.inf
+        total = 0.0
+        for j, one in enumerate(self.joints):
+            y = one.white @ residual[j]
+            total += one.square(y, one.along(y), self.hyper.sigma[j], self.hyper.discrepancy[j])
+        return total
 
 
 def solve(
