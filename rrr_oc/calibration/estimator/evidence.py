@@ -28,7 +28,7 @@ TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy ta
 ROUNDS = 5  # most estimates of the noise
 UPDATES = 12  # most of the hyperparameters for one noise
 SMALL_GAIN = 0.2  # nats by which another noise must raise the evidence
-CONVERGED = 0.05  # nats: change of log σ times rows below which updates of the hyperparameters end
+CONVERGED = 0.002  # nats that an update of the hyperparameters gains, below which it is the last
 
 
 @dataclass(frozen=True)
