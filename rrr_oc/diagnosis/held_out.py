@@ -3,7 +3,7 @@
 Errors before and after with bootstrap intervals, and while MuJoCo tracks the recordings.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.structures.linear import Structure
-from rrr_oc.diagnosis.structures.neighbours import Levels, Neighbours
+from rrr_oc.diagnosis.structures.neighbours import Neighbours, Repetitions
 from rrr_oc.diagnosis.structures.search import Search, terms_of
 from rrr_oc.effects import Effect
 from rrr_oc.errors import noted, reason
@@ -66,8 +66,10 @@ def folds_of(data: Data) -> list[list[int]]:
     return [sorted(alike[k::number]) for k in range(number)]
 
 
-def repeated(search: Search, begin: Fitted, stages: Stages, failed: dict[str, str]) -> list[Fold]:
-    """The folds, in which the search is repeated, in the linear problems about its fits, if it found anything.
+def repeated(search: Search, begin: Fitted, findings: Sequence[Finding], stages: Stages, failed: dict[str, str]) -> list[Fold]:
+    """The folds, in which the search is repeated in the linear problems about its fits, if anything is claimed, from what it found on.
+
+    They are fitted with those effects alone that were found in them and are claimed.
 
     Args:
         failed: Takes why a fold is missing.
@@ -77,13 +79,12 @@ def repeated(search: Search, begin: Fitted, stages: Stages, failed: dict[str, st
     saved = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
     missing = [k for k in range(len(held)) if k not in saved]
     stages.progress.count("search without parts", len(saved), len(held), kind="parts")
-    levels = search.levels if missing and len(search.path) > 1 else None
-    calls = []
+    again, calls = search.repetitions if missing and findings else None, []
     for k in missing:
         with noted(failed, names[k]):
-            calls.append((names[k], k, search.fitter, begin, None if levels is None else _found(levels, held[k]), held[k]))
-    calls = [(_fold, *call) for call in calls]
-    for found, why in parallel.unordered(_tried, calls) if levels else (_tried(*call) for call in calls):
+            start = None if again is None else _found(again, held[k], findings)
+            calls.append((_fold, names[k], k, search.fitter, begin, start, held[k]))
+    for found, why in parallel.unordered(_tried, calls) if again else (_tried(*call) for call in calls):
         failed |= why
         for k, fold in found:
             saved[k] = stages.keep(names[k], fold)
@@ -99,60 +100,27 @@ def _tried(function: Callable, step: str, *arguments: Any) -> tuple[list[Any], d
     return found, failed
 
 
-def _found(levels: Levels, held: Sequence[int]) -> Start:
-    """The structure that a search on all but some recordings finds, at the fit about which it is predicted."""
-    rest = tuple(k for k in levels.at(0).blocks if k not in held)
-    near, best = levels.best(rest)
-    fitted = near.linear.fitted
-    terms = terms_of(fitted, best.structure, near.linear.fitter.data.labels)
-    return replace(fitted.model, terms=terms), fitted.links
-
-
-def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, Data, Fitted]:
-    """What fits models to the recordings that are not held out, the others, and the plain model."""
-    train = replace(fitter, data=fitter.data.part([i for i in range(len(fitter.data.prepared)) if i not in held]))
-    return train, fitter.data.part(held), train.with_signs(train.fit(begin.model, begin.links))
-
-
-def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) -> list[Any]:
-    """Results of the calls, which worker processes make if they are long enough to be worth the start of these."""
-    return parallel.ordered(function, arguments) if long else [function(*a) for a in arguments]
+def _found(again: Repetitions, held: Sequence[int], findings: Sequence[Finding]) -> Start | None:
+    """The claimed effects that a search on all but some recordings finds, at the fit about which they are predicted."""
+    near, best = again.best(tuple(k for k in again.last.blocks if k not in held))
+    fitted, kept = near.linear.fitted, list[Term]()
+    every = terms_of(fitted, best.structure, near.linear.fitter.data.labels)[fitted.base :]
+    for f in findings:
+        kept += [t for t in every if f.met_by(t) and not any(t is k for k in kept)][:1]
+    terms = (*fitted.model.terms[: fitted.base], *kept)
+    return (replace(fitted.model, terms=terms), fitted.links) if kept else None
 
 
 def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, FoldData]:
     """A fold and its number; `start` is where the fit of what was found begins."""
-    train, test, plain = _parts(fitter, begin, held)
+    train = replace(fitter, data=fitter.data.part([i for i in range(len(fitter.data.prepared)) if i not in held]))
+    test, plain = fitter.data.part(held), train.fit(begin.model, begin.links)
     near = train.closest(plain)  # as of the whole diagnosis, the model is reported that predicts best
     before = nrmse(test, near.model)
-    if start is None or len(start[0].terms) == plain.base:
+    if start is None:
         return number, FoldData.of(Fold(tuple(held), near.model, near.model, near.links, before, before))
     found = train.closest(train.fit(*start, plain.posterior))
     return number, FoldData.of(Fold(tuple(held), near.model, found.model, found.links, before, nrmse(test, found.model)))
-
-
-def with_claims(
-    fitter: Fitter, begin: Fitted, folds: Sequence[Fold], findings: Sequence[Finding], failed: dict[str, str]
-) -> list[Fold]:
-    """The folds with those effects alone that were found in them and are claimed."""
-    names = [f"claims without part {k} of {len(folds)}" for k in range(1, len(folds) + 1)]
-    arguments = [(_claimed, name, fitter, begin, fold, tuple(findings)) for name, fold in zip(names, folds, strict=True)]
-    found, why = zip(*_each(_tried, arguments, any(fold.extra for fold in folds)), strict=True) if folds else ((), ())
-    failed.update(pair for some in why for pair in some.items())
-    return [fold for one in found for fold in one]
-
-
-def _claimed(fitter: Fitter, begin: Fitted, fold: Fold, findings: Sequence[Finding]) -> Fold:
-    kept: list[Term] = []
-    for f in findings:
-        kept += [t for t in fold.extra if f.met_by(t) and not any(t is k for k in kept)][:1]
-    if len(kept) == len(fold.extra):
-        return fold
-    if not kept:
-        return replace(fold, model=fold.plain, after=fold.before)
-    train, test, plain = _parts(fitter, begin, fold.held)
-    start = replace(fold.model, terms=(*fold.model.terms[: plain.base], *kept))
-    found = train.closest(train.fit(start, fold.links, plain.posterior))
-    return replace(fold, model=found.model, links=found.links, after=nrmse(test, found.model))
 
 
 def checked(near: Neighbours, findings: Sequence[Finding]) -> list[Check]:

@@ -32,7 +32,7 @@ from rrr_oc.diagnosis.files.stages import (
 )
 from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, errors_of, mean_nrmse, nrmse, repeated, with_claims
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, errors_of, mean_nrmse, nrmse, repeated
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch, unexplained
 from rrr_oc.diagnosis.signatures import trials, view
@@ -164,7 +164,6 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     begin = fitter.begin(plain)
     search, at = _searched(fitter, every, begin, stages)
     findings, possible, failed = *found(search, at), dict[str, str]()
-    searched = repeated(search, begin, stages, failed)
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
     complete = search.completed(at)
     findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
@@ -176,7 +175,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     shares = Shares(*[(np.nan,) * len([*findings, *small])] * 3)
     with noted(failed, "shares of effects"):
         shares = Shares.of(checked(near, [*findings, *small]), [*findings, *small], fitter.data.n)
-    folds = with_claims(fitter, begin, searched, findings, failed)
+    folds = repeated(search, begin, findings, stages, failed)
     kept = tuple(f.term for f in findings)
     final = complete if kept else begin
     if kept and kept != complete.extra:  # some are missing, or in another order

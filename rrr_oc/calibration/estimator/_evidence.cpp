@@ -101,7 +101,8 @@ Normal normal(const std::vector<Joint> & joints, const double * sigma, const dou
     const Vector ty = root.cwiseProduct(In<Vector>(one.ty, one.features));
     Matrix xx = In<Matrix>(one.xx, one.m, one.m);
     const Vector rounded = CANCELLED * xx.diagonal();
-    xx.noalias() -= tx.transpose() * tx;
+    xx.selfadjointView<Eigen::Lower>().rankUpdate(tx.transpose(), -1.0);
+    xx.triangularView<Eigen::StrictlyUpper>() = xx.transpose();
     xx.diagonal() += rounded;
     xx /= sigma2;
     const Vector xy = (In<Vector>(one.xy, one.m) - tx.transpose() * ty) / sigma2;
@@ -118,10 +119,10 @@ Normal normal(const std::vector<Joint> & joints, const double * sigma, const dou
 
 // argmin ½ xᵀ H x − gᵀ x within bounds, by principal pivoting: of what lies beyond a bound or is drawn back from one, all change, and if
 // that does not end, the last (Murty's rule, which ends where H is positive definite).
-Vector within(const Matrix & h, const Vector & g, const Prior & prior)
+Vector within(const Matrix & h, const Factor & root, const Vector & g, const Prior & prior)
 {
   const Index p = g.size();
-  Vector x = Factor(h).solve(g);
+  Vector x = root.solve(g);
   if ((x.array() >= prior.lower.array()).all() && (x.array() <= prior.upper.array()).all()) return x;
   std::vector<int> at(p, 0);  // −1 and 1 at the lower and upper bound
   for (int step = 0; step < TOGETHER + 4 * static_cast<int>(p); ++step)
@@ -166,11 +167,12 @@ struct Sizes
   double *sigma, *discrepancy, *links;
 };
 
-// One step of the hyperparameters towards those of the largest evidence (MacKay's fixed point); the largest change of log σ times rows, infinite
-// where errors of a link change by a tenth.
-double update(const std::vector<Joint> & joints, const Normal & n, const Vector & step, const Sizes & sizes, const Prior & prior, double least)
+// One step of the hyperparameters towards those of the largest evidence (MacKay's fixed point), given the covariance of the parameters; what the
+// step gains [nats], about: the largest squared change of log σ times rows, infinite where errors of a link change by a tenth.
+double update(
+  const std::vector<Joint> & joints, const Normal & n, const Eigen::MatrixXd & inverse, const Vector & step, const Sizes & sizes,
+  const Prior & prior, double least)
 {
-  const Eigen::MatrixXd inverse = Factor(Eigen::MatrixXd(n.likelihood) + Eigen::MatrixXd(n.precision.asDiagonal())).inverse();
   double change = 0.0;
   for (std::size_t j = 0; j < joints.size(); ++j)
   {
@@ -187,8 +189,10 @@ double update(const std::vector<Joint> & joints, const Normal & n, const Vector 
       for (Index b = 0; b < one.m; ++b) own(a, b) = inverse(one.live[a], one.live[b]);
     }
     const Vector t = In<Vector>(one.ty, one.features) - tx * d, c = weights.cwiseProduct(t);
-    const Matrix through = weights.asDiagonal() * tx;
-    const double spread = (through * own).cwiseProduct(through).sum() / (s * s);
+    Matrix through = Matrix::Zero(one.m, one.m);
+    through.selfadjointView<Eigen::Lower>().rankUpdate((weights.asDiagonal() * tx).transpose());
+    through.diagonal() /= 2;
+    const double spread = 2 * through.triangularView<Eigen::Lower>().toDenseMatrix().cwiseProduct(own).sum() / (s * s);
     const double used = std::max(values.dot(weights) - spread, 0.0), taken = n.own[j].cwiseProduct(own).sum();
     const double squares =
       one.yy - 2 * In<Vector>(one.xy, one.m).dot(d) + d.dot(xx * d) - 2 * c.dot(t) + c.dot(values.cwiseProduct(c));
@@ -196,7 +200,7 @@ double update(const std::vector<Joint> & joints, const Normal & n, const Vector 
     const double floor = std::max(LEAST_NOISE * std::sqrt(one.yy / std::max(one.count, 1.0)), 1e-9);
     sizes.sigma[j] = std::max(std::sqrt(std::max(squares, 0.0) / rows), floor);
     sizes.discrepancy[j] = best_size(c.squaredNorm(), used, least);
-    change = std::max(change, std::abs(std::log(sizes.sigma[j] / old)) * one.count);
+    change = std::max(change, std::pow(std::log(sizes.sigma[j] / old), 2) * one.count);
   }
   Vector squares = Vector::Zero(joints.size()), known = squares;
   for (Index i = 0; i < step.size(); ++i)
@@ -287,10 +291,11 @@ PyObject * py_estimate(PyObject *, PyObject * args)
     const Normal now = normal(joints, at.sigma, at.discrepancy, at.links, prior);
     Matrix whole = now.likelihood;
     whole.diagonal() += now.precision;
-    const Vector best = within(whole, now.right + now.precision.cwiseProduct(prior.mean), prior);
+    const Factor root(whole);
+    const Vector best = within(whole, root, now.right + now.precision.cwiseProduct(prior.mean), prior);
     if (k < updates)
     {
-      if (update(joints, now, best, at, prior, least) < settled) updates = k + 1;
+      if (update(joints, now, root.inverse(), best, at, prior, least) < settled) updates = k + 1;
       continue;
     }
     log = log_evidence(joints, now, best, at, prior), misfit = now.misfit;

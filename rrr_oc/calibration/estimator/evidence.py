@@ -31,7 +31,7 @@ TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy ta
 ROUNDS = 5  # most estimates of the noise
 UPDATES = 12  # most of the hyperparameters for one noise
 SMALL_GAIN = 0.2  # nats by which another noise must raise the evidence
-CONVERGED = 0.05  # nats: change of log σ times rows below which updates of the hyperparameters end
+CONVERGED = 0.002  # nats that an update of the hyperparameters gains, below which it is the last
 
 
 @dataclass(frozen=True)
@@ -278,14 +278,8 @@ class Posterior(Solution):
         return float(self.hyper.sigma[j] / self.hyper.discrepancy[j]) ** 2
 
     def cost(self, residual: np.ndarray) -> float:
-        """Weighted square of another residual (n, M), under this noise; infinite where squares would be."""
-        if not np.max(np.abs(residual), initial=0.0) < LARGEST:
-            return np.inf
-        total = 0.0
-        for j, one in enumerate(self.joints):
-            y = one.white @ residual[j]
-            total += one.square(y, one.along(y), self.hyper.sigma[j], self.hyper.discrepancy[j])
-        return total
+        """See `Start.cost`."""
+        return Start(self.hyper, self.joints).cost(residual)
 
 
 @dataclass(frozen=True)
@@ -299,6 +293,16 @@ class Start:
     def of(cls, data: Data, hyper: Hyperparameters) -> "Start":
         """With these hyperparameters."""
         return cls(hyper, tuple(Joint.of(data, j, noise) for j, noise in enumerate(hyper.noise)))
+
+    def cost(self, residual: np.ndarray) -> float:
+        """Weighted square of a residual (n, M), under this noise; infinite where squares would be."""
+        if not np.max(np.abs(residual), initial=0.0) < LARGEST:
+            return np.inf
+        total = 0.0
+        for j, one in enumerate(self.joints):
+            y = one.white @ residual[j]
+            total += one.square(y, one.along(y), self.hyper.sigma[j], self.hyper.discrepancy[j])
+        return total
 
 
 def solve(

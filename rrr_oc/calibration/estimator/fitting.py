@@ -19,6 +19,7 @@ from rrr_oc.robot.link_errors import OF_URDF
 FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
+FEW = 3  # steps after which a fit ends that will not be as good as is wanted
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
 PATIENCE = 3  # steps without more evidence after which hyperparameters stay as they are
 NONLINEAR = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
@@ -90,17 +91,18 @@ class PlainFitter:
         start: Posterior | Start | None = None,
         fixed: bool = False,
         steps: int = STEPS,
+        wanted: float = -np.inf,
     ) -> Fitted:
         """All parameters of a model fitted, with hyperparameters that begin with those of `start`, or stay `fixed` there.
 
-        At most so many steps of Gauss–Newton are made.
+        At most so many steps of Gauss–Newton are made, and `FEW` if the evidence would have to rise as much again to be as `wanted`.
         """
         data = self.data
         residual, columns = self.linearised(model, links)
         about = residual
         best, highest, last, fall, idle, exact, first = None, -np.inf, np.inf, np.inf, 0, True, 0
-        stalled, nearest = 0, np.full(data.n, np.inf)
-        for _ in range(steps):
+        began, stalled, nearest = -np.inf, 0, np.full(data.n, np.inf)
+        for number in range(steps):
             post = solve(data, residual, columns, self.prior(model, links), start, fixed)
             start, stalled = post, 0 if post.log_evidence > highest + IDLE else stalled + 1
             nearest = np.minimum(nearest, post.hyper.links) if stalled else post.hyper.links
@@ -111,8 +113,9 @@ class PlainFitter:
             expected = before - post.predicted(post.step)
             best = Fitted(model, links, post, residual, len(data.start.terms))
             idle = idle + 1 if max(post.log_evidence - highest, fall / 2) < IDLE and expected > last / 2 else 0
-            highest, last = max(highest, post.log_evidence), expected
-            if expected < GAIN or idle == 2:
+            began, highest, last = began if number else post.log_evidence, max(highest, post.log_evidence), expected
+            hopeless = number + 1 >= FEW and 2 * highest - began < wanted
+            if expected < GAIN or idle == 2 or hopeless:
                 break
             for rung in range(first, len(DAMPINGS)):
                 step = post.damped(DAMPINGS[rung])

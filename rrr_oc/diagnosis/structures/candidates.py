@@ -119,15 +119,18 @@ class Screen:
         count, p = len(post.step), level.p
         cross, right, through = np.zeros((len(groups), count, total)), np.zeros((len(groups), total)), []
         grams, sums = level.grams(structure, blocks), level.sums(blocks)
+        at = p + np.cumsum([0, *(a.size for a in structure)])
         slope = post.prior.precision * post.prior.mean
         for j, (one, gram, products) in enumerate(zip(sums, grams, level.table(table), strict=True)):
             sigma2 = hyper.sigma[j] ** 2
             d = 1 / (one.spectrum.values + sigma2 / hyper.discrepancy[j] ** 2)
             slope[gram.live] += (gram.xy - gram.tx.T @ (d * gram.ty)) / sigma2
-            every = [products.left, *(level.across(a, table, j) for a in structure)]
+            here = [k for k, a in enumerate(structure) if j in level.part(a).back]
+            every = [products.left, *(level.across(structure[k], table, j) for k in here)]
             summed = [np.array([x[g].sum(axis=0) for g in groups]) for x in every]  # (G, L or m, T)
             features = np.einsum("fe,get->fgt", one.turn.T, summed[0][:, p:-1], optimize=True)
-            x = np.concatenate([summed[0][:, :p], *summed[1:]], axis=1)[:, gram.live]
+            numbers = np.concatenate([np.arange(p), *(np.arange(at[k], at[k + 1]) for k in here)])
+            x = np.concatenate([summed[0][:, :p], *summed[1:]], axis=1)[:, np.isin(numbers, gram.live)]
             x = x - np.einsum("fx,fgt->gxt", gram.tx * d[:, None], features, optimize=True)
             cross[:, gram.live[:, None], products.used] += x / sigma2
             right[:, products.used] += (summed[0][:, -1] - np.einsum("f,fgt->gt", d * gram.ty, features)) / sigma2

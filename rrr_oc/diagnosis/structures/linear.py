@@ -234,11 +234,11 @@ class TableProducts:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """An addition under a level's noise: whitened by joint (M, m), whitened once more and back, and products (B, L, m) by joint."""
+    """An addition under a level's noise, by the joints whose torque it changes: whitened (M, m), also back, and products (B, L, m)."""
 
-    white: list[np.ndarray]
-    back: list[np.ndarray]
-    left: list[np.ndarray]
+    white: dict[int, np.ndarray]
+    back: dict[int, np.ndarray]
+    left: dict[int, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,14 +297,14 @@ class Level:
     def part(self, a: Addition) -> Part:
         """An addition under this noise."""
         if a not in self._parts:
-            white = [one.white @ x for one, x in zip(self.posterior.joints, a.columns, strict=True)]
-            back = [one.white.T @ x for one, x in zip(self.posterior.joints, white, strict=True)]
-            sides = (
-                [(self.columns(j), x) for j, x in enumerate(back)]
-                if self._white is None
-                else zip(self._white, white, strict=True)
-            )
-            self._parts[a] = Part(white, back, [self._blockwise(*both) for both in sides])
+            noise = [one.white for one in self.posterior.joints]
+            white = {j: noise[j] @ x for j, x in enumerate(a.columns) if x.any()}
+            back = {j: noise[j].T @ x for j, x in white.items()}
+            left = {
+                j: self._blockwise(self.columns(j), back[j]) if self._white is None else self._blockwise(self._white[j], x)
+                for j, x in white.items()
+            }
+            self._parts[a] = Part(white, back, left)
         return self._parts[a]
 
     def pair(self, a: Addition, b: Addition, j: int) -> np.ndarray:
@@ -340,20 +340,22 @@ class Level:
 
     def _grams(self, structure: Structure, blocks: Blocks) -> list[Gram]:
         p, some, grams = self.p, list(blocks), []
+        parts, ends = [self.part(a) for a in structure], self.p + np.cumsum([0, *(a.size for a in structure)])
         for j, one in enumerate(self.sums(blocks)):
+            here = [i for i, part in enumerate(parts) if j in part.left]
+            at = np.concatenate([np.arange(p), *(np.arange(ends[i], ends[i + 1]) for i in here)])
             xx, xy, tx = one.products[:p, :p], one.products[:p, -1], one.turned[:, :p]
-            if structure:
-                left = np.hstack([self.part(a).left[j][some].sum(axis=0) for a in structure])  # (L, m)
-                every = [[self.pair(a, b, j)[some].sum(axis=0) for b in structure[: i + 1]] for i, a in enumerate(structure)]
+            if here:
+                left = np.hstack([parts[i].left[j][some].sum(axis=0) for i in here])  # (L, m)
+                every = [[self.pair(structure[i], structure[k], j)[some].sum(axis=0) for k in here if k <= i] for i in here]
                 pairs = np.block(
-                    [[every[i][k] if k <= i else every[k][i].T for k in range(len(every))] for i in range(len(every))]
+                    [[every[i][k] if k <= i else every[k][i].T for k in range(len(here))] for i in range(len(here))]
                 )
                 xx = np.block([[xx, left[:p]], [left[:p].T, pairs]])
                 xy, tx = np.append(xy, left[-1]), np.hstack([tx, one.turn.T @ left[p:-1]])
             live = np.flatnonzero(np.diag(xx) > 0)
-            grams.append(
-                Gram(xx[np.ix_(live, live)], xy[live], float(one.products[-1, -1]), tx[:, live], one.turned[:, -1], live)
-            )
+            products = xx[np.ix_(live, live)], xy[live], float(one.products[-1, -1]), tx[:, live], one.turned[:, -1]
+            grams.append(Gram(*products, at[live]))
         return grams
 
     def solved(

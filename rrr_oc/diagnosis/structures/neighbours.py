@@ -95,7 +95,6 @@ class Neighbours:
         blocks: What the probabilities are conditional on.
         level: The products.
         exact: The neighbours about the fit of an exact arm; None where it has no other.
-        more: Additions that are offered beside the tables: effects at their best shapes.
         least: Share by which an addition must lower the error of a joint.
     """
 
@@ -104,7 +103,6 @@ class Neighbours:
     blocks: Blocks
     level: Level
     exact: Callable[[], "Neighbours | None"]
-    more: Structure = ()
     least: float = SOUGHT * MATTERS
 
     def at(self, structure: Structure, hyper: Hyperparameters, fixed: bool = False) -> Predicted:
@@ -132,7 +130,7 @@ class Neighbours:
         every = self._own(own, here) + self._judged(own, self._screen(own, here, None).candidates(), here, None)
         at, near = exact(hyper), self.exact() if np.any(hyper.links > 1) else None
         if at is not None:
-            near = self if near is None else replace(near, blocks=self.blocks, more=self.more)
+            near = self if near is None else replace(near, blocks=self.blocks)
             own = near.adopted(own)
             base = near.at(own, at, True)
             every += near._judged(own, near._screen(own, base, None).candidates(), here, None)
@@ -233,23 +231,17 @@ class Neighbours:
 
     def adopted(self, structure: Structure) -> Structure:
         """A structure of another linear problem, with effects as they are offered here."""
-        offered = {a.name: a for a in self._offered if a.effect.placement != "many"}
+        offered = {a.name: a for a in self.linear.own if a.effect.placement != "many"}
         return tuple(offered.get(a.name, a) for a in structure)
-
-    @property
-    def _offered(self) -> Structure:
-        """The fit's own effects, and others that are offered beside the tables."""
-        own = {a.name for a in self.linear.own}
-        return (*self.linear.own, *(a for a in self.more if a.effect.placement == "many" or a.name not in own))
 
     def _own(self, structure: Structure, here: Predicted, black_box: bool = False) -> list[Predicted]:
         """With an effect, or a black-box term, at its best shape."""
-        more = [a for a in self._offered if a.effect.black_box == black_box and not any(a is b for b in structure)]
+        more = [a for a in self.linear.own if a.effect.black_box == black_box and not any(a is b for b in structure)]
         return [self.at((*structure, a), here.solution.hyper) for a in more if self._open(a, structure)]
 
     def _judged(self, structure: Structure, every: Sequence[Candidate], base: Predicted, joint: int | None) -> list[Predicted]:
         """The best candidates beside a structure, each with hyperparameters of its own."""
-        own, table, result = {a.name for a in self._offered}, self.tables(joint), []
+        own, table, result = {a.name for a in self.linear.own}, self.tables(joint), []
         before = self.errors(structure, base.solution.hyper) if self.least and every else np.zeros(0)
         for c in every:
             if len(result) == TRIED:
@@ -277,38 +269,28 @@ class Neighbours:
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
-    """The linear problems about the fits of a search, in which what is promising on all blocks is sought.
+class Repetitions:
+    """Searches on parts of the recordings, in the linear problem about the best structure on all of them and from that structure on.
 
     Attributes:
-        keys: Names of the effects of each fit, by which structures are compared; the first has none.
-        make: The neighbours of a fit by its number.
+        keys: Names of the effects of each fit of the search, by which structures are compared; the first has none.
+        last: The neighbours of the last fit.
         table: Signatures of some trials at a fit by its number.
     """
 
     keys: Sequence[Key]
-    make: Callable[[int], Neighbours]
+    last: Neighbours
     table: Callable[[int, Sequence[Trial]], Table]
-    _made: dict[int, Neighbours] = field(default_factory=dict, repr=False)
     _promising: dict[int | None, list[Trial]] = field(default_factory=dict, repr=False)
     _tables: dict[tuple[int, int | None], Table] = field(default_factory=dict, repr=False)
 
-    def at(self, number: int) -> Neighbours:
-        """The neighbours of a fit."""
-        if number not in self._made:
-            self._made[number] = self.make(number)
-        return self._made[number]
-
-    def about(self, key: Key, blocks: Blocks, last: bool = False) -> Neighbours:
-        """The neighbours of a structure on some blocks, about the fit whose effects are most alike, or about the last one.
+    def about(self, key: Key, blocks: Blocks) -> Neighbours:
+        """The neighbours of a structure on some blocks.
 
         Signatures are those at the fit with most of its effects and no others: with others, what is linear in the load or in the torque
-        would stand for them. The effects of the last fit are offered at their best shapes.
+        would stand for them.
         """
-        numbers = range(len(self.keys))
-        alike = max(numbers, key=lambda k: (len(self.keys[k] & key) - len(self.keys[k] - key), k))
-        end, tables = self.at(len(self.keys) - 1), partial(self._table, self._inside(key))
-        return replace(end if last else self.at(alike), blocks=blocks, tables=tables, more=end.linear.own)
+        return replace(self.last, blocks=blocks, tables=partial(self._table, self._inside(key)))
 
     def _inside(self, key: Key) -> int:
         """The number of the fit with most of these effects and no others."""
@@ -321,32 +303,20 @@ class Levels:
         return self._tables[number, joint]
 
     def promising(self, joint: int | None) -> list[Trial]:
-        """What raises the probability of the last fit with or without its effects, and of the first, if it is of the catalogue."""
+        """What raises the probability of the last fit with or without its effects, of the catalogue or of a joint's black-box terms."""
         if joint not in self._promising:
-            first, end = self.at(0), self.at(len(self.keys) - 1)
-            beside = [(end, ()), (end, end.linear.own), *([(first, ())] if joint is None else [])]
-            some = set[Hashable]().union(*(near.promising(one, joint) for near, one in beside))
-            self._promising[joint] = [t for t in end.tables(joint).trials if sought_as(t.effect) in some]
-            for near, _ in beside:
-                near.level.forget(near.tables(joint))
+            end, table = self.last, self.last.tables(joint)
+            some = end.promising((), joint) | end.promising(end.linear.own, joint)
+            self._promising[joint] = [t for t in table.trials if sought_as(t.effect) in some]
+            end.level.forget(table)
         return self._promising[joint]
 
     def best(self, blocks: Blocks) -> tuple[Neighbours, Predicted]:
-        """The most probable structure on some blocks that moves reach from nothing, at the end about the last fit.
-
-        Under the noise of a fit that lacks much, what it lacks counts as noise, and structures are told apart badly.
-        """
-        near = self.about(frozenset(), blocks)
-        here = near.at((), near.level.posterior.hyper)
-        for last in (False, True):
-            seen = set[Key]()
-            while here.key not in seen:
-                seen.add(here.key)
-                other = self.about(here.key, blocks, last)
-                if other.level is not near.level:
-                    here = other.at(other.adopted(here.structure), other.level.posterior.hyper)
-                near = other
-                here = self._better(near, here) or here
+        """The most probable structure on some blocks that moves reach from the last fit's."""
+        near, better = self.about(self.keys[-1], blocks), None
+        here = near.at(near.linear.own, near.level.posterior.hyper)
+        while (better := self._better(near, here)) is not None:
+            near, here = self.about(better.key, blocks), better
         return near, here
 
     def _better(self, near: Neighbours, here: Predicted) -> Predicted | None:

@@ -7,24 +7,23 @@ fitted exactly, and the best goes on.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from itertools import pairwise
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.evidence import Start, gain_of_other_noise
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
 from rrr_oc.diagnosis.structures.linear import Key, Level, Linear, Structure, key_of, numbered
-from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Levels, Neighbours, Predicted, beside, overlapping
+from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Neighbours, Predicted, Repetitions, beside, overlapping
 from rrr_oc.effects import MovesLink, Trial
 
 RENEWED = 16  # neighbours by one kind of move whose noise is estimated anew
 FITTED = 2  # neighbours of a structure by one kind of move that are fitted exactly
 NEAR_ENOUGH = 4  # steps of a fit that is only a place to linearise at
-LEVELS = 4  # fits about which structures are predicted on parts of the recordings
+LINK_SHARES = (1.0, 0.3, 0.0)  # of the predicted change of the links' errors, with one of which a fit begins
 CLOSE, SLACK = 5.0, 0.2  # nats, and share of its gain, by which a neighbour may be better than predicted
 
 
@@ -67,6 +66,7 @@ class Search:
     path: list[State] = field(default_factory=list)
     _missed: dict[Key, float] = field(default_factory=dict, repr=False)
     _waiting: dict[Key, float] = field(default_factory=dict, repr=False)
+    _near: list[Neighbours] = field(default_factory=list, repr=False)
 
     @classmethod
     def of(cls, fitter: Fitter, trials: Sequence[Trial], report: Callable[[str, int], None] = lambda *_: None) -> "Search":
@@ -75,13 +75,14 @@ class Search:
 
     def scored(self, fitted: Fitted) -> State:
         """A fit with the prior probability of its structure."""
-        prior = 0.0
-        for term in fitted.extra:
-            prior += self.fitter.log_prior(term.effect, term.groups or None) + self.fitter.excess(term)[1]
-        score = fitted.log_evidence + prior
+        score = fitted.log_evidence + self._log_prior(fitted.extra)
         key = key_of(name_of(t) for t in fitted.extra)
         self.visited[key] = max(score, self.visited.get(key, -np.inf))
         return State(fitted, score)
+
+    def _log_prior(self, terms: Sequence[Term]) -> float:
+        each = (self.fitter.log_prior(t.effect, t.groups or None) + self.fitter.excess(t)[1] for t in terms)
+        return float(sum(each))
 
     def run(self, start: Fitted) -> State:
         """The best structure that the moves reach from a fitted model."""
@@ -115,7 +116,12 @@ class Search:
         return result
 
     def neighbours(self, fitted: Fitted) -> Neighbours:
-        """What may be in the place of a fit."""
+        """What may be in the place of a fit; that of the last fit that was asked for is kept."""
+        if not self._near or self._near[0].linear.fitted is not fitted:
+            self._near[:] = [self._neighbours(fitted)]
+        return self._near[0]
+
+    def _neighbours(self, fitted: Fitted) -> Neighbours:
         linear = Linear.of(self.fitter, fitted)
         level = Level(linear)
 
@@ -125,25 +131,18 @@ class Search:
             hyper = exact(post.hyper)
             if hyper is None:
                 return None
-            return self.neighbours(
+            return self._neighbours(
                 self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), fixed=True, steps=NEAR_ENOUGH)
             )
 
         return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm)
 
     @property
-    def levels(self) -> Levels:
-        """The linear problems about the first and the last structure that were accepted, and those that gained most between."""
-        gains = [after.score - before.score for before, after in pairwise(self.path)]
-        most = sorted(range(1, len(gains)), key=lambda k: -gains[k - 1])[: LEVELS - 2]
-        some = [self.path[k].fitted for k in sorted({0, *most, len(self.path) - 1})]
+    def repetitions(self) -> Repetitions:
+        """Searches on parts of the recordings, from the last structure on."""
+        some = [at.fitted for at in self.path]
         keys = [key_of(name_of(t) for t in fitted.extra) for fitted in some]
-
-        def make(number: int) -> Neighbours:
-            near = self.neighbours(some[number])
-            return replace(near, tables=lambda joint: self.tables.at(some[number].model, joint))  # none of which is kept
-
-        return Levels(keys, make, lambda number, trials: self.tables.of(some[number].model, trials))
+        return Repetitions(keys, self.neighbours(some[-1]), lambda number, trials: self.tables.of(some[number].model, trials))
 
     def _tables_of(self, fitted: Fitted) -> Callable[[int | None], Table]:
         """The tables at a fit, each made when it is first asked for."""
@@ -195,13 +194,16 @@ class Search:
             several = len({a.name for a in p.structure}) < len(p.structure)  # then the key does not say of which shape
             if (p.key in self.visited and not several and p.key != here.key) or (best is not None and most < best.score):
                 continue
-            found = self._fitted(at, p)
+            gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
+            least = (gained if best is None else best.score) - CLOSE
+            found = self._fitted(at, p, least)
+            if found.score > least:
+                found = self.scored(self.fitter.with_signs(found.fitted))
             tried.append((found, p))
             beyond = found.score - at.score - gain
             self._missed[here.key ^ p.key] = max(-beyond, 0.0)
             more = max(more, beyond)  # by as much as one exceeds its prediction, another may
-            gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
-            if found.score > (gained if best is None else best.score):
+            if found.score > least + CLOSE:
                 best, chosen = found, p
         for found, p in tried:
             gain = p.score - here.score
@@ -215,24 +217,31 @@ class Search:
         self.report(_said(at.fitted, best.fitted), len(self.visited))
         return best
 
-    def _fitted(self, at: State, p: Predicted) -> State:
-        """A predicted structure, fitted from where it is predicted on, with its score."""
-        return self.scored(self.fit(at.fitted, p))
+    def _fitted(self, at: State, p: Predicted, wanted: float = -np.inf) -> State:
+        """A predicted structure, fitted from where it is predicted on, with its score; not to the end if that is less than `wanted`."""
+        return self.scored(self.fit(at.fitted, p, wanted))
 
-    def fit(self, at: Fitted, p: Predicted) -> Fitted:
-        """A predicted structure, fitted from where it is predicted on, with hyperparameters that begin with those of a fit."""
-        about = p.linear.fitted
+    def fit(self, at: Fitted, p: Predicted, wanted: float = -np.inf) -> Fitted:
+        """A predicted structure, fitted from where it is predicted on, with hyperparameters that begin with those of a fit.
+
+        Errors of links begin with that share of what is predicted with which the residual is smallest: bodies are exponential in them.
+        """
+        about, start = p.linear.fitted, Start(p.solution.hyper, p.linear.fitted.posterior.joints)
         model = replace(about.model, terms=terms_of(about, p.structure, self.fitter.data.labels))
         step = np.zeros(len(self.fitter.prior(model, about.links).mean))
         plain = sum(len(t.estimates) for t in about.model.terms[: about.base])
         rest = len(about.links) + len(self.fitter.widths(model))
         step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
-        # errors of links far beyond those of a fit are no prediction: bodies are exponential in them
         own, most = slice(len(step) - rest, len(step) - rest + len(about.links)), np.maximum(np.abs(about.links), FAR)
-        step[own] = np.clip(about.links + step[own], -most, most) - about.links
-        model, links = self.fitter.moved(model, about.links, step)
-        start = Start(p.solution.hyper, p.linear.fitted.posterior.joints)
-        return self.fitter.with_signs(self.fitter.fit(model, links, start))
+        ahead = np.clip(about.links + step[own], -most, most) - about.links
+
+        def at_share(share: float) -> tuple[float, CalibratedModel, np.ndarray]:
+            step[own] = share * ahead
+            there, links = self.fitter.moved(model, about.links, step)
+            return start.cost(self.fitter.data.residual(there)), there, links
+
+        _, model, links = min((at_share(share) for share in (LINK_SHARES if ahead.any() else (1.0,))), key=lambda one: one[0])
+        return self.fitter.fit(model, links, start, wanted=wanted - self._log_prior(model.terms[about.base :]))
 
     def _restarted(self, found: State, p: Predicted) -> State:
         """The most probable of a fit and of those from other starts of its new effects."""
