@@ -14,6 +14,7 @@ import numpy as np
 
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
+from rrr_oc.calibration.measurement import measurement
 from rrr_oc.calibration.prediction_error import error
 from rrr_oc.calibration.samples import Prepared, noise
 from rrr_oc.effects import plain_effects
@@ -59,4 +60,5 @@ def finished(
     with np.errstate(all="ignore"):
         nrmse = np.array([np.mean(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in np.array(errors).T])
     more = {"wall_s": time.perf_counter() - began, "recordings": [r.file for r in recordings.recordings]}
+    more["measurement"] = measurement(recordings, model)
     return replace(model, noise=noise(prepared, model), nrmse=nrmse, report=report | more)

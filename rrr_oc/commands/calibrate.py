@@ -17,7 +17,7 @@ from rrr_oc.calibration.response import calibrate_evolution, calibrate_response
 from rrr_oc.commands.output import Json, Output, Quiet
 from rrr_oc.commands.shared import Dataset, check_apart, doubted, loaded, unexplained_torques
 from rrr_oc.recordings.recording import RecordingSet
-from rrr_oc.report.diagnosis_words import if_identified, off_links
+from rrr_oc.report.diagnosis_words import if_identified, measured, off_links
 from rrr_oc.robot.robot import too_dense
 from rrr_oc.storage import check_folder
 
@@ -88,7 +88,7 @@ def _show_model(model: CalibratedModel, output: Output) -> None:
     for joint, nrmse, noise in zip(model.joints, model.nrmse, model.noise, strict=True):
         joints.add_row(joint, f"{nrmse:.4f}", f"{noise:.4g}")
     output.show(joints)
-    for line in [*off_links(model.report), *if_identified(model.report)]:
+    for line in [*off_links(model.report), *if_identified(model.report), *measured(model.report)]:
         output.show(line)
     base = model.report.get("base_parameters", [])
     if base:

@@ -36,6 +36,7 @@ from rrr_oc.report.diagnosis_words import (
     error,
     extrapolated,
     idle,
+    measured,
     not_claimed,
     not_made,
     off_links,
@@ -127,7 +128,15 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         for row in body:
             table.add_row(*row)
         output.show(table)
-    lines = [*undecided(found), *off_links(found), *on_prior(found), *idle(found), *not_claimed(found), *not_made(found)]
+    lines = [
+        *undecided(found),
+        *off_links(found),
+        *measured(found),
+        *on_prior(found),
+        *idle(found),
+        *not_claimed(found),
+        *not_made(found),
+    ]
     for line in unsaid(lines, said):
         output.show(line)
     errors = Table("joint", "plain model", "extended model", "extended / plain, 95 % interval")

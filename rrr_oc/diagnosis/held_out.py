@@ -3,7 +3,7 @@
 Errors before and after with bootstrap intervals, and while MuJoCo tracks the recordings.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 

@@ -14,6 +14,7 @@ from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
 from rrr_oc.calibration.link_findings import LinkFinding
+from rrr_oc.calibration.measurement import common_delay
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
 from rrr_oc.diagnosis.alternatives import alternatives, beside, decided
 from rrr_oc.diagnosis.classes import separated, with_links
@@ -58,6 +59,7 @@ class Diagnosis:
         findings: The effects and black-box terms that are claimed, most important first.
         undecided: Effects that cannot be told from errors of the links.
         links: Links that are far from the URDF's in `model`.
+        late: A delay that the torques of all joints have in common; the model has it joint by joint.
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         possible: What may be present but is not claimed.
         refuted: What is as sure, but does not lower the error on data that it was not fitted to.
@@ -80,6 +82,7 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     undecided: tuple[Undecided, ...]
     links: tuple[LinkFinding, ...]
+    late: tuple[Finding, ...]
     small: tuple[Finding, ...]
     possible: tuple[Possible, ...]
     refuted: tuple[Finding, ...]
@@ -269,6 +272,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         [FindingData.of(f, model.robot) for f in findings],
         [UndecidedData.of(u, model.robot) for u in undecided],
         links,
+        [FindingData.of(f, model.robot) for f in _late(fitter, closest)],
         [FindingData.of(f, model.robot) for f in small],
         possible,
         [FindingData.of(f, model.robot) for f in refuted],
@@ -286,11 +290,20 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
     )
 
 
+def _late(fitter: Fitter, fitted: Fitted) -> list[Finding]:
+    """A delay of all joints' torques, if it matters."""
+    found = common_delay(fitter, fitted)
+    if found is None or found[1].low <= MATTERS:
+        return []
+    term, fall, p_value = found
+    return [Finding(term, 1 - p_value, 1 - p_value, 0.0, p_value, (), None, fall)]
+
+
 def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Diagnosis:
     """A result with its recordings."""
     plain, model = data.plain.model(stages.start), data.model.model(stages.start)
-    told = data.findings, data.small, data.refuted
-    findings, small, refuted = (tuple(f.finding(model.robot) for f in some) for some in told)
+    told = data.findings, data.late, data.small, data.refuted
+    findings, late, small, refuted = (tuple(f.finding(model.robot) for f in some) for some in told)
     calibration, held_out = ((np.array(x[0], float), np.array(x[1], float)) for x in (data.calibration, data.held_out))
     return Diagnosis(
         recordings,
@@ -299,6 +312,7 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
         findings,
         tuple(u.undecided(model.robot) for u in data.undecided),
         tuple(data.links),
+        late,
         small,
         tuple(data.possible),
         refuted,

@@ -8,9 +8,10 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
 from rrr_oc.diagnosis.findings import LESS_PROBABLE, LINK_ERRORS
 from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
-from rrr_oc.effects import CATALOGUE
+from rrr_oc.effects import CATALOGUE, Delay, Effect
 from rrr_oc.effects.words import default_sentence, joint_words, listed, read, rounded, words
 from rrr_oc.model.metrics import WORTHLESS
 
@@ -49,7 +50,7 @@ def sentence(found: Mapping[str, Any]) -> str:
         few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
         nothing = "Nothing that matters" if found.get("small") else "Nothing"
         return f"{nothing} is missing: the calibrated model explains these recordings to their noise.{few * bool(poor)}"
-    if not (found["effects"] or found["unexplained"]):
+    if not (_missing(found) or found["unexplained"]):
         if found["verdict"] == "missing_physics":
             return " ".join(
                 ["With other links than described the model explains these recordings to their noise.", *off_links(found)]
@@ -111,6 +112,20 @@ def parts_of_unexplained(found: Mapping[str, Any]) -> list[str]:
     some = [e for e in found.get("small", ()) if e["lowers_error"]["interval"] and e["lowers_error"]["interval"][0] > MATTERS]
     what = listed([placed(e) for e in some])
     return [f"What was found explains less than what stays unexplained, and may be a part of it: {what}."] if some else []
+
+
+def measured(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on the joints whose torques are recorded late or early, as far as the recordings tell; none where there are none."""
+    late = {
+        joint: m
+        for joint, m in found.get("measurement", {}).items()
+        if m["interval"] and m["interval"][0] * m["interval"][1] > 0 and abs(m["torque_late_s"]) > CLOCK_ERROR
+    }
+    each = [
+        f"{joint_words(joint)} by {1e3 * m['torque_late_s']:.1f} ms ({' to '.join(f'{1e3 * x:.1f}' for x in m['interval'])})"
+        for joint, m in late.items()
+    ]
+    return [f"The recorded torque lags the motion, as the model has it: of {listed(each)}."] if each else []
 
 
 def _gain_held_out(found: Mapping[str, Any]) -> str:
@@ -280,6 +295,11 @@ def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     return header, body
 
 
+def _missing(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The effects that are physics, not delays of what is recorded."""
+    return [e for e in found["effects"] if not issubclass(CATALOGUE.get(e["effect"], Effect), Delay)]
+
+
 def _unforeseen(found: Mapping[str, Any]) -> str:
     """The joints whose held-out error is far above the error within the fit, with both."""
     inside, outside = (found["nrmse"][key]["before"] for key in ("calibration", "held_out"))
@@ -290,7 +310,7 @@ def _unforeseen(found: Mapping[str, Any]) -> str:
 
 def _lacking(found: Mapping[str, Any]) -> list[str]:
     """What was found and where, in a few words; effects that only some recordings have are named once for all of them."""
-    named = [(placed(e), e) for e in found["effects"]]
+    named = [(placed(e), e) for e in _missing(found)]
     named += [(f"a torque on {joint_words(u['joint'])} that depends on {depends(u)}", u) for u in found["unexplained"]]
     files: dict[tuple[str, bool], set[str]] = {}
     for name, entry in named:

@@ -443,6 +443,24 @@ class Simulated(Struct, forbid_unknown_fields=True):
     after: dict[str, Any]
 
 
+class Measured(Struct, forbid_unknown_fields=True):
+    """How a joint was measured.
+
+    Attributes:
+        torque_late_s: By how much its recorded torque lags its motion [s]; null where the model has no delay.
+        interval: 95 % interval of that; null where the recordings do not tell.
+        speed_late_s: By how much its recorded speed lags the derivative of its position [s]; null where none was recorded.
+        speed_times: How many times that derivative it is [1].
+        used: Where speeds come from: the column "dq", the derivative of "q", or both.
+    """
+
+    torque_late_s: float | None
+    interval: tuple[float, float] | None
+    speed_late_s: float | None
+    speed_times: float | None
+    used: Literal["q", "dq", "q and dq"]
+
+
 class DiagnosisFile(Struct, forbid_unknown_fields=True):
     """The content of `diagnosis.json`; a number that could not be computed is null, wherever it stands.
 
@@ -452,7 +470,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         held_out: What took no part in fits and choices: whole recordings, or blocks of the only one.
         mismatch: Where the plain model fails, a joint each.
         left_over: Joints whose error exceeds the noise with all effects, by how many times [1].
-        effects: What the tool adds to the model, most important first.
+        effects: What the tool adds to the model, most important first; and, last, a delay of all torques, which is no physics that is missing.
         undecided: Effects that these recordings do not tell from errors of the links; the model does not have them.
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         link_findings: Links that are far from the URDF's in the model.
@@ -460,6 +478,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         not_confirmed: What is as sure, but does not lower the error on data that it was not fitted to.
         unexplained: Torques that no effect of the catalogue explains.
         idle: Joints that never moved enough to tell anything, with the torque that is left there.
+        measurement: How each joint was measured.
         priors_file: File that was given by `--priors`.
         priors: What was believed of the claimed effects before.
         suggested_recordings: Motions to record.
@@ -491,6 +510,7 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     versions: dict[str, str]
     bootstrap: dict[str, Bootstrap]
     alone: tuple[str, ...]
+    measurement: dict[str, Measured]
     simulated: Simulated | None = None
     failed: dict[str, str] = {}
 
@@ -510,7 +530,10 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "held_out": diagnosis.way,
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
-        "effects": [_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.findings) if not f.term.effect.black_box],
+        "effects": [
+            *(_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.findings) if not f.term.effect.black_box),
+            *(_late(diagnosis, f) for f in diagnosis.late),
+        ],
         "undecided": [_class(diagnosis, u) for u in diagnosis.undecided],
         "small": [_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.small, len(effects))],
         "possible": [
@@ -519,6 +542,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
         "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
+        "measurement": dict(model.report.get("measurement", {})),
         "idle": [{"joint": joints[j], "torque": mean, "std": std} for j, mean, std in diagnosis.idle],
         "link_findings": entries(diagnosis.links, model.robot.links, joints),
         "priors_file": diagnosis.priors,
@@ -560,7 +584,19 @@ def _lowered(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
 
 def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
     """A claim, or an effect that is small, `i` being its number among both."""
-    shares, joints = diagnosis.shares, diagnosis.model.joints
+    shares = diagnosis.shares
+    errors = {"held_out_before": shares.before[i], "held_out_after": shares.after[i]}
+    return _claim(diagnosis, finding, shares.share[i], errors)
+
+
+def _late(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
+    """A delay of all torques; of its joint the share of the squared error follows from the fall."""
+    assert finding.fall is not None
+    return _claim(diagnosis, finding, 1 - (1 - finding.fall.share) ** 2, {"held_out_before": None, "held_out_after": None})
+
+
+def _claim(diagnosis: Diagnosis, finding: Finding, share: float, errors: dict[str, float | None]) -> dict[str, Any]:
+    joints = diagnosis.model.joints
     return {
         "effect": finding.term.effect.name,
         "joint": _names(finding.term.effect.joints, joints),
@@ -568,11 +604,11 @@ def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
         "equation": finding.term.effect.law,
         **finding.term.effect.said,
         "parameters": _parameters(finding.term, diagnosis.recordings),
-        "share_of_error": shares.share[i],
+        "share_of_error": share,
         "p_value": finding.p_value,
         "probability": finding.probability,
         "probability_of_itself": finding.alone,
-        "nrmse": {"held_out_before": shares.before[i], "held_out_after": shares.after[i]},
+        "nrmse": errors,
         "lowers_error": _lowered(finding, joints),
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
         "rivals": [{"effect": name, "joint": _names(j, joints)} for name, j in finding.rivals],

@@ -341,6 +341,7 @@ class ResultData(Struct):
     findings: list[FindingData]
     undecided: list[UndecidedData]
     links: list[LinkFinding]
+    late: list[FindingData]
     small: list[FindingData]
     possible: list[Possible]
     refuted: list[FindingData]

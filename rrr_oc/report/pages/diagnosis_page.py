@@ -82,7 +82,8 @@ def diagnosis_page(found: Mapping[str, Any], curves: Curves, model: Mapping[str,
         small_said=say.SMALL,
         mismatch=[_mismatch_row(m) for m in found["mismatch"]],
         not_claimed=say.unsaid(
-            [*say.undecided(found), *say.off_links(found), *say.not_claimed(found), *say.not_made(found)], say.sentence(found)
+            [*say.undecided(found), *say.off_links(found), *say.measured(found), *say.not_claimed(found), *say.not_made(found)],
+            say.sentence(found),
         ),
         next=record_next(found),
         covered=covered(joints, _motions(curves)),
