@@ -9,7 +9,6 @@ that of the true bodies and parameters in the same model. Effects that are hidde
 
 import argparse
 import json
-import sys
 import time
 import traceback
 from collections import defaultdict
@@ -19,8 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import CalibratedModel

@@ -111,10 +111,11 @@ def pushes(case: Case, t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndar
 
 
 def missing(case: Case, exact: Exact, at: np.ndarray) -> dict[str, np.ndarray]:
-    """By name, (n, K) at the rows: motion q, v, a at the encoders; torque tau at the sensor, and of it what the file with plain friction and
-    rotors does not need (`missing`), with the part of hidden effects (`hidden`) and of a wrong link (`links`); load of the file [Nm].
+    """By name, (n, K) at the rows, the times of which are `t` (K,) [s].
 
-    What is missing holds usual errors of the file as well, but no pushes.
+    Motion q, v, a at the encoders; torque tau at the sensor, and load of the file [Nm]; of the torque what the file with plain friction
+    and rotors does not need (`missing`), and in it the parts of hidden effects (`hidden`) and of a wrong link (`links`). What is missing
+    holds usual errors of the file as well, but no pushes.
     """
     k = np.minimum(np.floor((at - exact.t[0]) * (len(exact.t) - 1) / np.ptp(exact.t) + 1e-6).astype(int), len(exact.t) - 1)
     q, v, a, tau, dry, pushed = (x[:, k] for x in exact[1:])
@@ -122,7 +123,7 @@ def missing(case: Case, exact: Exact, at: np.ndarray) -> dict[str, np.ndarray]:
     drives = case.designed.rotor[:, None] * a + case.designed.viscous[:, None] * v + dry
     left = tau + pushed - drives
     return {
-        "q": q, "v": v, "a": a, "tau": tau, "load": listed, "missing": left - listed, "hidden": left - true, "links": true - designed
+        "t": at, "q": q, "v": v, "a": a, "tau": tau, "load": listed, "missing": left - listed, "hidden": left - true, "links": true - designed
     }  # fmt: skip
 
 
@@ -155,7 +156,7 @@ def link_truth(arm: Arm, i: int, true: pin.Inertia, listed: pin.Inertia) -> dict
 def felt_as(case: Case, learned: Sequence[dict[str, np.ndarray]]) -> dict[str, float]:
     """By link, which share of the torque of a wrong link ten parameters of that link explain, beside plain friction and rotors."""
     x = {
-        name: np.concatenate([one[name][:, :: max(1, one[name].shape[1] // 300)] for one in learned], axis=1)
+        name: np.concatenate([one[name][..., :: max(1, one[name].shape[-1] // 300)] for one in learned], axis=-1)
         for name in learned[0]
     }
     model, n = case.listed.model, case.listed.n
