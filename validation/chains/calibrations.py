@@ -27,6 +27,7 @@ from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.robot import load_robot
 from rrr_oc.storage import write_json
+from validation.chains.make import cases_of
 
 TRUE = {"dry_friction": "dry", "viscous_friction": "viscous", "armature": "rotor"}
 SHARP = 0.005  # [rad/s], width of the sign of friction that a constraint makes
@@ -118,7 +119,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     results = []
-    for folder in sorted(f.parents[1] for f in options.cases.glob("*/sealed/truth.json")):
+    for folder in cases_of(options.cases):
         file = options.out / "calibrations" / f"{folder.name}.json"
         if not file.exists():
             write_json(file, json.loads(json.dumps(calibrated(folder))))

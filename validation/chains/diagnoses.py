@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from validation.chains.make import cases_of
 from validation.chains.scoring import Sealed, score, table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,7 +62,7 @@ def main() -> None:
         diagnosed(options.cases, options.out)
         return
     scores, failed, seconds = [], [], []
-    for folder in sorted(f.parents[1].resolve() for f in options.cases.glob("*/sealed/truth.json")):
+    for folder in cases_of(options.cases):
         result = once(folder, options.out.resolve() / "diagnoses" / f"{folder.name}.json", options.limit)
         truth = json.loads((folder / "sealed" / "truth.json").read_text())
         if "failed" in result:

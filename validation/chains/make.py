@@ -216,6 +216,12 @@ def header(case: Case, files: Sequence[str], robot: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def cases_of(folder: Path) -> list[Path]:
+    """Folders of the cases, the families in turn."""
+    cases = [file.parents[1].resolve() for file in folder.glob("*/sealed/truth.json")]
+    return sorted(cases, key=lambda case: case.name.split("-")[::-1])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)

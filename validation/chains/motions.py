@@ -32,17 +32,17 @@ def sines(n: int, pace: Pace, rng: np.random.Generator) -> tuple[np.ndarray, ...
 
 
 def points(n: int, pace: Pace, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """From point to point with short stops, by polynomials of the fifth degree."""
+    """From point to point with short stops, by polynomials of the seventh degree, the jerk of which is 0 at both ends."""
     t = np.arange(0, pace.seconds, 1 / FINE)
     q, v, a = np.zeros((3, n, t.size))
     at, clock = rng.uniform(-0.8, 0.8, n) * pace.reach, 0.0
     while clock < pace.seconds:
         goal = rng.uniform(-0.8, 0.8, n) * pace.reach
-        move = max(1.875 * np.abs(goal - at).max() / (0.9 * pace.fastest), 0.3)
+        move = max(2.1875 * np.abs(goal - at).max() / (0.9 * pace.fastest), 0.3)
         u, later = np.clip((t - clock) / move, 0, 1), t >= clock
         way = (goal - at)[:, None]
-        q[:, later] = (at[:, None] + way * u**3 * (10 - 15 * u + 6 * u**2))[:, later]
-        v[:, later] = (way * 30 * u**2 * (1 - u) ** 2 / move)[:, later]
-        a[:, later] = (way * 60 * u * (1 - u) * (1 - 2 * u) / move**2)[:, later]
+        q[:, later] = (at[:, None] + way * u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3))[:, later]
+        v[:, later] = (way * 140 * (u * (1 - u)) ** 3 / move)[:, later]
+        a[:, later] = (way * 420 * (u * (1 - u)) ** 2 * (1 - 2 * u) / move**2)[:, later]
         at, clock = goal, clock + move + rng.uniform(0.1, 0.5)
     return t, q, v, a
