@@ -14,7 +14,7 @@ import numpy as np
 from validation.chains.columns import explained, flexible, law_columns, plain_columns
 
 FELT = 0.02  # share of a joint's torque from which something is missing there
-HALF, EQUAL = 0.5, 0.8  # shares of what is missing that variables must explain, and that a law must to count as equal
+HALF, EQUAL, SAME = 0.5, 0.8, 0.9  # shares of what is missing that variables must explain; a law and a link to count as equal
 SURE = 3.0  # usual errors of a file that a link is off by, to be off even where none was made wrong
 SAMPLES = 3000  # of a case, that are looked at
 BODIES = ("payload_mass", "payload_com", "link_inertial")
@@ -34,9 +34,10 @@ class Sealed:
     def __init__(self, truth: Mapping[str, Any], x: dict[str, np.ndarray]):
         self.truth, self.x = truth, x
         self.joints, self.links = list(truth["joints"]), list(truth["links"])
-        self.wanted = x["hidden"] + x["links"]
         self.beside = plain_columns(x["v"], x["a"])
-        self.felt = [j for j in range(len(self.joints)) if self.share_left(j) > FELT]
+        every = range(len(self.joints))
+        self.felt = [j for j in every if self.share_left(x["hidden"] + x["links"], j) > FELT]
+        self.hidden = [j for j in every if self.share_left(x["hidden"], j) > FELT]
 
     @classmethod
     def read(cls, folder: Path, truth: Mapping[str, Any]) -> "Sealed":
@@ -50,21 +51,22 @@ class Sealed:
         every = max(1, sum(rows.shape[-1] for rows in parts["q"]) // SAMPLES)
         return cls(truth, {what: np.concatenate(rows, axis=-1)[..., ::every].astype(float) for what, rows in parts.items()})
 
-    def share_left(self, j: int) -> float:
-        """What is missing at a joint beside plain friction and rotor, as a share of its torque."""
-        columns, y = self.beside[j, :, 3 * j : 3 * j + 3], self.wanted[j]
+    def share_left(self, torque: np.ndarray, j: int) -> float:
+        """What plain friction and rotor leave of a torque (n, K) at a joint, as a share of the joint's torque."""
+        columns, y = self.beside[j, :, 3 * j : 3 * j + 3], torque[j]
         return float(np.std(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]) / np.std(self.x["tau"][j]))
 
     def depends(self, j: int, variables: Sequence[str]) -> bool:
-        """Whether a flexible function of these variables explains half of what varies in what is missing at a joint."""
+        """Whether a flexible function of these variables explains half of what varies in the hidden torque of a joint."""
         own = np.insert(self.beside[j : j + 1, :, 3 * j : 3 * j + 3], 0, 1, axis=2)
         free = flexible(list(variables), self.x, self.joints, j)[None]
-        return explained(self.wanted[j : j + 1], np.concatenate([own, free], axis=2), own) >= HALF
+        return explained(self.x["hidden"][j : j + 1], np.concatenate([own, free], axis=2), own) >= HALF
 
     def equal(self, name: str, at: Sequence[int]) -> bool:
-        """Whether a law at joints explains all but a little of what is missing."""
+        """Whether a law at joints explains all but a little of what is missing, or of what is hidden in it."""
         shapes = [np.concatenate([self.beside, columns], axis=2) for columns in law_columns(name, list(at), self.x)]
-        return any(explained(self.wanted, columns, self.beside) >= EQUAL for columns in shapes)
+        targets = (self.x["hidden"], self.x["hidden"] + self.x["links"])
+        return any(explained(target, columns, self.beside) >= EQUAL for columns in shapes for target in targets)
 
     def right(self, entry: Entry) -> bool:
         """Whether an effect is there, or equal to what is there."""
@@ -75,7 +77,7 @@ class Sealed:
             if effect["effect"] == name and (set(at) & set(self.at(effect)) or not (at and self.at(effect))):
                 return True
         if name in BODIES:
-            return bool(self.truth["off"]) and self.truth["off"]["felt_as"][self.links[at[0] if at else -1]] >= EQUAL
+            return bool(self.truth["off"]) and self.truth["off"]["felt_as"][self.links[at[0] if at else -1]] >= SAME
         return bool(at and self.felt) and self.equal(name, at)
 
     def at(self, entry: Entry) -> list[int]:
@@ -89,18 +91,19 @@ class Sealed:
         true, urdf = (self.truth["links"][link][which] for which in ("true", "urdf"))
         centres = [np.array(body["first_moment"]) / body["mass"] for body in (true, urdf)]
         far = abs(np.log(true["mass"] / urdf["mass"])) > SURE * 0.03 or np.abs(centres[0] - centres[1]).max() > SURE * 0.01
-        return bool(far) or (bool(self.truth["off"]) and self.truth["off"]["felt_as"][link] >= EQUAL)
+        return bool(far) or (bool(self.truth["off"]) and self.truth["off"]["felt_as"][link] >= SAME)
 
 
 def score(found: Mapping[str, Any], sealed: Sealed) -> Counter[str]:
     """Counts of a case by name; "a/b" is counted where "a" is possible and b holds."""
     result = Counter[str]({"cases": 1})
-    truth, effects = sealed.truth, [*found["effects"]]
+    truth, effects = sealed.truth, found["effects"]
     said = [e for e in effects if e["effect"] != "time_delay"]
     classes = [m for u in found.get("undecided", ()) for m in u["members"]]
-    wrong = [e for e in effects if not any(sealed.right(x) for x in (e, *e.get("rivals", ())))]
-    result.update({"claims": len(effects), "claims/false": len(wrong)})
-    result.update({f"false: {e['effect']}": 1 for e in wrong})
+    for name, entries in (("claims", effects), ("small claims", found.get("small", ()))):
+        wrong = [e["effect"] for e in entries if not any(sealed.right(x) for x in (e, *e.get("rivals", ())))]
+        result.update({name: len(entries), f"{name}/false": len(wrong)})
+        result.update(f"false: {effect}" for effect in wrong if name == "claims")
     torques = found["unexplained"]
     result.update({"torques": len(torques), "torques/false": sum(not set(sealed.at(u)) & set(sealed.felt) for u in torques)})
     if truth["kind"] == "clean":
@@ -135,9 +138,10 @@ def directions(entry: Entry) -> list[str]:
 def degrees(entries: Sequence[Entry], classes: Sequence[Entry], sealed: Sealed) -> Counter[str]:
     """What is said of a hidden effect: where, on what it depends, which law; or nothing."""
     names = [x for e in entries for x in (e, *e.get("rivals", ()))] + list(classes)
-    law = any(sealed.right(x) for x in names if "effect" in x)
-    where = law or any(set(sealed.at(e)) & set(sealed.felt) for e in entries)
-    what = law or any(sealed.depends(j, variables(e, sealed)) for e in entries for j in sealed.at(e) if j in sealed.felt)
+    others = {*BODIES, "time_delay"} - {e["effect"] for e in sealed.truth["effects"]}
+    law = any(sealed.right(x) for x in names if x.get("effect", "time_delay") not in others)
+    where = law or any(set(sealed.at(e)) & set(sealed.hidden) for e in entries)
+    what = law or any(sealed.depends(j, variables(e, sealed)) for e in entries for j in sealed.at(e) if j in sealed.hidden)
     inside = sealed.truth["effects"][0]["in_catalogue"]
     return Counter({
         "hidden": 1, "hidden/silent": int(not entries and not classes), "hidden/where": int(where), "hidden/on what": int(what),
