@@ -3,12 +3,14 @@
     python -m validation.chains.make --out cases --count 96
     python -m validation.chains.diagnoses cases --out results/chains --limit 300
 
-Every case is diagnosed in a process of its own, which is ended after `--limit` seconds. A case that is done is not done again;
-`scoring.py` says what is counted.
+Every case is diagnosed in a process of its own, which is ended after `--limit` seconds of processor time. A case that is done is not
+done again; `scoring.py` says what is counted.
 """
 
 import argparse
 import json
+import resource
+import signal
 import subprocess
 import sys
 import time
@@ -34,18 +36,15 @@ def diagnosed(folder: Path, file: Path) -> None:
     write_json(file, {"seconds": time.process_time(), "diagnosis": json.loads(json.dumps(content))})
 
 
-def once(folder: Path, file: Path, limit: float) -> dict[str, Any]:
+def once(folder: Path, file: Path, limit: int) -> dict[str, Any]:
     """The result of a case, which may be that it failed or took too long."""
     if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-m", "validation.chains.diagnoses", str(folder), "--out", str(file), "--one"]
-        failed = None
-        try:
-            run = subprocess.run(command, cwd=ROOT, timeout=limit, capture_output=True, text=True, check=False)
-            failed = run.stderr[-3000:] if run.returncode else None
-        except subprocess.TimeoutExpired:
-            failed = f"more than {limit:.0f} s"
-        if failed is not None:
+        command = ["-m", "validation.chains.diagnoses", str(folder), "--out", str(file), "--one", "--limit", str(limit)]
+        run = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=False)
+        why = f"more than {limit} s" if run.returncode == -signal.SIGXCPU else f"{run.stderr[-3000:]}status {run.returncode}"
+        failed = why if run.returncode else ""
+        if failed:
             file.write_text(json.dumps({"failed": failed}))
         print(folder.name, failed.splitlines()[-1] if failed else "", flush=True)
     return json.loads(file.read_text())
@@ -55,10 +54,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", type=Path, help="a folder of cases; with --one, a case")
     parser.add_argument("--out", type=Path, required=True, help="a folder; with --one, a file")
-    parser.add_argument("--limit", type=float, default=600.0, help="wall time of a case [s]")
+    parser.add_argument("--limit", type=int, default=600, help="processor time of a case [s]")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
+        resource.setrlimit(resource.RLIMIT_CPU, (options.limit, options.limit + 5))
         diagnosed(options.cases, options.out)
         return
     scores, failed, seconds = [], [], []
