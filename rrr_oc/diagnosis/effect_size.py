@@ -25,7 +25,7 @@ BLOCK, LEAST_BLOCKS, LEAST_ROWS = (
     5.0,
     4,
     8,
-)  # length [s] of a block, number of a recording that shortens them, and least rows of one
+)  # length [s] of a block, number of a recording that shortens them, least rows of one
 PARTS = 4  # of the blocks, each predicted once
 QUANTILE = 0.975  # of the upper end of an interval
 
