@@ -8,8 +8,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
+T = TypeVar("T")
 FAULT = 70  # exit status after an exception that nobody expected; of sysexits.h
 INTERRUPTED = 130  # exit status after Ctrl-C
 # What the exit statuses of all commands mean.
@@ -81,6 +82,14 @@ def noted(failed: dict[str, str], step: str) -> Iterator[None]:
         yield
     except Exception as error:
         failed[step] = reason(error)
+
+
+def tried(step: str, function: Callable[..., T], *arguments: Any) -> tuple[list[T], dict[str, str]]:
+    """The result of a call, in a list, or why there is none, as `noted` has it: for calls in other processes."""
+    found, failed = list[T](), dict[str, str]()
+    with noted(failed, step):
+        found.append(function(*arguments))
+    return found, failed
 
 
 def _logged(error: Exception) -> str:

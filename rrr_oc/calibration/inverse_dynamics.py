@@ -15,7 +15,7 @@ import numpy as np
 from rrr_oc import __version__
 from rrr_oc.calibration.calibrated_model import CalibratedModel, nominal_term
 from rrr_oc.calibration.measurement import measurement
-from rrr_oc.calibration.prediction_error import error
+from rrr_oc.calibration.prediction_error import error, mean_nrmse
 from rrr_oc.calibration.samples import Prepared, noise
 from rrr_oc.effects import plain_effects
 from rrr_oc.recordings.recording import RecordingSet
@@ -57,8 +57,6 @@ def finished(
     errors = [
         error(r.t, recordings.output_torque(r), model.predicted_torque(r), r.segments)["nrmse"] for r in recordings.recordings
     ]
-    with np.errstate(all="ignore"):
-        nrmse = np.array([np.mean(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in np.array(errors).T])
     more = {"wall_s": time.perf_counter() - began, "recordings": [r.file for r in recordings.recordings]}
     more["measurement"] = measurement(recordings, model)
-    return replace(model, noise=noise(prepared, model), nrmse=nrmse, report=report | more)
+    return replace(model, noise=noise(prepared, model), nrmse=mean_nrmse(np.array(errors)), report=report | more)

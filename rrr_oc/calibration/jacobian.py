@@ -170,15 +170,9 @@ class Prediction:
                 dense[:, :, k] = self.physics.passed_on(self.recording, dense[:, :, k])
         return Columns.of(dense)
 
-    def by_trial(self, trial: Trial) -> np.ndarray:
-        """Change of the measured torque for each coefficient of a trial, (m, n, K) [Nm]."""
-        true = self.before_sensors(trial)
-        if trial.effect.side == "sensor":
-            return true
-        return np.array([self.physics.passed_on(self.recording, change) for change in true])
-
     def before_sensors(self, trial: Trial) -> np.ndarray:
-        """As `by_trial`, but as a perfect sensor records it, unless the trial's effect is one of sensors."""
+        """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm], as a perfect sensor records it, unless
+        the trial's effect is one of sensors."""
         effect, shape = trial.effect, self.recording.q.shape
         if "springs" in effect.inputs and effect.joints not in (self.signals.springs or {}):
             return np.zeros((len(trial.points), *shape))

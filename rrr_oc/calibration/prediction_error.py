@@ -52,6 +52,12 @@ def error(
     return {"nrmse": np.where(still, np.nan, rmse / np.where(still, 1.0, spread)), "rmse": rmse}
 
 
+def mean_nrmse(errors: np.ndarray) -> np.ndarray:
+    """Mean over the recordings in which a joint moves, (R, n) to (n,); NaN where it never moves."""
+    known = np.isfinite(errors)
+    return np.where(known.any(axis=0), np.where(known, errors, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
+
+
 def evaluate_inverse(model: CalibratedModel, recordings: RecordingSet, window: float = WINDOW) -> Errors:
     """Errors of the signal predicted from the measured motion, in the recorded unit, by file and joint."""
     model = model.placed(recordings)

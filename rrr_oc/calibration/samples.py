@@ -98,23 +98,20 @@ class Prepared:
         """Torques (m, K) of joints (m,), filtered, at the rows that are kept, (m, kept); 0 at rest."""
         return self.filtered(torques * self.moving[joints]) * self.counted[joints]
 
-    def nonzero_passed(self, torques: np.ndarray, joint_axis: int) -> tuple[np.ndarray, np.ndarray]:
-        """Where torques (a, b, K) are not 0 at all samples, (a, b), and those, in that order, as `passed` returns them.
-
-        Args:
-            joint_axis: Which of the first two axes counts the joints.
-        """
-        where = np.any(torques != 0, axis=2)
-        return where, self.passed(torques[where], np.nonzero(where)[joint_axis])
-
     def filtered(self, x: np.ndarray) -> np.ndarray:
         """Signals (m, K) after the common filter, at the rows that are kept, (m, kept)."""
         return (self.matrix @ x.T).T
 
 
 def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared, ...]:
-    """All recordings of a set made ready for `regression.rows`; raises `UserError` for one of which the filters leave nothing."""
+    """All recordings of a set made ready for `regression.rows`.
+
+    Raises `UserError` for one of which the filters leave nothing, one that stands twice, and a torque that moves a joint and never changes.
+    """
+    known = dict[tuple[bytes, bytes], str]()
     for r in recordings.recordings:
+        if (first := known.setdefault((r.q.tobytes(), r.tau.tobytes()), r.file)) != r.file:
+            raise UserError(f"{recordings.path / r.file}: has the samples of {first}; what is recorded once may stand once")
         if not len(kept_rows(r)[0]):
             raise UserError(
                 f"{recordings.path / r.file}: {len(r.t)} rows of {np.ptp(r.t):.3g} s are too short for the filters, which take {window:g} s; "
@@ -122,7 +119,12 @@ def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared,
             )
     sharp = [_with_sharp_motion(r, recordings.joints) for r in recordings.recordings]
     spikes = np.zeros(recordings.robot.n, int)
-    return tuple(Prepared(r, recordings.output_torque(r), _moving(r), window, spikes) for r in sharp)
+    found = tuple(Prepared(r, recordings.output_torque(r), _moving(r), window, spikes) for r in sharp)
+    low, high = (f([f(p.measured, axis=1) for p in found], axis=0) for f in (np.min, np.max))
+    for j in np.flatnonzero((low == high) & np.any([p.moving.any(axis=1) for p in found], axis=0))[:1]:
+        said = f"the torque of {recordings.joints[j]} is {low[j] + 0.0:g} Nm in every sample while the joint moves"
+        raise UserError(f"{recordings.path}: {said}, which tells nothing of the arm; was it recorded?")
+    return found
 
 
 def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared, ...]:

@@ -141,10 +141,7 @@ class _Turned:
         """Its spread, where x = − (size of the other term) / stiffness."""
         if self.told.spread is None:
             return None
-        firsts = np.cumsum([0, *(len(t.estimates) for t in self.told.terms)])
-        at, gone = (
-            int(firsts[next(i for i, t in enumerate(self.told.terms) if t is one)]) for one in (self.spring, self.other)
-        )
+        at, gone = (_first(self.told, one) for one in (self.spring, self.other))
         effect = self.spring.effect
         stiff = at + [p.name for p in effect.parameters].index(effect.amplitudes[0])
         k, size = self.told.values[[stiff, gone]]
@@ -192,14 +189,16 @@ def _named(key: Key, joints: Sequence[str]) -> str:
     return key[0] + (f" of {' and '.join(joints[j] for j in key[1])}" if key[1] else "")
 
 
+def _first(model: CalibratedModel, term: Term) -> int:
+    """Number of a term's first parameter."""
+    return sum(len(t.estimates) for t in itertools.takewhile(lambda t: t is not term, model.terms))
+
+
 def _with(model: CalibratedModel, term: Term, other: Term) -> CalibratedModel:
     """A model with another term of as many parameters in the place of one; what is not known of these is as much as before."""
-    spread, at = model.spread, 0
-    for t in model.terms:
-        own = slice(at, at + len(t.estimates))
-        at = own.stop
-        if t is term and spread is not None:
-            signs = np.where(other.values == -t.values, -1.0, 1.0)
-            spread = np.concatenate([spread[: own.start], signs[:, None] * spread[own], spread[own.stop :]])
+    spread, at = model.spread, _first(model, term)
+    if spread is not None:
+        spread = spread.copy()
+        spread[at : at + len(term.estimates)] *= np.where(other.values == -term.values, -1.0, 1.0)[:, None]
     terms = tuple(other if t is term else t for t in model.terms)
     return replace(model, terms=terms, spread=spread)

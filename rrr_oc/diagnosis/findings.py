@@ -1,7 +1,8 @@
 """What a search found: the probability of each effect over all structures that were visited, and what competes with it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
@@ -122,7 +123,7 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
     for i, term in enumerate(at.fitted.extra):
         others = _rivals(own[i], every, set(own))
         both = sum(p for structure, p in every if identities(structure) & {own[i], *others})
-        rivals = (*(other[:2] for other in others), *equal(search.fitter.data, at.fitted, i))
+        rivals = (*(other[:2] for other in others), *map(shown_as, equal_terms(search.fitter.data, at.fitted, i)))
         shown = tuple(dict.fromkeys(rival for rival in rivals if rival != own[i][:2]))
         alone = share.get(own[i], 1.0)
         findings.append(
@@ -190,13 +191,8 @@ def contribution(data: Data, fitted: Fitted, i: int) -> float:
     return float(np.max(rms / data.torque))
 
 
-def equal(data: Data, fitted: Fitted, i: int) -> list[Key]:
-    """Effects that, in the place of an added one, predict the same over these recordings, so that nothing can tell them apart."""
-    return [shown_as(t) for t in equal_terms(data, fitted, i)]
-
-
 def equal_terms(data: Data, fitted: Fitted, i: int) -> list[Term]:
-    """The terms of these effects."""
+    """Effects that, in the place of an added one, predict the same over these recordings, so that nothing can tell them apart."""
     term, result = fitted.extra[i], []
     for effect, theta in term.effect.equivalents(term.named):
         estimates = tuple(Estimate(float(theta[p.name])) for p in effect.parameters)
@@ -225,7 +221,7 @@ def wald(fitted: Fitted, i: int) -> float:
     return float(chi2.sf(off @ pseudo_inverse(block) @ off, len(own)))
 
 
-def named(key: Key, joints: Sequence[str]) -> Mapping[str, object]:
+def named(key: Key, joints: Sequence[str]) -> dict[str, Any]:
     """A key as in files."""
     names = [joints[j] for j in key[1]]
     return {"effect": key[0], "joint": None if not names else names[0] if len(names) == 1 else names}

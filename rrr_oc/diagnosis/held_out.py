@@ -3,7 +3,7 @@
 Errors before and after with bootstrap intervals, and while MuJoCo tracks the recordings.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +23,7 @@ from rrr_oc.diagnosis.structures.linear import Structure
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, Repetitions
 from rrr_oc.diagnosis.structures.search import Search, terms_of
 from rrr_oc.effects import Effect
-from rrr_oc.errors import noted, reason
-from rrr_oc.recordings.recording import RecordingSet
+from rrr_oc.errors import noted, tried
 from rrr_oc.storage import number
 
 if TYPE_CHECKING:
@@ -83,21 +82,13 @@ def repeated(search: Search, begin: Fitted, findings: Sequence[Finding], stages:
     for k in missing:
         with noted(failed, names[k]):
             start = None if again is None else _found(again, held[k], findings)
-            calls.append((_fold, names[k], k, search.fitter, begin, start, held[k]))
-    for found, why in parallel.unordered(_tried, calls) if again else (_tried(*call) for call in calls):
+            calls.append((names[k], _fold, k, search.fitter, begin, start, held[k]))
+    for found, why in parallel.unordered(tried, calls) if again else (tried(*call) for call in calls):
         failed |= why
         for k, fold in found:
             saved[k] = stages.keep(names[k], fold)
         stages.progress.count("search without parts", len(saved), len(held), kind="parts")
     return [saved[k].fold(stages.start) for k in sorted(saved)]
-
-
-def _tried(function: Callable, step: str, *arguments: Any) -> tuple[list[Any], dict[str, str]]:
-    """The result of a call, in a list, or why there is none, by the name of this step."""
-    found, failed = [], dict[str, str]()
-    with noted(failed, step):
-        found.append(function(*arguments))
-    return found, failed
 
 
 def _found(again: Repetitions, held: Sequence[int], findings: Sequence[Finding]) -> Start | None:
@@ -166,12 +157,6 @@ def nrmse(data: Data, model: CalibratedModel) -> np.ndarray:
     """NRMSE of the predicted torque by recording and joint (R, n); NaN where a joint does not move."""
     every = ((p.recording, p.measured) for p in data.prepared)
     return np.array([error(r.t, tau, model.predicted_torque(r), r.segments)["nrmse"] for r, tau in every])
-
-
-def mean_nrmse(errors: np.ndarray) -> np.ndarray:
-    """Mean over the recordings in which a joint moves, (R, n) to (n,); NaN where it never moves."""
-    known = np.isfinite(errors)
-    return np.where(known.any(axis=0), np.where(known, errors, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
 def intervals(diagnosis: "Diagnosis") -> dict[str, dict[str, Any]]:
@@ -254,7 +239,7 @@ def in_closed_loop(diagnosis: "Diagnosis") -> dict[str, Any]:
     sets = [replace(diagnosis.recordings, recordings=some) for *_, some in parts]
     extended = [k for k, (plain, model, _) in enumerate(parts) if len(model.terms) > len(plain.terms)]
     wanted = [(plain, some) for (plain, *_), some in zip(parts, sets, strict=True)] + [(parts[k][1], sets[k]) for k in extended]
-    found = parallel.ordered(_tracked, wanted)
+    found = parallel.ordered(tried, [("why_not", evaluate_simulated, *one) for one in wanted])
     before = found[: len(parts)]
     changed = dict(zip(extended, found[len(parts) :], strict=True))
     after = [changed.get(k, one) for k, one in enumerate(before)]
@@ -262,21 +247,13 @@ def in_closed_loop(diagnosis: "Diagnosis") -> dict[str, Any]:
     return {"held_out": held_out, "before": _means(before, joints), "after": _means(after, joints)}
 
 
-def _tracked(model: CalibratedModel, recordings: RecordingSet) -> Errors | str:
-    """Errors of the simulated signals, or the reason why there are none: whatever fails here costs nothing of the diagnosis."""
-    try:
-        return evaluate_simulated(model, recordings)
-    except Exception as error:
-        return reason(error)
-
-
-def _means(parts: Sequence[Errors | str], joints: Sequence[str]) -> dict[str, Any]:
+def _means(parts: Sequence[tuple[list[Errors], dict[str, str]]], joints: Sequence[str]) -> dict[str, Any]:
     """NRMSE by joint and signal, means over the recordings, or the reason why there are none."""
     errors: Errors = {}
-    for part in parts:
-        if isinstance(part, str):
-            return {"why_not": part}
-        errors |= part
+    for some, why_not in parts:
+        if why_not:
+            return dict(why_not)
+        errors |= some[0]
     for file, one in errors.items():
         if one[joints[0]]["q"]["rmse"] is None:
             return {"why_not": f"it diverges while it follows {file}"}

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
@@ -15,6 +15,7 @@ from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
 from rrr_oc.calibration.link_findings import LinkFinding
 from rrr_oc.calibration.measurement import common_delay
+from rrr_oc.calibration.prediction_error import mean_nrmse
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
 from rrr_oc.diagnosis.alternatives import alternatives, beside, decided
 from rrr_oc.diagnosis.classes import separated, with_links
@@ -29,11 +30,10 @@ from rrr_oc.diagnosis.files.stages import (
     Stages,
     SuggestionData,
     UndecidedData,
-    numbers,
 )
 from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, errors_of, mean_nrmse, nrmse, repeated
+from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, errors_of, nrmse, repeated
 from rrr_oc.diagnosis.knobs import MATTERS
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch, unexplained
 from rrr_oc.diagnosis.signatures import trials, view
@@ -136,8 +136,8 @@ class Shares:
         joints = [acts_on(f.term.effect, n) for f in findings]
         return cls(
             tuple(float((total[k] - total[k + 1]) / max(total[0], 1e-300)) for k in range(len(findings))),
-            tuple(float(np.nanmean(errors[k][j])) for k, j in enumerate(joints)),
-            tuple(float(np.nanmean(errors[k + 1][j])) for k, j in enumerate(joints)),
+            tuple(float(mean_nrmse(errors[k][j])) for k, j in enumerate(joints)),
+            tuple(float(mean_nrmse(errors[k + 1][j])) for k, j in enumerate(joints)),
         )
 
 
@@ -271,20 +271,20 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         ModelData.of(model),
         [FindingData.of(f, model.robot) for f in findings],
         [UndecidedData.of(u, model.robot) for u in undecided],
-        links,
+        tuple(links),
         [FindingData.of(f, model.robot) for f in _late(fitter, closest)],
         [FindingData.of(f, model.robot) for f in small],
-        possible,
+        tuple(possible),
         [FindingData.of(f, model.robot) for f in refuted],
-        numbers(getattr(shares, f.name) for f in fields(Shares)),
-        numbers(calibration),
-        numbers((before, after)),
+        astuple(shares),
+        tuple(x.tolist() for x in calibration),
+        (before.tolist(), after.tolist()),
         way,
-        list(mismatch(fitter.data, begin, final, findings, left, (calibration[0], before))),
+        mismatch(fitter.data, begin, final, findings, left, (calibration[0], before)),
         [SuggestionData.of(s) for s in suggestions],
         [FoldData.of(f) for f in folds],
-        left.tolist(),
-        list(idle(fitter.data, final.model)),
+        tuple(left.tolist()),
+        idle(fitter.data, final.model),
         fitter.priors.file,
         failed,
     )
@@ -301,33 +301,13 @@ def _late(fitter: Fitter, fitted: Fitted) -> list[Finding]:
 
 def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Diagnosis:
     """A result with its recordings."""
-    plain, model = data.plain.model(stages.start), data.model.model(stages.start)
-    told = data.findings, data.late, data.small, data.refuted
-    findings, late, small, refuted = (tuple(f.finding(model.robot) for f in some) for some in told)
-    calibration, held_out = ((np.array(x[0], float), np.array(x[1], float)) for x in (data.calibration, data.held_out))
-    return Diagnosis(
-        recordings,
-        plain,
-        model,
-        findings,
-        tuple(u.undecided(model.robot) for u in data.undecided),
-        tuple(data.links),
-        late,
-        small,
-        tuple(data.possible),
-        refuted,
-        Shares(*(tuple(np.array(x, float).tolist()) for x in data.shares)),
-        calibration,
-        held_out,
-        data.way,
-        tuple(data.mismatch),
-        tuple(s.suggestion() for s in data.suggestions),
-        tuple(f.fold(stages.start) for f in data.folds),
-        tuple(np.array(data.above_noise, float).tolist()),
-        tuple(data.idle),
-        data.priors,
-        data.failed,
-    )
+    plain, model, start = data.plain.model(stages.start), data.model.model(stages.start), stages.start
+    told = {name: getattr(data, name) for name in data.__struct_fields__}
+    told |= {name: tuple(f.finding(model.robot) for f in told[name]) for name in ("findings", "late", "small", "refuted")}
+    told |= {name: tuple(map(np.array, told[name])) for name in ("calibration", "held_out")}
+    told |= {"undecided": tuple(u.undecided(model.robot) for u in data.undecided), "shares": Shares(*data.shares)}
+    told |= {"suggestions": tuple(s.suggestion() for s in data.suggestions), "folds": tuple(f.fold(start) for f in data.folds)}
+    return Diagnosis(**told | {"recordings": recordings, "plain": plain, "model": model})
 
 
 def with_intervals(fitted: Fitted, findings: Sequence[Finding]) -> list[Finding]:

@@ -180,8 +180,10 @@ def test_the_verdict_is_a_sentence(diagnosis):
 def test_a_twin_that_diverges_on_a_recording_gives_no_mean():
     good = {"joint1": {s: {"nrmse": 0.1, "rmse": 1.0} for s in SIGNALS}}
     bad = {"joint1": {s: {"nrmse": None, "rmse": None} for s in SIGNALS}}
-    assert _means([{"a.csv": good, "b.csv": good}], ["joint1"])["joint1"]["q"] == pytest.approx(0.1)
-    assert _means([{"a.csv": good}, {"b.csv": bad}], ["joint1"]) == {"why_not": "it diverges while it follows b.csv"}
+    assert _means([([{"a.csv": good, "b.csv": good}], {})], ["joint1"])["joint1"]["q"] == pytest.approx(0.1)
+    assert _means([([{"a.csv": good}], {}), ([{"b.csv": bad}], {})], ["joint1"]) == {
+        "why_not": "it diverges while it follows b.csv"
+    }
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
-from recorded import Plant, as_set, record
+from recorded import Plant, as_set, by_trial, record
 from scipy.integrate import solve_ivp
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Estimate, Term
@@ -829,7 +829,7 @@ def test_signatures_are_the_slopes_of_predictions(name, arm):
     plain = model.output_torque(recording)
     seen = 0
     for trial in some(by_name[name]):
-        raw = at.by_trial(trial)
+        raw = by_trial(at, trial)
         size = np.sqrt(np.mean(raw**2, axis=(1, 2))).max()
         if size < 1e-9 or trial.size > {"backlash": 0.005, "joint_elasticity": 1e-4}.get(name, np.inf):
             continue  # a wide gap and a soft gear are not small
@@ -862,7 +862,7 @@ def test_signatures_of_several_recordings_are_those_of_each(arm):
         there = replace(model, terms=(*model.terms, *(added[n] for n in names)))
         found = table(prepared, there, every)
         for k, trial in enumerate(every):
-            parts = [Prediction(without_sensors(there), p.recording).by_trial(trial) for p in prepared]  # (m, n, K)
+            parts = [by_trial(Prediction(without_sensors(there), p.recording), trial) for p in prepared]  # (m, n, K)
             expected = np.concatenate(
                 [[p.passed(one, range(3)) for one in part] for p, part in zip(prepared, parts, strict=True)], axis=2
             )
@@ -887,7 +887,7 @@ def test_signatures_are_made_anew_where_the_load_has_changed(arm):
     scaled = replace(model, terms=(*model.terms, Term(CATALOGUE["torque_gain"]((1,)), (Estimate(0.25),))))
     found = tables.at(scaled, None)
     for k, trial in enumerate(every):
-        expected = [[p.passed(one, range(3)) for one in Prediction(scaled, p.recording).by_trial(trial)] for p in prepared]
+        expected = [[p.passed(one, range(3)) for one in by_trial(Prediction(scaled, p.recording), trial)] for p in prepared]
         np.testing.assert_allclose(found.of(k), np.moveaxis(np.concatenate(expected, axis=2), 0, 2), rtol=1e-9, atol=1e-9)
 
 

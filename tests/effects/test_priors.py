@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import Plant, as_set, record
+from recorded import Plant, as_set, by_trial, record
 
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
@@ -97,7 +97,7 @@ def test_sizes_are_positive_for_all_trials_and_no_larger_than_the_arm_bears(arm)
         assert np.all(np.isfinite(scales))
         assert np.all(scales > 0)
         if rng.uniform() < 0.2 or trial.effect.name in ("gravity_tilt", "payload_mass", "payload_com", "time_delay"):
-            change = np.einsum("k,kit->it", scales, np.abs(at.by_trial(trial)))
+            change = np.einsum("k,kit->it", scales, np.abs(by_trial(at, trial)))
             share = (np.sqrt(np.mean(change**2, axis=1)) / there.torque).max()
             assert share < 5, f"{trial.effect.name} {trial.effect.joints}: {share:.3g}"
 

@@ -16,6 +16,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
+from rrr_oc.calibration.jacobian import Prediction
+from rrr_oc.effects import Trial
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.model.motion import Motion
 from rrr_oc.numerics.savitzky_golay import differentiate, split
@@ -168,3 +170,9 @@ def as_set(
     source = str(plant.urdf) if plant.urdf in ("rrr", "rrr_prototype") else Path(plant.urdf)
     arm = robot or load_robot(source, None, inertial == "nominal")
     return RecordingSet(arm, source, torque, inertial, arm.tool, (None,) * arm.n, tuple(recordings), Path("made_up"))
+
+
+def by_trial(at: Prediction, trial: Trial) -> np.ndarray:
+    """Change of `CalibratedModel.output_torque` for each coefficient of a trial, (m, n, K) [Nm]."""
+    true = at.before_sensors(trial)
+    return true if trial.effect.side == "sensor" else np.array([at.physics.passed_on(at.recording, change) for change in true])

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.link_findings import entries
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named, shown_as
 from rrr_oc.diagnosis.held_out import ranges
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
@@ -598,8 +598,7 @@ def _late(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
 def _claim(diagnosis: Diagnosis, finding: Finding, share: float, errors: dict[str, float | None]) -> dict[str, Any]:
     joints = diagnosis.model.joints
     return {
-        "effect": finding.term.effect.name,
-        "joint": _names(finding.term.effect.joints, joints),
+        **named(finding.key, joints),
         "recordings": files_of(finding.term, diagnosis.recordings),
         "equation": finding.term.effect.law,
         **finding.term.effect.said,
@@ -611,7 +610,7 @@ def _claim(diagnosis: Diagnosis, finding: Finding, share: float, errors: dict[st
         "nrmse": errors,
         "lowers_error": _lowered(finding, joints),
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
-        "rivals": [{"effect": name, "joint": _names(j, joints)} for name, j in finding.rivals],
+        "rivals": [named(rival, joints) for rival in finding.rivals],
     }
 
 
@@ -620,15 +619,11 @@ def _class(diagnosis: Diagnosis, u: Undecided) -> dict[str, Any]:
     joints, names = diagnosis.model.joints, {LINK_ERRORS[0], *(t.effect.name for t in u.terms)}
     deciding = [k for k, s in enumerate(diagnosis.suggestions) if set(s.separates) == names]
     members = [
-        {
-            "effect": t.effect.name,
-            "joint": _names(t.effect.joints, joints),
-            "recordings": files_of(t, diagnosis.recordings),
-            "parameters": _parameters(t, diagnosis.recordings),
-        }
+        named(shown_as(t), joints)
+        | {"recordings": files_of(t, diagnosis.recordings), "parameters": _parameters(t, diagnosis.recordings)}
         for t in u.terms
     ]
-    links = {"effect": LINK_ERRORS[0], "joint": None, "recordings": "all", "parameters": {}}
+    links = {**named(LINK_ERRORS, joints), "recordings": "all", "parameters": {}}
     return {
         "members": [*members, links],
         "probability": u.probability,
@@ -712,8 +707,3 @@ def _nested(names: Any, by_name: dict[str, tuple[Any, ...]], column: int) -> Any
 
 def _first(names: Any) -> str:
     return names if isinstance(names, str) else _first(names[0])
-
-
-def _names(numbers: Sequence[int], joints: Sequence[str]) -> Any:
-    named = [joints[j] for j in numbers]
-    return None if not named else named[0] if len(named) == 1 else named

@@ -4,7 +4,7 @@ The data are in the terms of model.json: effects on joints, values, intervals, r
 with what it reads back, too (`rrr_oc.kept`), so that both end in the same numbers.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
@@ -52,7 +52,6 @@ SHARES = {
     "report": 0.01,
 }
 MOST = 1e300  # of a score; JSON has no infinity
-Numbers = list[float | None]  # None where a number is not known
 Scores = list[tuple[list[int], float]]  # effects of a structure, by their numbers, and its score [nats]
 S = TypeVar("S", bound=Struct)
 
@@ -95,8 +94,8 @@ class ModelData(Struct):
 
     effects: list[TermEntry]
     inertial: list[list[float]]
-    noise: Numbers
-    nrmse: Numbers
+    noise: list[float]
+    nrmse: list[float]
     report: dict[str, Any]
     spread: list[list[float]] | None = None
     alternatives: list[AlternativeEntry] = []
@@ -113,7 +112,7 @@ class ModelData(Struct):
     def model(self, start: CalibratedModel) -> CalibratedModel:
         """The model with what it has in common with others from `start`."""
         robot = replace(start.robot, inertial=np.array(self.inertial))
-        errors = {"noise": np.array(self.noise, float), "nrmse": np.array(self.nrmse, float)}
+        errors = {"noise": np.array(self.noise), "nrmse": np.array(self.nrmse)}
         terms = terms_of(self.effects, robot)
         own = replace(
             start, robot=robot, terms=terms, report=self.report, spread=spread_of(self.spread, terms, robot), **errors
@@ -134,16 +133,9 @@ class NoiseData(Struct):
 
     @classmethod
     def of(cls, data: Data, j: int, one: Joint) -> "NoiseData":
-        noise = one.noise
-        weights = one.weights(data, j).tolist()
-        return cls(
-            [f.tolist() for f in noise.filters],
-            noise.spreads.tolist(),
-            noise.turning,
-            number(one.freedom),
-            weights,
-            one.log_det,
-        )
+        noise, weights = one.noise, one.weights(data, j).tolist()
+        filters, spreads = [f.tolist() for f in noise.filters], noise.spreads.tolist()
+        return cls(filters, spreads, noise.turning, number(one.freedom), weights, one.log_det)
 
     def joint(self, data: Data, j: int) -> Joint:
         noise = Noise(tuple(np.array(f) for f in self.filters), np.array(self.spreads), self.turning)
@@ -266,8 +258,8 @@ class FoldData(Struct):
     plain: ModelData
     model: ModelData
     links: list[float]
-    before: list[Numbers]
-    after: list[Numbers]
+    before: list[list[float]]
+    after: list[list[float]]
 
     @classmethod
     def of(cls, fold: Fold) -> "FoldData":
@@ -276,7 +268,7 @@ class FoldData(Struct):
 
     def fold(self, start: CalibratedModel) -> Fold:
         models = self.plain.model(start), self.model.model(start)
-        return Fold(self.held, *models, np.array(self.links), np.array(self.before, float), np.array(self.after, float))
+        return Fold(self.held, *models, np.array(self.links), np.array(self.before), np.array(self.after))
 
 
 class FindingData(Struct):
@@ -340,24 +332,19 @@ class ResultData(Struct):
     model: ModelData
     findings: list[FindingData]
     undecided: list[UndecidedData]
-    links: list[LinkFinding]
+    links: tuple[LinkFinding, ...]
     late: list[FindingData]
     small: list[FindingData]
-    possible: list[Possible]
+    possible: tuple[Possible, ...]
     refuted: list[FindingData]
-    shares: list[Numbers]
-    calibration: list[Numbers]
-    held_out: list[Numbers]
+    shares: tuple[tuple[float, ...], ...]
+    calibration: tuple[list[float], ...]
+    held_out: tuple[list[float], ...]
     way: str
-    mismatch: list[dict[str, Any]]
+    mismatch: tuple[dict[str, Any], ...]
     suggestions: list[SuggestionData]
     folds: list[FoldData]
-    above_noise: Numbers
-    idle: list[tuple[int, float, float]]
+    above_noise: tuple[float, ...]
+    idle: tuple[tuple[int, float, float], ...]
     priors: str | None
     failed: dict[str, str]
-
-
-def numbers(arrays: Iterable[Any]) -> list[Numbers]:
-    """Rows of numbers, NaN as None."""
-    return [plain(np.asarray(a, float)) for a in arrays]
