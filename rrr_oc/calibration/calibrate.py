@@ -20,7 +20,7 @@ from rrr_oc.calibration.estimator.intervals import described, fit_report
 from rrr_oc.calibration.estimator.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
 from rrr_oc.calibration.link_findings import entries, falls, in_directions, link_findings, with_falls
-from rrr_oc.calibration.samples import Prepared, pieces_of, prepare, thinned, without_spikes
+from rrr_oc.calibration.samples import Prepared, pieces_of, prepare, shortened, thinned, without_spikes
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.inertial_parameters import prior
@@ -72,12 +72,12 @@ def if_identified(recordings: RecordingSet, prepared: Sequence[Prepared], fitter
 def first_estimate(
     recordings: RecordingSet, whole: Sequence[Prepared], nominal: CalibratedModel, exact: bool = False
 ) -> CalibratedModel:
-    """A model fitted about a nominal one, from which spikes and the size of a discrepancy can be judged.
+    """A model fitted about a nominal one to a part of the recordings, from which spikes and the size of a discrepancy can be judged.
 
     Args:
         exact: Whether the links of a URDF are known exactly.
     """
-    fitter = PlainFitter.of(data_of(recordings, whole, nominal, nominal, exact))
+    fitter = PlainFitter.of(data_of(recordings, shortened(whole), nominal, nominal, exact))
     levels = fitter.fit(nominal, fitter.data.links.none)  # of friction, before which nothing is known of how it changes sign
     return fitter.with_signs(fitter.fit(levels.model, levels.links, levels.posterior)).model
 

@@ -28,7 +28,11 @@ ENDS = 0.25  # [s] left out at both ends of a stretch, where filter and derivati
 SHORTEST = 0.6  # [s], least length of a segment: three times the common filter; doubled, short segments are lost
 REST_SPEED, REST_TIME = 0.01, 0.25  # below this speed [rad/s] for this long [s] a joint rests; doubled, slow motion is lost
 THIN = 0.012  # [s] between samples where many models are compared; doubled, half the time, and 8 samples in the filter
-LONGEST, PIECE = 1200.0, 20.0  # [s]: the most data on which many models are compared, and the pieces that they are made of
+LONGEST = 1200.0  # [s]: the most data on which many models are compared; doubled, twice the time
+PIECE = 10.0  # [s] of the pieces of which parts of recordings are made; doubled, fewer motions are in them
+SOME = 60.0  # [s] of recordings on which a first model is fitted; doubled, long recordings take twice the time
+SHORTEST_PIECE = 2.0  # [s] of a piece; doubled, pieces of many recordings take twice the time
+GOLDEN = 0.618034  # by which pieces of one recording after the other lie later: evenly over all times
 SPIKE = 6.0  # standard deviations off the running median that make a spike; doubled, small spikes stay in the torque
 RARE = (0.99, 2.576)  # quantile of the residual, and that of normal noise: its ratio bounds the deviation from below
 SPIKE_SAMPLES = 7  # of the running median: spikes of up to 3 samples; doubled, fast signals look like spikes
@@ -133,9 +137,20 @@ def thinned(prepared: Sequence[Prepared], step: float = THIN) -> tuple[Prepared,
     Torque is averaged over the samples left out; motion, which is smooth already, is not. If the recordings last longer than
     `LONGEST` in all, pieces are kept, evenly over the recordings.
     """
-    total = sum(float(np.ptp(p.recording.t)) for p in prepared)
-    share = min(1.0, LONGEST / max(total, 1e-9))
-    return tuple(_thinned(p, max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01)), share) for p in prepared)
+    share = min(1.0, LONGEST / max(lasting(prepared), 1e-9))
+    strides = [max(1, int(step / np.median(np.diff(p.recording.t)) + 0.01)) for p in prepared]
+    return tuple(_thinned(p, stride, share, 0.5) for p, stride in zip(prepared, strides, strict=True))
+
+
+def lasting(prepared: Sequence[Prepared]) -> float:
+    """How long recordings last in all [s]."""
+    return sum(float(np.ptp(p.recording.t)) for p in prepared)
+
+
+def shortened(prepared: Sequence[Prepared]) -> tuple[Prepared, ...]:
+    """Pieces of all recordings that last `SOME` in all, of each recording at other times in it; the recordings if they are not twice that."""
+    share = min(1.0, SOME / max(lasting(prepared), 1e-9))
+    return tuple(_thinned(p, 1, share, GOLDEN * (k + 1) % 1) if share < 0.5 else p for k, p in enumerate(prepared))
 
 
 def pieces_of(only: Prepared) -> tuple[Prepared, ...]:
@@ -249,12 +264,12 @@ def _turning(recording: Recording) -> np.ndarray:
     return turning
 
 
-def _thinned(prepared: Prepared, stride: int, share: float) -> Prepared:
+def _thinned(prepared: Prepared, stride: int, share: float, phase: float) -> Prepared:
     if stride == 1 and share == 1.0:
         return prepared
     r, measured = prepared.recording, prepared.measured.copy()
     kept = []
-    for s in r.segments if share == 1.0 else _pieces(r.t, r.segments, share):
+    for s in r.segments if share == 1.0 else _pieces(r.t, r.segments, share, phase):
         count = stride + 1 - stride % 2
         if s.stop - s.start > count > 1:
             measured[:, s] = local_polynomial(r.t[s], measured[:, s], 0, 1, count)
@@ -267,12 +282,14 @@ def _thinned(prepared: Prepared, stride: int, share: float) -> Prepared:
     return replace(prepared, recording=coarse, measured=measured[:, rows], moving=prepared.moving[:, rows])
 
 
-def _pieces(t: np.ndarray, segments: Sequence[slice], share: float) -> list[slice]:
-    """Pieces of `PIECE` seconds, evenly over the segments, that make up a share of them."""
+def _pieces(t: np.ndarray, segments: Sequence[slice], share: float, phase: float) -> list[slice]:
+    """Pieces of about `PIECE` that make up a share of the segments, each at a share `phase` of what is left out around it."""
     step, pieces = np.median(np.diff(t)), []
     for s in segments:
         size = s.stop - s.start
-        length = min(size, max(int(PIECE / step), 1))
-        number = max(1, round(share * size / length))
-        pieces += [slice(a, a + length) for a in np.linspace(s.start, s.stop - length, number).astype(int)]
+        number = max(1, round(share * size * step / PIECE))
+        length = min(size, max(int(share * size / number), int(SHORTEST_PIECE / step), 1))
+        free = size / number - length
+        begins = [s.start + int(k * size / number + phase * max(free, 0.0)) for k in range(number)]
+        pieces += [slice(a, min(a + length, s.stop)) for a in begins]
     return pieces

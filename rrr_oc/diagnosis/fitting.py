@@ -107,7 +107,8 @@ class Fitter(PlainFitter):
         for other, theta in effect.starts(named):
             term = replace(fitted.extra[i], effect=other).with_values(np.array([theta[p.name] for p in other.parameters]))
             terms = (*fitted.model.terms[:k], term, *fitted.model.terms[k + 1 :])
-            new = self.fit(replace(fitted.model, terms=terms), fitted.links, fitted.posterior)
+            model = replace(fitted.model, terms=terms)
+            new = self.fit(model, fitted.links, fitted.posterior, wanted=best.log_evidence)
             best = max(best, new, key=lambda f: f.log_evidence)
         return best
 

@@ -105,12 +105,12 @@ def _found(again: Repetitions, held: Sequence[int], findings: Sequence[Finding])
 def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, FoldData]:
     """A fold and its number; `start` is where the fit of what was found begins."""
     train = replace(fitter, data=fitter.data.part([i for i in range(len(fitter.data.prepared)) if i not in held]))
-    test, plain = fitter.data.part(held), train.fit(begin.model, begin.links)
+    test, plain = fitter.data.part(held), train.fit(begin.model, begin.links, steps=1)
     near = train.closest(plain)  # as of the whole diagnosis, the model is reported that predicts best
     before = nrmse(test, near.model)
     if start is None:
         return number, FoldData.of(Fold(tuple(held), near.model, near.model, near.links, before, before))
-    found = train.closest(train.fit(*start, plain.posterior))
+    found = train.closest(train.fit(*start, plain.posterior, steps=1))
     return number, FoldData.of(Fold(tuple(held), near.model, found.model, found.links, before, nrmse(test, found.model)))
 
 

@@ -163,8 +163,8 @@ def diagnose(
 
 def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultData:
     """The result of all stages up to the check on held-out recordings."""
-    whole, fitter, every, plain = ready(recordings, priors, stages)
-    begin = fitter.begin(plain)
+    whole, fitter, every, _ = ready(recordings, priors, stages)
+    begin = fitter.begin(stages.start)
     search, at = _searched(fitter, every, begin, stages)
     findings, possible, failed = *found(search, at), dict[str, str]()
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")

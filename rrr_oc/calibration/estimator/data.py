@@ -47,7 +47,11 @@ class Data:
 
     def part(self, keep: Sequence[int]) -> "Data":
         """The data of some of the recordings."""
-        return Data(tuple(self.prepared[i] for i in keep), self.start, self.links, self.free, self.every)
+        return self.of(tuple(self.prepared[i] for i in keep))
+
+    def of(self, prepared: tuple[Prepared, ...]) -> "Data":
+        """The data of parts of the recordings."""
+        return Data(prepared, self.start, self.links, self.free, self.every)
 
     @property
     def every(self) -> tuple[Prepared, ...]:

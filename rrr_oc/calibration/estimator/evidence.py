@@ -324,7 +324,7 @@ def solve(
     start = start or Start.of(data, _first(data, residual))
     hyper, joints = start.hyper, start.joints
     grams = [Gram.of(one, residual[j], columns[j]) for j, one in enumerate(joints)]
-    best = None
+    best, moving = None, list(range(data.n))  # joints whose noise may still change
     for _ in range(ROUNDS):
         solution = estimated(grams, joints, hyper, prior, fixed)
         found = Posterior(**vars(solution), joints=joints, data=data, residual=residual, columns=columns)
@@ -333,16 +333,16 @@ def solve(
         if best is not None and found.log_evidence < best.log_evidence + SMALL_GAIN:
             break
         best = found
-        root = root_of_covariance(found.matrix)
-        renewed = [_renewed(data, found, j, root) for j in range(data.n)]
-        if all(one is old for (one, _), old in zip(renewed, joints, strict=True)):
+        root, sigma, before = root_of_covariance(found.matrix), found.hyper.sigma.copy(), joints
+        for j in moving:
+            one, sigma[j] = _renewed(data, found, j, root)
+            joints = (*joints[:j], one, *joints[j + 1 :])
+        moving = [j for j in moving if joints[j] is not before[j]]
+        if not moving:
             break
-        grams = [
-            g if one is old else Gram.of(one, residual[j], columns[j])
-            for j, (g, (one, _), old) in enumerate(zip(grams, renewed, joints, strict=True))
-        ]
-        joints = tuple(one for one, _ in renewed)
-        noise, sigma = tuple(one.noise for one in joints), np.array([s for _, s in renewed])
+        for j in moving:
+            grams[j] = Gram.of(joints[j], residual[j], columns[j])
+        noise = tuple(one.noise for one in joints)
         hyper = Hyperparameters(noise, sigma, found.hyper.discrepancy, found.hyper.links)
     assert best is not None
     return best

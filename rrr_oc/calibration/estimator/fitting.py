@@ -5,6 +5,7 @@ The one estimator: of a calibration, whose model has plain terms alone, and of a
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -13,13 +14,14 @@ from rrr_oc.calibration.estimator.data import Data, Noise, low_frequency
 from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Posterior, Prior, Start, root_of_covariance, solve
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
 from rrr_oc.calibration.regression import rows
+from rrr_oc.calibration.samples import shortened
 from rrr_oc.effects import Effect
 from rrr_oc.robot.link_errors import OF_URDF
 
 FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
-FEW = 3  # steps after which a fit ends that will not be as good as is wanted
+FEW = 3  # steps after which evidence is not expected to rise by more than it has risen
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
 PATIENCE = 3  # steps without more evidence after which hyperparameters stay as they are
 NONLINEAR = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
@@ -82,7 +84,17 @@ class PlainFitter:
 
     def begin(self, nominal: CalibratedModel) -> Fitted:
         """The fit of `data.start`, from the values of its terms and the links of a nominal model on."""
-        return self.with_signs(self.fit(replace(self.data.start, robot=nominal.robot), self.data.links.none))
+        few = self.few()
+        fitted = few.with_signs(few.fit(replace(self.data.start, robot=nominal.robot), self.data.links.none))
+        if few is not self:
+            start = Start.of(self.data, fitted.posterior.hyper)
+            fitted = self.with_signs(self.fit(fitted.model, fitted.links, start))
+        return fitted
+
+    def few(self) -> Self:
+        """What fits models to a part of the recordings, evenly over them; itself where they are short."""
+        some = shortened(self.data.prepared)
+        return self if some == self.data.prepared else replace(self, data=self.data.of(some))
 
     def fit(
         self,
@@ -95,7 +107,7 @@ class PlainFitter:
     ) -> Fitted:
         """All parameters of a model fitted, with hyperparameters that begin with those of `start`, or stay `fixed` there.
 
-        At most so many steps of Gauss–Newton are made, and `FEW` if the evidence would have to rise as much again to be as `wanted`.
+        At most so many steps of Gauss–Newton are made, and fewer if the evidence would have to rise more than it may to be as `wanted`.
         """
         data = self.data
         residual, columns = self.linearised(model, links)
@@ -114,8 +126,8 @@ class PlainFitter:
             best = Fitted(model, links, post, residual, len(data.start.terms))
             idle = idle + 1 if max(post.log_evidence - highest, fall / 2) < IDLE and expected > last / 2 else 0
             began, highest, last = began if number else post.log_evidence, max(highest, post.log_evidence), expected
-            hopeless = number + 1 >= FEW and 2 * highest - began < wanted
-            if expected < GAIN or idle == 2 or hopeless:
+            hopeless = 2 * highest - began + (0.0 if number + 1 >= FEW else expected) < wanted
+            if expected < GAIN or idle == 2 or hopeless or number + 1 == steps:
                 break
             for rung in range(first, len(DAMPINGS)):
                 step = post.damped(DAMPINGS[rung])
@@ -162,7 +174,8 @@ class PlainFitter:
                     terms, better = with_form(terms, i, form, width), True
             if not better:
                 return fitted
-            new = self.fit(replace(fitted.model, terms=terms), fitted.links, fitted.posterior)
+            there = replace(fitted.model, terms=terms)
+            new = self.fit(there, fitted.links, fitted.posterior, wanted=fitted.log_evidence)
             if new.log_evidence > fitted.log_evidence:
                 fitted = new
 

@@ -7,11 +7,12 @@ fitted exactly, and the best goes on.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
-from rrr_oc.calibration.estimator.evidence import Start, gain_of_other_noise
+from rrr_oc.calibration.estimator.evidence import Posterior, Start, gain_of_other_noise
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
@@ -51,6 +52,7 @@ class Search:
 
     Attributes:
         fitter: Fits models.
+        few: Fits models to a part of the recordings, from which fits to all of them go on; `fitter` where they are short.
         tables: Signatures of what is sought.
         report: Receives what has just happened and the number of structures that were fitted.
         visited: Log posterior of each structure that was fitted, by its effects.
@@ -59,6 +61,7 @@ class Search:
     """
 
     fitter: Fitter
+    few: Fitter
     tables: Tables
     report: Callable[[str, int], None] = lambda *_: None
     visited: dict[Key, float] = field(default_factory=dict)
@@ -71,7 +74,7 @@ class Search:
     @classmethod
     def of(cls, fitter: Fitter, trials: Sequence[Trial], report: Callable[[str, int], None] = lambda *_: None) -> "Search":
         """A search among trials of the catalogue, and black-box terms."""
-        return cls(fitter, Tables(fitter.data.prepared, fitter.data.kept, trials, fitter.view), report)
+        return cls(fitter, fitter.few(), Tables(fitter.data.prepared, fitter.data.kept, trials, fitter.view), report)
 
     def scored(self, fitted: Fitted) -> State:
         """A fit with the prior probability of its structure."""
@@ -85,10 +88,20 @@ class Search:
         return float(sum(each))
 
     def run(self, start: Fitted) -> State:
-        """The best structure that the moves reach from a fitted model."""
+        """The best structure that the moves reach from a fitted model.
+
+        Of long recordings, effects are added on a part of them first, which tells most from others.
+        """
         self._missed.clear()
         self._waiting.clear()
         self.path[:] = [self.scored(start)]
+        if self.few is not self.fitter:
+            part = Search.of(self.few, self.tables.trials, self.report)
+            part.path[:] = [part.scored(self.few.fit(start.model, start.links))]
+            while (better := part._better(part.path[-1], additions=True)) is not None:
+                part.path.append(better)
+            there = self.scored(self._on_all(part.path[-1].fitted, start.posterior))
+            self.path += [there] if there.score > self.path[0].score else []
         while (better := self._better(self.path[-1]) or self._reformed(self.path[-1])) is not None:
             self.path.append(better)
         return self.path[-1]
@@ -131,9 +144,9 @@ class Search:
             hyper = exact(post.hyper)
             if hyper is None:
                 return None
-            return self._neighbours(
-                self.fitter.fit(fitted.model, fitted.links, replace(post, hyper=hyper), fixed=True, steps=NEAR_ENOUGH)
-            )
+            start = replace(post, hyper=hyper)
+            near = self._on_few(fitted.model, fitted.links, start, fixed=True, steps=NEAR_ENOUGH)
+            return self._neighbours(self._on_all(near, start, fixed=True, steps=1))
 
         return Neighbours(linear, self._tables_of(fitted), level.whole, level, exact_arm)
 
@@ -148,13 +161,14 @@ class Search:
         """The tables at a fit, each made when it is first asked for."""
         return cache(lambda joint: self.tables.at(fitted.model, joint))
 
-    def _better(self, at: State) -> State | None:
-        """The best neighbour by the first kind of move that has a better one."""
+    def _better(self, at: State, additions: bool = False) -> State | None:
+        """The best neighbour by the first kind of move that has a better one; only `additions` are made if so asked for."""
         near = self.neighbours(at.fitted)
         here = near.at(near.linear.own, at.fitted.posterior.hyper)
         self.predicted.clear()
         exchanged = partial(near.exchanged, score=at.score, waiting=self._waiting)
-        for move in (near.removed, near.several_added, exchanged, near.unexplained):
+        moves = (near.removed, near.several_added, exchanged, near.unexplained)
+        for move in moves[:2] if additions else moves:
             every = self._renewed(here, move(here))
             self.predicted |= {p.key: at.score + p.score - here.score for p in every}
             better = self._best(at, here, every)
@@ -197,8 +211,6 @@ class Search:
             gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
             least = (gained if best is None else best.score) - CLOSE
             found = self._fitted(at, p, least)
-            if found.score > least:
-                found = self.scored(self.fitter.with_signs(found.fitted))
             tried.append((found, p))
             beyond = found.score - at.score - gain
             self._missed[here.key ^ p.key] = max(-beyond, 0.0)
@@ -233,15 +245,30 @@ class Search:
         rest = len(about.links) + len(self.fitter.widths(model))
         step[:plain], step[len(step) - rest :] = p.solution.step[:plain], p.solution.step[plain : plain + rest]
         own, most = slice(len(step) - rest, len(step) - rest + len(about.links)), np.maximum(np.abs(about.links), FAR)
-        ahead = np.clip(about.links + step[own], -most, most) - about.links
+        ahead, begin = np.clip(about.links + step[own], -most, most) - about.links, self._start_of_few(start)
 
         def at_share(share: float) -> tuple[float, CalibratedModel, np.ndarray]:
             step[own] = share * ahead
             there, links = self.fitter.moved(model, about.links, step)
-            return start.cost(self.fitter.data.residual(there)), there, links
+            return begin.cost(self.few.data.residual(there)), there, links
 
         _, model, links = min((at_share(share) for share in (LINK_SHARES if ahead.any() else (1.0,))), key=lambda one: one[0])
-        return self.fitter.fit(model, links, start, wanted=wanted - self._log_prior(model.terms[about.base :]))
+        wanted -= self._log_prior(model.terms[about.base :])
+        near = self._on_few(model, links, start, wanted=wanted if self.few is self.fitter else -np.inf)
+        if self.few is not self.fitter or near.log_evidence > wanted:
+            near = self.few.with_signs(near)
+        return self._on_all(near, start, wanted=wanted)
+
+    def _start_of_few(self, start: Posterior | Start) -> Posterior | Start:
+        return start if self.few is self.fitter else Start.of(self.few.data, start.hyper)
+
+    def _on_few(self, model: CalibratedModel, links: np.ndarray, start: Posterior | Start, **options: Any) -> Fitted:
+        """A fit to the part of the recordings; `start` is of all of them."""
+        return self.few.fit(model, links, self._start_of_few(start), **options)
+
+    def _on_all(self, near: Fitted, start: Posterior | Start, **options: Any) -> Fitted:
+        """The fit to all recordings that goes on from one to the part of them."""
+        return near if self.few is self.fitter else self.fitter.fit(near.model, near.links, start, **options)
 
     def _restarted(self, found: State, p: Predicted) -> State:
         """The most probable of a fit and of those from other starts of its new effects."""
@@ -254,10 +281,11 @@ class Search:
         return better if better.score > at.score + LEAST_GAIN else None
 
     def _from_other_starts(self, at: State, some: Sequence[int]) -> State:
-        fitted = at.fitted
+        post, alike = at.fitted.posterior, self.few is self.fitter
+        first = best = at.fitted if alike or not some else self._on_few(at.fitted.model, at.fitted.links, post)
         for i in some:
-            fitted = self.fitter.restarted(fitted, i)
-        return at if fitted is at.fitted else self.scored(fitted)
+            best = self.few.restarted(best, i)
+        return at if best is first else self.scored(self._on_all(best, post, wanted=at.fitted.log_evidence))
 
 
 def terms_of(fitted: Fitted, structure: Structure, labels: Sequence[str]) -> tuple[Term, ...]:
