@@ -98,9 +98,9 @@ class _Turned:
 
     @property
     def may_be(self) -> bool:
-        """Whether the spring, beside a term of drives or sensors with one parameter, is on its joints in all recordings."""
+        """Whether the spring, beside an effect of drives or sensors with one parameter, is on its joints in all recordings."""
         spring, other = self.spring, self.other
-        everywhere = spring.recordings == other.recordings == "all" and other.effect.side != "link"
+        everywhere = spring.recordings == other.recordings == "all" and other.effect.side != "link" and other.effect.role == "law"
         inside = bool(other.effect.joints) and set(other.effect.joints) <= set(spring.effect.joints)
         return isinstance(spring.effect, LinkSpring) and everywhere and inside and len(other.estimates) == 1
 
