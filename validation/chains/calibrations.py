@@ -64,7 +64,7 @@ def parameters(model: CalibratedModel, truth: dict[str, Any]) -> Iterable[dict[s
 def true_model(recordings: RecordingSet, truth: dict[str, Any], urdf: Path) -> CalibratedModel:
     """The plain model with the true bodies, friction and rotors."""
     model = plain_model(recordings)
-    robot = replace(model.robot, inertial=load_robot(urdf, model.joints, True, recordings.gravity).inertial)
+    robot = replace(model.robot, inertial=load_robot(urdf, model.joints, True, tuple(recordings.gravity)).inertial)
     terms = []
     for term in model.terms:
         name, joint = TRUE.get(term.effect.name), model.joints[term.effect.joints[0]]
