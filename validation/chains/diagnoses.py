@@ -29,10 +29,12 @@ def diagnosed(folder: Path, file: Path) -> None:
     """Write what is said of a case, and the processor time."""
     from rrr_oc.diagnosis.files.diagnosis_file import to_json
     from rrr_oc.diagnosis.procedure import diagnose
+    from rrr_oc.parallel import one_thread
     from rrr_oc.recordings.reader import load_recordings
     from rrr_oc.storage import write_json
 
-    content = to_json(diagnose(load_recordings(folder / "recordings")))
+    with one_thread():
+        content = to_json(diagnose(load_recordings(folder / "recordings")))
     write_json(file, {"seconds": time.process_time(), "diagnosis": json.loads(json.dumps(content))})
 
 
