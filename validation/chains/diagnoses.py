@@ -44,7 +44,11 @@ def once(folder: Path, file: Path, limit: int) -> dict[str, Any]:
         file.parent.mkdir(parents=True, exist_ok=True)
         command = ["-m", "validation.chains.diagnoses", str(folder), "--out", str(file), "--one", "--limit", str(limit)]
         run = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=False)
-        why = f"more than {limit} s" if run.returncode == -signal.SIGXCPU else f"{run.stderr[-3000:]}status {run.returncode}"
+        why = (
+            f"more than {limit} s"
+            if run.returncode == -signal.SIGXCPU
+            else run.stderr[-3000:].strip() or f"status {run.returncode}"
+        )
         failed = why if run.returncode else ""
         if failed:
             file.write_text(json.dumps({"failed": failed}))
