@@ -153,6 +153,15 @@ def test_scores_count_what_is_said_right_and_wrong(tmp_path):
     assert scored(unexplained=[{"joint": "j2", "depends_on": ["dq_j2"]}])["hidden/on what"] == 0
 
 
+def test_a_true_delay_of_a_clean_arm_is_right(tmp_path):
+    one, delay = sealed(small("late_arm", "clean", tmp_path)), {"effect": "time_delay", "joint": None}
+    right, wrong = (
+        score(TOLD | {"verdict": "missing_physics", "effects": e}, one)
+        for e in ([delay], [{"effect": "backlash", "joint": "j1"}])
+    )
+    assert (right["clean/right"], right["claims/false"], wrong["clean/right"], wrong["claims/false"]) == (1, 0, 0, 1)
+
+
 def test_scores_of_links_and_events(tmp_path):
     one = sealed(small("leg", "links", tmp_path))
     off, other = one.truth["off"]["link"], next(link for link in one.links if not one.off(link))

@@ -144,8 +144,8 @@ def random_arm(kind: ArmKind, rng: np.random.Generator) -> Arm:
     inertia = np.mean([np.diag(pin.crba(model, data, q)) for q in postures], axis=0)
     holding = np.sqrt(np.mean([pin.computeGeneralizedGravity(model, data, q) ** 2 for q in postures], axis=0))
     usual = holding + inertia * kind.acceleration
-    drawn = {name: rng.uniform(*getattr(kind, name), n) for name in ("dry", "viscous", "rotor")}
-    return replace(arm, dry=usual * drawn["dry"], viscous=usual * drawn["viscous"], rotor=inertia * drawn["rotor"], usual=usual)
+    dry, viscous, rotor = (rng.uniform(low, high, n) for low, high in (kind.dry, kind.viscous, kind.rotor))
+    return replace(arm, dry=usual * dry, viscous=usual * viscous, rotor=inertia * rotor, usual=usual)
 
 
 def described(arm: Arm, rng: np.random.Generator) -> Arm:

@@ -23,6 +23,7 @@ from rrr_oc.calibration.calibrate import calibrate
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import evaluate_inverse
+from rrr_oc.parallel import one_thread
 from rrr_oc.recordings.reader import load_recordings
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.robot.robot import load_robot
@@ -64,7 +65,7 @@ def parameters(model: CalibratedModel, truth: dict[str, Any]) -> Iterable[dict[s
 def true_model(recordings: RecordingSet, truth: dict[str, Any], urdf: Path) -> CalibratedModel:
     """The plain model with the true bodies, friction and rotors."""
     model = plain_model(recordings)
-    robot = replace(model.robot, inertial=load_robot(urdf, model.joints, True, recordings.gravity).inertial)
+    robot = replace(model.robot, inertial=load_robot(urdf, model.joints, True, tuple(recordings.gravity)).inertial)
     terms = []
     for term in model.terms:
         name, joint = TRUE.get(term.effect.name), model.joints[term.effect.joints[0]]
@@ -122,7 +123,8 @@ def main() -> None:
     for folder in cases_of(options.cases):
         file = options.out / "calibrations" / f"{folder.name}.json"
         if not file.exists():
-            write_json(file, json.loads(json.dumps(calibrated(folder))))
+            with one_thread():
+                write_json(file, json.loads(json.dumps(calibrated(folder))))
             print(folder.name, flush=True)
         results.append(json.loads(file.read_text()))
     print(table(results))

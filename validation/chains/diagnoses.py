@@ -29,10 +29,12 @@ def diagnosed(folder: Path, file: Path) -> None:
     """Write what is said of a case, and the processor time."""
     from rrr_oc.diagnosis.files.diagnosis_file import to_json
     from rrr_oc.diagnosis.procedure import diagnose
+    from rrr_oc.parallel import one_thread
     from rrr_oc.recordings.reader import load_recordings
     from rrr_oc.storage import write_json
 
-    content = to_json(diagnose(load_recordings(folder / "recordings")))
+    with one_thread():
+        content = to_json(diagnose(load_recordings(folder / "recordings")))
     write_json(file, {"seconds": time.process_time(), "diagnosis": json.loads(json.dumps(content))})
 
 
@@ -42,7 +44,11 @@ def once(folder: Path, file: Path, limit: int) -> dict[str, Any]:
         file.parent.mkdir(parents=True, exist_ok=True)
         command = ["-m", "validation.chains.diagnoses", str(folder), "--out", str(file), "--one", "--limit", str(limit)]
         run = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=False)
-        why = f"more than {limit} s" if run.returncode == -signal.SIGXCPU else f"{run.stderr[-3000:]}status {run.returncode}"
+        why = (
+            f"more than {limit} s"
+            if run.returncode == -signal.SIGXCPU
+            else run.stderr[-3000:].strip() or f"status {run.returncode}"
+        )
         failed = why if run.returncode else ""
         if failed:
             file.write_text(json.dumps({"failed": failed}))

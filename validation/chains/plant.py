@@ -126,4 +126,4 @@ def controlled(
         a, held = data.qacc, data.qfrc_constraint
         load = data.qfrc_applied + held - arm.rotor * a
         log[:, :, k] = q, v, a, motor, -held
-    return Exact(t, *log, pushed)
+    return Exact._make((t, *log, pushed))

@@ -108,7 +108,8 @@ def score(found: Mapping[str, Any], sealed: Sealed) -> Counter[str]:
     result.update({"torques": len(torques), "torques/false": sum(not set(sealed.at(u)) & set(sealed.felt) for u in torques)})
     if truth["kind"] == "clean":
         links = [f for f in found["link_findings"] if not sealed.off(f["link"])]
-        quiet = found["verdict"] == "nothing_missing" or (bool(found["link_findings"]) and not links)
+        true = len(effects) > len(said) or bool(found["link_findings"])  # a delay, or a link that happens to be off
+        quiet = found["verdict"] == "nothing_missing" or (true and not result["claims/false"])
         result.update({"clean": 1, "clean/right": int(quiet and not (said or torques or classes or links))})
     told = found["link_findings"]
     result.update({"links told": len(told), "links told/right": sum(link_right(f, sealed) for f in told)})
