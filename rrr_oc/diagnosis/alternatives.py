@@ -133,9 +133,8 @@ class _Turned:
     def at(self, x: float) -> CalibratedModel:
         """The model at such a move [rad]."""
         turned = self.spring.with_values(self.moved(x))
-        return replace(
-            self.told, terms=tuple(turned if t is self.spring else t for t in self.told.terms if t is not self.other)
-        )
+        terms = tuple(turned if t is self.spring else t for t in self.told.terms if t is not self.other)
+        return replace(self.told, terms=terms)
 
     def spread(self, x: float) -> np.ndarray | None:
         """Its spread, where x = − (size of the other term) / stiffness."""

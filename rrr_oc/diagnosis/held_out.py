@@ -3,7 +3,7 @@
 Errors before and after with bootstrap intervals, and while MuJoCo tracks the recordings.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -105,11 +105,6 @@ def _parts(fitter: Fitter, begin: Fitted, held: Sequence[int]) -> tuple[Fitter, 
     return train, fitter.data.part(held), train.with_signs(train.fit(begin.model, begin.links))
 
 
-def _each(function: Callable, arguments: Sequence[Sequence[Any]], long: bool) -> list[Any]:
-    """Results of the calls, which worker processes make if they are long enough to be worth the start of these."""
-    return parallel.ordered(function, arguments) if long else [function(*a) for a in arguments]
-
-
 def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, FoldData]:
     """A fold and its number; `start` is where the fit of what was found begins."""
     train, test, plain = _parts(fitter, begin, held)
@@ -128,7 +123,7 @@ def with_claims(
     arguments = [
         (f"claims without part {k}", _claimed, fitter, begin, fold, tuple(findings)) for k, fold in enumerate(folds, 1)
     ]
-    every = _each(tried, arguments, any(fold.extra for fold in folds))
+    every = parallel.ordered(tried, arguments) if any(fold.extra for fold in folds) else [tried(*one) for one in arguments]
     failed.update(pair for _, why in every for pair in why.items())
     return [fold for found, _ in every for fold in found]
 
