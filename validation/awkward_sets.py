@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """Does every undamaged set, however awkward, get through a whole diagnosis, or is it refused in one sentence?
 
     python validation/awkward_sets.py --sets 80 --out results/awkward

@@ -22,14 +22,8 @@ from rrr_oc.storage import number, plain, write_json
 FORMAT = "rrr_oc-model/1"
 DIGITS = 6  # of a standard deviation in the file; with fewer, files are shorter
 INERTIAL_ORDER = "m [kg], m c [kg m] (x, y, z), I about the joint's frame [kg m²] (xx, xy, yy, xz, yz, zz)"
-JOINTS = {
-    "joint": (1,),
-    "joint or arm": (0, 1),
-    "many": (1,),
-    "pair": (2,),
-    "spring": (1, 2),
-    "arm": (0,),
-}  # how many an effect has, by its placement
+# How many joints an effect has, by its placement
+JOINTS = {"joint": (1,), "joint or arm": (0, 1), "many": (1,), "pair": (2,), "spring": (1, 2), "arm": (0,)}
 Links = dict[str, Annotated[list[float], Meta(min_length=10, max_length=10, description="ten numbers are required")]]
 MOST = 1e12  # of an estimate and of what is not known of it, in any unit; more of either is no knowledge
 Number = Annotated[float, Meta(ge=-MOST, le=MOST)]
@@ -215,8 +209,7 @@ def links_of(robot: Robot) -> Links:
 
 
 def spread_entry(spread: np.ndarray | None) -> Spread | None:
-    """`CalibratedModel.spread` as in the file: a row for each change, to `DIGITS` digits, which is more than is known of any; None where
-    it is no number."""
+    """`CalibratedModel.spread` as in the file: a row for each change, to `DIGITS` digits, more than are known; None where it is no number."""
     if spread is None or not np.all(np.isfinite(spread)):
         return None
     return [[float(f"{x:.{DIGITS}g}") for x in change] for change in np.clip(spread, -MOST, MOST).T.tolist()]

@@ -100,7 +100,9 @@ class _Turned:
     def may_be(self) -> bool:
         """Whether the spring, beside an effect of drives or sensors with one parameter, is on its joints in all recordings."""
         spring, other = self.spring, self.other
-        everywhere = spring.recordings == other.recordings == "all" and other.effect.side != "link" and other.effect.role == "law"
+        everywhere = (
+            spring.recordings == other.recordings == "all" and other.effect.side != "link" and other.effect.role == "law"
+        )
         inside = bool(other.effect.joints) and set(other.effect.joints) <= set(spring.effect.joints)
         return isinstance(spring.effect, LinkSpring) and everywhere and inside and len(other.estimates) == 1
 
@@ -133,9 +135,8 @@ class _Turned:
     def at(self, x: float) -> CalibratedModel:
         """The model at such a move [rad]."""
         turned = self.spring.with_values(self.moved(x))
-        return replace(
-            self.told, terms=tuple(turned if t is self.spring else t for t in self.told.terms if t is not self.other)
-        )
+        terms = tuple(turned if t is self.spring else t for t in self.told.terms if t is not self.other)
+        return replace(self.told, terms=terms)
 
     def spread(self, x: float) -> np.ndarray | None:
         """Its spread, where x = − (size of the other term) / stiffness."""

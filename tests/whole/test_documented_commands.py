@@ -102,6 +102,7 @@ NOT_RUN = {
     "validation/hidden_springs.py": ("an hour", "tests/validation/test_hidden_springs.py"),
     "validation/every_arm.py": ("minutes, and needs robot files of others", "tests/validation/test_every_arm.py"),
     "validation/fuzz_inputs.py": ("an hour", "tests/validation/test_fuzz_inputs.py"),
+    "validation/awkward_sets.py": ("an hour", "tests/validation/test_awkward_sets.py"),
 }
 
 

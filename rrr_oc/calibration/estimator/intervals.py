@@ -74,11 +74,7 @@ def spread(fitted: Fitted) -> np.ndarray:
 def with_intervals(model: CalibratedModel, std: np.ndarray, half: np.ndarray, known: np.ndarray) -> CalibratedModel:
     """A model with standard errors and half widths of its intervals, which are cut at bounds, where parameters are known, (p,) each."""
     values, (lower, upper) = model.values, bounds(model.terms)
-    held, low, high = (
-        (values <= lower) | (values >= upper),
-        np.clip(values - half, lower, upper),
-        np.clip(values + half, lower, upper),
-    )
+    held, (low, high) = (values <= lower) | (values >= upper), np.clip([values - half, values + half], lower, upper)
     estimates = [
         Estimate(float(v), float(s), (float(a), float(b)), bool(h)) if k else Estimate(float(v), at_bound=bool(h))
         for v, s, a, b, h, k in zip(values, std, low, high, held, known, strict=True)

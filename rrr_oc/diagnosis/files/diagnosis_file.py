@@ -688,10 +688,8 @@ def _parameters(term: Term, recordings: RecordingSet) -> dict[str, Any]:
     if result:
         return result
     for p, e in zip(term.effect.parameters, term.estimates, strict=True):
-        interval = None if e.interval is None else list(e.interval)
-        result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": interval}
-    numbers = zip(term.effect.parameters, term.estimates, strict=True)
-    result |= term.effect.derived({p.name: (e.value, e.std) for p, e in numbers})
+        result[p.name] = {"value": e.value, "std": e.std, "unit": p.unit, "interval": e.interval and list(e.interval)}
+    result |= term.effect.derived({name: (value, std) for name, (value, std, _) in by_name.items()})
     for option in term.effect.options:
         if option in term.effect.said:
             continue  # it stands in the entry itself

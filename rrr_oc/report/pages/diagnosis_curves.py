@@ -71,6 +71,8 @@ def held_out_predictions(diagnosis: Diagnosis, k: int, r: Recording) -> tuple[np
     if diagnosis.way == "recordings":
         fold = next((f for f in diagnosis.folds if k in f.held), None)
         return None if fold is None else (fold.plain.predicted_torque(r), fold.model.predicted_torque(r))
+    if not diagnosis.folds:
+        return None
     before, after = (np.full_like(r.tau, np.nan) for _ in range(2))
     blocks = blocks_of(r)
     for fold in diagnosis.folds:
