@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rrr_oc.calibration.estimator.evidence import Hyperparameters
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, Start
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.estimator.left_out import block_edges
@@ -20,12 +20,13 @@ from rrr_oc.diagnosis.effect_size import in_shape, squares
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as, wald
 from rrr_oc.diagnosis.fitting import EXACT
 from rrr_oc.diagnosis.knobs import CLAIM, EXCESS, MATTERS
-from rrr_oc.diagnosis.structures.linear import Level
+from rrr_oc.diagnosis.structures.linear import Addition, Level
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects import Effect
 
 NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
+SAME = 2.0  # squared declared standard deviations of links that are left beside an effect which does what they do; doubled, more do so
 FAR_OFF = max(EXCESS)  # times their declared errors, by which links may be off to stand for an effect
 
 
@@ -72,7 +73,7 @@ def with_links(
 ) -> tuple[list[Undecided], list[Exchange], list[LinkFinding]]:
     """What is undecided, with the effects that explain as well what links explain that are far off in a fit, their fits, and these links."""
     found = link_findings(fitted)
-    fits = instead_of_links(search, fitted) if found else []
+    fits = instead_of_links(search, fitted, found) if found else []
     terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
     found = [replace(f, rivals=tuple(map(shown_as, terms))) for f in with_falls(search.fitter, fitted, found)]
@@ -84,21 +85,49 @@ def with_links(
     return [*(u for u in undecided if u not in same), Undecided(every, probability)], fits, found
 
 
-def instead_of_links(search: Search, fitted: Fitted) -> list[Exchange]:
-    """Fits with an effect, their last, beside which no link is far off, and which explain as much as the links of a fit do."""
-    data, hyper = search.fitter.data, fitted.posterior.hyper
-    start = replace(fitted.posterior, hyper=replace(hyper, links=np.full_like(hyper.links, EXACT)))
+def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding]) -> list[Exchange]:
+    """Fits with an effect, their last, that does what the links of a fit do that are off, with these links as described."""
+    data, post = search.fitter.data, fitted.posterior
+    start = replace(post, hyper=replace(post.hyper, links=np.full_like(post.hyper.links, EXACT)))
     nominal = replace(fitted.model, robot=replace(fitted.model.robot, inertial=data.links.at(data.links.none)[0]))
     none = search.fitter.fit(nominal, data.links.none, start, fixed=True)
-    near, result = search.neighbours(none), []
-    for a in near.candidates(near.at(near.linear.own, start.hyper, True)):
-        if is_link_error(a.effect):
-            continue
-        exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
-        there = wald(exact, len(exact.extra) - 1) < 1 - CLAIM
-        if there and as_good(squared(exact), squared(fitted)) and not link_findings(exact):
+    near, result, others = search.neighbours(none), [], post.hyper.links.copy()
+    others[[f.link for f in found]] = EXACT
+    every = [a for a in near.candidates(near.at(near.linear.own, start.hyper, True)) if not is_link_error(a.effect)]
+    for a, same in zip(every, do_the_same(fitted, found, every), strict=True):
+        if same:
+            one = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
+            exact = search.fitter.fit(one.model, one.links, Start(replace(post.hyper, links=others), post.joints), fixed=True)
             result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
     return result
+
+
+def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[Addition]) -> list[bool]:
+    """Whether effects do to the torques of these recordings what links do that are off, but for usual errors of links.
+
+    Torques are linear in inertial parameters. What these links change of them is explained by plain parameters and links with errors of
+    the declared size, at a cost that is the squared size of the errors; an effect does the same if it leaves less than `SAME` of that.
+    """
+    post, model, size = fitted.posterior, fitted.model, len(fitted.model.values)
+    data, last = post.data, size + 10 * post.data.n
+    by_bodies = data.rows(model).jacobian[:, :, size:last]
+    off = np.zeros_like(model.robot.inertial)
+    own = [f.link for f in found]
+    off[:, own] = (model.robot.inertial - data.links.plain)[:, own]
+    columns = post.columns.copy()
+    columns[:, :, size : size + len(fitted.links)] = by_bodies @ data.links.at(data.links.none)[1]
+    scale = post.hyper.sigma[:, None, None]
+    drawn, y = (
+        np.diag(np.sqrt(post.base.precision)),
+        np.append(by_bodies @ off.T.ravel() / scale[:, 0], np.zeros(len(post.step))),
+    )
+
+    def left(more: np.ndarray) -> float:
+        x = (np.concatenate([columns, more], axis=2) / scale).reshape(-1, len(drawn) + more.shape[2])
+        x = np.vstack([x, np.hstack([drawn, np.zeros((len(drawn), more.shape[2]))])])
+        return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
+
+    return [left(a.columns) < SAME for a in effects]
 
 
 def is_link_error(effect: Effect) -> bool:

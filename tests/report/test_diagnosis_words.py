@@ -8,10 +8,9 @@ import pytest
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.words import Number, joint_words, read
 from rrr_oc.report.diagnosis_words import (
+    if_identified,
     lowered,
     not_claimed,
-    if_identified,
-    if_identified,
     off_links,
     on_prior,
     percent,
