@@ -17,16 +17,16 @@ from rrr_oc.calibration.estimator.left_out import block_edges
 from rrr_oc.calibration.link_findings import LinkFinding, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
 from rrr_oc.diagnosis.effect_size import in_shape, squares
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as, wald
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as
 from rrr_oc.diagnosis.fitting import EXACT
-from rrr_oc.diagnosis.knobs import CLAIM, EXCESS, MATTERS
+from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
 from rrr_oc.diagnosis.structures.linear import Addition, Level
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects import Effect
 
 NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
-SAME = 2.0  # squared declared standard deviations of links that are left beside an effect which does what they do; doubled, more do so
+SAME = 0.125  # share of what links do that an effect may leave which does the same; doubled, more effects do
 FAR_OFF = max(EXCESS)  # times their declared errors, by which links may be off to stand for an effect
 
 
@@ -72,17 +72,18 @@ def with_links(
     undecided: Sequence[Undecided], search: Search, fitted: Fitted
 ) -> tuple[list[Undecided], list[Exchange], list[LinkFinding]]:
     """What is undecided, with the effects that explain as well what links explain that are far off in a fit, their fits, and these links."""
-    found = link_findings(fitted)
+    found = with_falls(search.fitter, fitted, link_findings(fitted))
     fits = instead_of_links(search, fitted, found) if found else []
     terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
-    found = [replace(f, rivals=tuple(map(shown_as, terms))) for f in with_falls(search.fitter, fitted, found)]
-    if not terms:
-        return list(undecided), [], found
-    known = {kind(t.effect) for u in same for t in u.terms}
-    every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
-    probability = max([*(u.probability for u in same), *(link.probability for link in found)])
-    return [*(u for u in undecided if u not in same), Undecided(every, probability)], fits, found
+    result = [u for u in undecided if u not in same]
+    if terms:
+        known = {kind(t.effect) for u in same for t in u.terms}
+        every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
+        probability = max([*(u.probability for u in same), *(link.probability for link in found)])
+        result.append(Undecided(every, probability))
+    rivals = tuple(dict.fromkeys(shown_as(t) for u in result for t in u.terms))
+    return result, fits, [replace(f, rivals=rivals) for f in found]
 
 
 def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding]) -> list[Exchange]:
@@ -98,36 +99,35 @@ def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding
         if same:
             one = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
             exact = search.fitter.fit(one.model, one.links, Start(replace(post.hyper, links=others), post.joints), fixed=True)
-            result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
+            if as_good(squared(exact), squared(fitted), NEAR * MATTERS):
+                result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
     return result
 
 
 def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[Addition]) -> list[bool]:
     """Whether effects do to the torques of these recordings what links do that are off, but for usual errors of links.
 
-    Torques are linear in inertial parameters. What these links change of them is explained by plain parameters and links with errors of
-    the declared size, at a cost that is the squared size of the errors; an effect does the same if it leaves less than `SAME` of that.
+    Torques are linear in inertial parameters. What the links of the fit change of them is explained by plain parameters and links with
+    errors of the declared size, at a cost that is the squared size of the errors. The change of links that are off lowers it, as one
+    column each; an effect does the same if it lowers it by as much, but for a share `SAME`.
     """
-    post, model, size = fitted.posterior, fitted.model, len(fitted.model.values)
-    data, last = post.data, size + 10 * post.data.n
-    by_bodies = data.rows(model).jacobian[:, :, size:last]
-    off = np.zeros_like(model.robot.inertial)
-    own = [f.link for f in found]
-    off[:, own] = (model.robot.inertial - data.links.plain)[:, own]
-    columns = post.columns.copy()
-    columns[:, :, size : size + len(fitted.links)] = by_bodies @ data.links.at(data.links.none)[1]
-    scale = post.hyper.sigma[:, None, None]
-    drawn, y = (
-        np.diag(np.sqrt(post.base.precision)),
-        np.append(by_bodies @ off.T.ravel() / scale[:, 0], np.zeros(len(post.step))),
-    )
+    post, data, size = fitted.posterior, fitted.posterior.data, len(fitted.model.values)
+    own, scale = slice(size, size + len(fitted.links)), post.hyper.sigma[:, None, None]
+    by_bodies = data.rows(fitted.model).jacobian[:, :, size : size + 10 * data.n]
+    off = np.diag((fitted.model.robot.inertial - data.links.plain).T.ravel()).reshape(-1, data.n, 10).sum(axis=2)
+    changes, columns = by_bodies @ off, post.columns.copy()  # of each link (n, M, n)
+    columns[:, :, own] = by_bodies @ data.links.at(data.links.none)[1]
+    y = np.append(changes.sum(axis=2) / scale[:, :, 0], np.zeros(len(post.step)))
 
     def left(more: np.ndarray) -> float:
-        x = (np.concatenate([columns, more], axis=2) / scale).reshape(-1, len(drawn) + more.shape[2])
-        x = np.vstack([x, np.hstack([drawn, np.zeros((len(drawn), more.shape[2]))])])
+        x = (np.concatenate([columns, more], axis=2) / scale).reshape(-1, len(post.step) + more.shape[2])
+        x = np.vstack(
+            [x, np.eye(len(post.step), x.shape[1]) * np.sqrt(np.append(post.base.precision, np.zeros(more.shape[2])))]
+        )
         return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
 
-    return [left(a.columns) < SAME for a in effects]
+    none, least = left(changes[:, :, :0]), left(changes[:, :, [f.link for f in found]])
+    return [left(a.columns) < least + SAME * (none - least) for a in effects]
 
 
 def is_link_error(effect: Effect) -> bool:
