@@ -10,23 +10,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from rrr_oc.calibration.estimator.evidence import Hyperparameters
+from rrr_oc.calibration.estimator.evidence import Hyperparameters, Start
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.estimator.left_out import block_edges
 from rrr_oc.calibration.link_findings import LinkFinding, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
 from rrr_oc.diagnosis.effect_size import in_shape, squares
-from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as, wald
+from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as
 from rrr_oc.diagnosis.fitting import EXACT
-from rrr_oc.diagnosis.knobs import CLAIM, EXCESS, MATTERS
-from rrr_oc.diagnosis.structures.linear import Level
+from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
+from rrr_oc.diagnosis.structures.linear import Addition, Level
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.effects import Effect
 from rrr_oc.errors import noted
 
 NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
+SAME = 0.125  # share of what links do that an effect may leave which does the same; doubled, more effects do
 FAR_OFF = max(EXCESS)  # times their declared errors, by which links may be off to stand for an effect
 
 
@@ -77,37 +78,66 @@ def with_links(
     undecided: Sequence[Undecided], search: Search, fitted: Fitted, failed: dict[str, str]
 ) -> tuple[list[Undecided], list[Exchange], list[LinkFinding]]:
     """What is undecided, with the effects that explain as well what links explain that are far off in a fit, their fits, and these links."""
-    found, fits = link_findings(fitted), list[Exchange]()
+    found, fits = with_falls(search.fitter, fitted, link_findings(fitted)), list[Exchange]()
     if found:
         with noted(failed, "effects in the place of links"):
-            fits += instead_of_links(search, fitted, failed)
+            fits += instead_of_links(search, fitted, found, failed)
     terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
-    found = [replace(f, rivals=tuple(map(shown_as, terms))) for f in with_falls(search.fitter, fitted, found)]
-    if not terms:
-        return list(undecided), [], found
-    known = {kind(t.effect) for u in same for t in u.terms}
-    every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
-    probability = max([*(u.probability for u in same), *(link.probability for link in found)])
-    return [*(u for u in undecided if u not in same), Undecided(every, probability)], fits, found
+    result = [u for u in undecided if u not in same]
+    if terms:
+        known = {kind(t.effect) for u in same for t in u.terms}
+        every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
+        probability = max([*(u.probability for u in same), *(link.probability for link in found)])
+        result.append(Undecided(every, probability))
+    rivals = tuple(dict.fromkeys(shown_as(t) for u in result for t in u.terms))
+    return result, fits, [replace(f, rivals=rivals) for f in found]
 
 
-def instead_of_links(search: Search, fitted: Fitted, failed: dict[str, str]) -> list[Exchange]:
-    """Fits with an effect, their last, beside which no link is far off, and which explain as much as the links of a fit do."""
-    data, hyper = search.fitter.data, fitted.posterior.hyper
-    start = replace(fitted.posterior, hyper=replace(hyper, links=np.full_like(hyper.links, EXACT)))
+def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding], failed: dict[str, str]) -> list[Exchange]:
+    """Fits with an effect, their last, that does what the links of a fit do that are off, with these links as described."""
+    data, post = search.fitter.data, fitted.posterior
+    start = replace(post, hyper=replace(post.hyper, links=np.full_like(post.hyper.links, EXACT)))
     nominal = replace(fitted.model, robot=replace(fitted.model.robot, inertial=data.links.at(data.links.none)[0]))
     none = search.fitter.fit(nominal, data.links.none, start, fixed=True)
-    near, result = search.neighbours(none), []
-    for a in near.candidates(near.at(near.linear.own, start.hyper, True)):
-        if is_link_error(a.effect):
-            continue
+    near, result, others = search.neighbours(none), [], post.hyper.links.copy()
+    others[[f.link for f in found]] = EXACT
+    every = [a for a in near.candidates(near.at(near.linear.own, start.hyper, True)) if not is_link_error(a.effect)]
+    for a, same in zip(every, do_the_same(fitted, found, every), strict=True):
         with noted(failed, f"comparison: {a.effect.name} in the place of links"):
-            exact = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
-            there = wald(exact, len(exact.extra) - 1) < 1 - CLAIM
-            if there and as_good(squared(exact), squared(fitted)) and not link_findings(exact):
+            if not same:
+                continue
+            one = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
+            exact = search.fitter.fit(one.model, one.links, Start(replace(post.hyper, links=others), post.joints), fixed=True)
+            if as_good(squared(exact), squared(fitted), NEAR * MATTERS):
                 result.append(Exchange(exact, (shown_as(exact.extra[-1]),), (LINK_ERRORS,)))
     return result
+
+
+def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[Addition]) -> list[bool]:
+    """Whether effects do to the torques of these recordings what links do that are off, but for usual errors of links.
+
+    Torques are linear in inertial parameters. What the links of the fit change of them is explained by plain parameters and links with
+    errors of the declared size, at a cost that is the squared size of the errors. The change of links that are off lowers it, as one
+    column each; an effect does the same if it lowers it by as much, but for a share `SAME`.
+    """
+    post, data, size = fitted.posterior, fitted.posterior.data, len(fitted.model.values)
+    own, scale = slice(size, size + len(fitted.links)), post.hyper.sigma[:, None, None]
+    by_bodies = data.rows(fitted.model).jacobian[:, :, size : size + 10 * data.n]
+    off = np.diag((fitted.model.robot.inertial - data.links.plain).T.ravel()).reshape(-1, data.n, 10).sum(axis=2)
+    changes, columns = by_bodies @ off, post.columns.copy()  # of each link (n, M, n)
+    columns[:, :, own] = by_bodies @ data.links.at(data.links.none)[1]
+    y = np.append(changes.sum(axis=2) / scale[:, :, 0], np.zeros(len(post.step)))
+
+    def left(more: np.ndarray) -> float:
+        x = (np.concatenate([columns, more], axis=2) / scale).reshape(-1, len(post.step) + more.shape[2])
+        x = np.vstack(
+            [x, np.eye(len(post.step), x.shape[1]) * np.sqrt(np.append(post.base.precision, np.zeros(more.shape[2])))]
+        )
+        return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
+
+    none, least = left(changes[:, :, :0]), left(changes[:, :, [f.link for f in found]])
+    return [left(a.columns) < least + SAME * (none - least) for a in effects]
 
 
 def is_link_error(effect: Effect) -> bool:

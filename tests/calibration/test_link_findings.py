@@ -1,3 +1,4 @@
+# pyright: reportAttributeAccessIssue=false
 """Links that are off against a plant whose bodies are known: what torques see of them, and that they stay bodies."""
 
 from dataclasses import replace
