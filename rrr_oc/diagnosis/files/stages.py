@@ -44,9 +44,9 @@ from rrr_oc.storage import number, plain
 # Share of the time of a diagnosis that each stage takes, by experience
 SHARES = {
     "plain model": 0.06,
-    "search": 0.3,
-    "search without parts": 0.45,
-    "held-out check": 0.1,
+    "search": 0.5,
+    "held-out check": 0.15,
+    "search without parts": 0.2,
     "tracking": 0.08,
     "report": 0.01,
 }
