@@ -42,6 +42,7 @@ SHORT = 10  # samples; shorter segments are left out of the blocks
 
 # Common filters by recording and window [s], for all that is prepared of a recording; they last as long as the recording.
 _COMMON_FILTERS: WeakKeyDictionary[Recording, dict[float, csr_matrix]] = WeakKeyDictionary()
+_KEPT_ROWS: WeakKeyDictionary[Recording, tuple[np.ndarray, tuple[slice, ...]]] = WeakKeyDictionary()
 
 
 def common_filter(recording: Recording, window: float) -> csr_matrix:
@@ -213,6 +214,12 @@ def kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...]]:
 
     Segments shorter than `SHORTEST` are left out, unless there are no others.
     """
+    if recording not in _KEPT_ROWS:
+        _KEPT_ROWS[recording] = _kept_rows(recording)
+    return _KEPT_ROWS[recording]
+
+
+def _kept_rows(recording: Recording) -> tuple[np.ndarray, tuple[slice, ...]]:
     kept = []
     long = [s for s in recording.segments if np.ptp(recording.t[s]) > SHORTEST]
     for s in long or recording.segments:

@@ -109,9 +109,9 @@ def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held:
     near = train.closest(plain)  # as of the whole diagnosis, the model is reported that predicts best
     before = nrmse(test, near.model)
     if start is None:
-        return number, FoldData.of(Fold(tuple(held), near.model, near.model, near.links, before, before))
+        return number, FoldData.of(Fold(tuple(held), near.model, near.model, before, before))
     found = train.closest(train.fit(*start, plain.posterior, steps=1))
-    return number, FoldData.of(Fold(tuple(held), near.model, found.model, found.links, before, nrmse(test, found.model)))
+    return number, FoldData.of(Fold(tuple(held), near.model, found.model, before, nrmse(test, found.model)))
 
 
 def checked(near: Neighbours, findings: Sequence[Finding]) -> list[Check]:

@@ -70,14 +70,14 @@ def trials(seen: View, torque: str) -> list[Trial]:
 
 def black_box_trials(prepared: Sequence[Prepared], seen: View, model: CalibratedModel, j: int) -> list[Trial]:
     """All black-box terms that joint j might lack, over the ranges that the recordings cover."""
-    ranges = _ranges(prepared, model)
+    ranges = _ranges(prepared, seen, model)
     kinds = [kind for kind in CATALOGUE.values() if issubclass(kind, BlackBox)]
     return [trial for kind in kinds for trial in kind.black_box_trials(seen, j, ranges, model.torque)]
 
 
-def _ranges(prepared: Sequence[Prepared], model: CalibratedModel) -> dict[tuple[str, int], tuple[float, float]]:
+def _ranges(prepared: Sequence[Prepared], seen: View, model: CalibratedModel) -> dict[tuple[str, int], tuple[float, float]]:
     """Smallest and largest recorded value of each variable that a torque may depend on, by name and joint."""
-    seen, torques = view(prepared, model), [model.torques(p.recording) for p in prepared]
+    torques = [model.torques(p.recording) for p in prepared]
     motor, load = (np.concatenate(parts, axis=1) for parts in zip(*torques, strict=True))
     acceleration = np.quantile(np.concatenate([np.abs(p.recording.ddq) for p in prepared], axis=1), 0.99, axis=1)
     found = {("time", -1): (0.0, float(seen.duration))}

@@ -30,7 +30,7 @@ STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 
 def fold(k: int, models, errors) -> Fold:
     """A fold that holds out recording k."""
-    return Fold((k,), *models, np.zeros(0), *errors)
+    return Fold((k,), *models, *errors)
 
 
 def finding(effect) -> Finding:

@@ -58,7 +58,7 @@ def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
     spring = Term(ParallelSpring((1,)), (Estimate(15.0), Estimate(1.5)), 0.003)
     model, errors = replace(plain, terms=(*plain.terms, spring)), (np.array([[0.1, 0.4, 0.1]]), np.array([[0.1, 0.1, 0.1]]))
     folds, none = (
-        tuple(Fold((k,), plain, model, np.zeros(0), *((1 + k) * e for e in errors)) for k in range(2)),
+        tuple(Fold((k,), plain, model, *((1 + k) * e for e in errors)) for k in range(2)),
         np.full(3, 0.1),
     )
     held = (none, none), (none, none)

@@ -243,12 +243,12 @@ class Noise:
             lags[k + 1 :, k] = residual[: -k - 1]
         calm, most = ~turning, float(np.exp(-STRIDE * EVERY / MEMORY))
         lost = np.zeros(order + 1) if taken is None else autocovariance(taken, place, order)
-        filters, spreads, factor = [], [], 1.0
+        filters, spreads, factor, covariance = [], [], 1.0, toeplitz(lost)
         for k in range(order + 1):
             rows = (place >= k) & calm
             if np.count_nonzero(rows) < max(3 * k, 10):
                 rows = place >= k
-            x, y, more = lags[rows, :k], residual[rows], toeplitz(lost[: k + 1])
+            x, y, more = lags[rows, :k], residual[rows], covariance[: k + 1, : k + 1]
             matrix = x.T @ x + len(y) * more[1:, 1:]
             weights = _bounded(matrix + 1e-9 * (y @ y + 1e-300) * np.eye(k), x.T @ y + len(y) * lost[1 : k + 1], most)
             if k and np.abs(np.roots([1.0, *-weights])).max(initial=0.0) >= 1:

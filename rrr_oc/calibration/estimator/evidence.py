@@ -26,10 +26,11 @@ FARTHEST = (
     100.0  # times the declared ones that errors of a link are expected at most: masses within a factor of some 20, as a rule
 )
 LEAST = 1e-5  # of a size over its unit, against a singular precision
-FREEDOMS = (np.inf, 30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
+FREEDOMS = (30.0, 10.0, 5.0, 3.0)  # degrees of freedom of Student's distribution that are tried for the noise
 TAIL_STEPS, TAILED = 10, 3.0  # steps to its scale, and nats by which a heavy tail must raise the likelihood
 ROUNDS = 5  # most estimates of the noise
 UPDATES = 12  # most of the hyperparameters for one noise
+SAME = 0.01  # share of a residual by which it may change and leave the same noise; doubled, no change
 SMALL_GAIN = 0.2  # nats by which another noise must raise the evidence
 CONVERGED = 0.002  # nats that an update of the hyperparameters gains, below which it is the last
 
@@ -142,9 +143,7 @@ class Joint(Spectrum):
         noise = Noise.of(left, place, turning, taken)
         white, log_det = noise.whitening(place, turning)
         error = (white @ left)[place >= 0]
-        tails = {freedom: _tail(error, freedom) for freedom in FREEDOMS}
-        freedom = max(tails, key=lambda f: tails[f][0])
-        log, sigma, weights = tails[freedom]
+        freedom, log, sigma, weights = _tail(error)
         count = len(error)
         scale = np.ones(len(place))
         scale[place >= 0] = np.sqrt(weights)
@@ -194,19 +193,27 @@ def orthogonal(products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[some], turn[:, some]
 
 
-def _tail(error: np.ndarray, freedom: float) -> tuple[float, float, np.ndarray]:
-    """Logarithm of Student's likelihood of white errors, up to a constant, with its scale and the weight of each error."""
-    sigma = max(float(np.sqrt(np.mean(error**2))) if len(error) else 1.0, 1e-9)
-    weights = np.ones(len(error))
-    if not np.isfinite(freedom) or not len(error):
-        return -len(error) * np.log(sigma) - 0.5 * len(error), sigma, weights
+def _tail(error: np.ndarray) -> tuple[float, float, float, np.ndarray]:
+    """Degrees of freedom of Student's distribution of white errors (M,), the logarithm of its likelihood, its scale, weights of the errors.
+
+    The logarithm is up to a constant. Where the kurtosis is no larger than of the normal distribution, no heavy tail is likelier.
+    """
+    count, sigma = len(error), max(float(np.sqrt(np.mean(error**2))) if len(error) else 1.0, 1e-9)
+    best = np.inf, -count * np.log(sigma) - 0.5 * count, sigma, np.ones(count)
+    if not count or np.mean((error / sigma) ** 4) <= 3:
+        return best
+    freedom, scale = np.array(FREEDOMS), np.full(len(FREEDOMS), sigma)
     for _ in range(TAIL_STEPS):
-        weights = (freedom + 1) / (freedom + (error / sigma) ** 2)
-        sigma = max(float(np.sqrt(np.mean(weights * error**2))), 1e-9)
+        weights = (freedom[:, None] + 1) / (freedom[:, None] + (error / scale[:, None]) ** 2)
+        scale = np.maximum(np.sqrt(np.mean(weights * error**2, axis=1)), 1e-9)
     # of Student's density, times √(2 π) as that of the normal distribution is
-    constant = gammaln((freedom + 1) / 2) - gammaln(freedom / 2) + 0.5 * np.log(2 / freedom) - np.log(sigma)
-    log = len(error) * constant - 0.5 * (freedom + 1) * float(np.sum(np.log1p((error / sigma) ** 2 / freedom)))
-    return float(log) - TAILED, sigma, (freedom + 1) / (freedom + (error / sigma) ** 2)
+    constant = gammaln((freedom + 1) / 2) - gammaln(freedom / 2) + 0.5 * np.log(2 / freedom) - np.log(scale)
+    squares = (error / scale[:, None]) ** 2
+    logs = count * constant - 0.5 * (freedom + 1) * np.sum(np.log1p(squares / freedom[:, None]), axis=1) - TAILED
+    k = int(np.argmax(logs))
+    if logs[k] <= best[1]:
+        return best
+    return float(freedom[k]), float(logs[k]), float(scale[k]), (freedom[k] + 1) / (freedom[k] + squares[k])
 
 
 @dataclass(frozen=True)
@@ -277,6 +284,11 @@ class Posterior(Solution):
         """ρ = (σ / size of the discrepancy)² of a joint."""
         return float(self.hyper.sigma[j] / self.hyper.discrepancy[j]) ** 2
 
+    def missed(self, j: int, residual: np.ndarray) -> float:
+        """By what share another residual (M,) of a joint is not as predicted after the step."""
+        predicted = self.residual[j] - self.columns[j] @ self.step
+        return float(np.linalg.norm(residual - predicted) / max(np.linalg.norm(predicted), 1e-300))
+
     def cost(self, residual: np.ndarray) -> float:
         """See `Start.cost`."""
         return Start(self.hyper, self.joints).cost(residual)
@@ -324,7 +336,11 @@ def solve(
     start = start or Start.of(data, _first(data, residual))
     hyper, joints = start.hyper, start.joints
     grams = [Gram.of(one, residual[j], columns[j]) for j, one in enumerate(joints)]
-    best, moving = None, list(range(data.n))  # joints whose noise may still change
+    # joints whose noise may still change: not where the residual is the one from which it was estimated
+    moving = list(range(data.n))
+    if isinstance(start, Posterior) and start.data is data:
+        moving = [j for j in moving if start.missed(j, residual[j]) > SAME]
+    best = None
     for _ in range(ROUNDS):
         solution = estimated(grams, joints, hyper, prior, fixed)
         found = Posterior(**vars(solution), joints=joints, data=data, residual=residual, columns=columns)

@@ -20,6 +20,9 @@ from rrr_oc.robot.link_errors import OF_URDF
 
 FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
+STEPS_ON = (
+    6  # most steps of a fit that goes on from one to a part of the recordings; doubled, hyperparameters change a little more
+)
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
 FEW = 3  # steps after which evidence is not expected to rise by more than it has risen
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
@@ -88,7 +91,7 @@ class PlainFitter:
         fitted = few.with_signs(few.fit(replace(self.data.start, robot=nominal.robot), self.data.links.none))
         if few is not self:
             start = Start.of(self.data, fitted.posterior.hyper)
-            fitted = self.with_signs(self.fit(fitted.model, fitted.links, start))
+            fitted = self.fit(fitted.model, fitted.links, start, steps=STEPS_ON)
         return fitted
 
     def few(self) -> Self:

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
+from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.data import Data, Noise
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, Start
 from rrr_oc.calibration.link_findings import LinkFinding
@@ -45,9 +45,9 @@ from rrr_oc.storage import number, plain
 # Share of the time of a diagnosis that each stage takes, by experience
 SHARES = {
     "plain model": 0.06,
-    "search": 0.3,
-    "search without parts": 0.45,
-    "held-out check": 0.1,
+    "search": 0.5,
+    "held-out check": 0.15,
+    "search without parts": 0.2,
     "tracking": 0.08,
     "report": 0.01,
 }
@@ -234,21 +234,14 @@ class Fold:
     Attributes:
         held: Indices of the held-out recordings (of the blocks of a single recording).
         plain, model: Without and with the effects that a search on the rest finds, fitted to the rest.
-        links: Errors of the links of `model` in standard deviations of their prior, (k,).
         before, after: Their NRMSE on the held-out recordings, each (number held out, n).
     """
 
     held: tuple[int, ...]
     plain: CalibratedModel
     model: CalibratedModel
-    links: np.ndarray
     before: np.ndarray
     after: np.ndarray
-
-    @property
-    def extra(self) -> tuple[Term, ...]:
-        """The effects that were found."""
-        return self.model.terms[len(self.plain.terms) :]
 
 
 class FoldData(Struct):
@@ -257,18 +250,17 @@ class FoldData(Struct):
     held: tuple[int, ...]
     plain: ModelData
     model: ModelData
-    links: list[float]
     before: list[list[float]]
     after: list[list[float]]
 
     @classmethod
     def of(cls, fold: Fold) -> "FoldData":
         models = ModelData.of(fold.plain), ModelData.of(fold.model)
-        return cls(fold.held, *models, fold.links.tolist(), fold.before.tolist(), fold.after.tolist())
+        return cls(fold.held, *models, fold.before.tolist(), fold.after.tolist())
 
     def fold(self, start: CalibratedModel) -> Fold:
         models = self.plain.model(start), self.model.model(start)
-        return Fold(self.held, *models, np.array(self.links), np.array(self.before), np.array(self.after))
+        return Fold(self.held, *models, np.array(self.before), np.array(self.after))
 
 
 class FindingData(Struct):

@@ -157,8 +157,11 @@ class Linear:
         residual, own, at = whole_residual.copy(), [], first
         for i, term in enumerate(fitted.extra):
             at, mine = at + len(term.estimates), slice(at, at + len(term.estimates))
-            less = replace(model, terms=tuple(t for t in model.terms if t is not term))
-            change = data.residual(less) - whole_residual  # all that the effect explains
+            if term.effect.linear and term.effect.side == "drive":  # all that the effect explains
+                change = columns[:, :, mine] @ term.values
+            else:
+                less = replace(model, terms=tuple(t for t in model.terms if t is not term))
+                change = data.residual(less) - whole_residual
             residual += change
             bounds = whole.lower[mine], whole.upper[mine]
             own.append(_of_term(fitter, fitted, i, np.concatenate([change[:, :, None], columns[:, :, mine]], axis=2), bounds))

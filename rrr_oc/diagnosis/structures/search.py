@@ -13,7 +13,7 @@ import numpy as np
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.evidence import Posterior, Start, gain_of_other_noise
-from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.fitting import STEPS_ON, Fitted
 from rrr_oc.calibration.link_findings import FAR
 from rrr_oc.diagnosis.fitting import Fitter, exact
 from rrr_oc.diagnosis.signatures import Table, Tables
@@ -22,6 +22,7 @@ from rrr_oc.diagnosis.structures.neighbours import LEAST_GAIN, Neighbours, Predi
 from rrr_oc.effects import MovesLink, Trial
 
 RENEWED = 16  # neighbours by one kind of move whose noise is estimated anew
+UNCHANGED = 0.03  # of a joint's residual, by which it may change with the same noise
 FITTED = 2  # neighbours of a structure by one kind of move that are fitted exactly
 NEAR_ENOUGH = 4  # steps of a fit that is only a place to linearise at
 LINK_SHARES = (1.0, 0.3, 0.0)  # of the predicted change of the links' errors, with one of which a fit begins
@@ -181,17 +182,23 @@ class Search:
 
         Products of whitened columns hold for one noise. What explains much of a residual leaves another, in which it explains more.
         """
+        if not every:
+            return []
         data, rows = self.fitter.data, np.arange(self.fitter.data.edges[-1])
+        present = here.linear.left(here.structure, here.solution.step, rows)
+        now = np.array([self._gain_of_noise(here, j, present[j]) for j in range(data.n)])
 
-        def gains(p: Predicted) -> np.ndarray:
-            hyper, joints = p.solution.hyper, p.linear.fitted.posterior.joints
+        def more(p: Predicted) -> float:
             left = p.linear.left(p.structure, p.solution.step, rows)
-            every = zip(joints, hyper.sigma, hyper.discrepancy, left, strict=True)
-            return np.array([gain_of_other_noise(data, j, *one) for j, one in enumerate(every)])
+            changed = np.linalg.norm(left - present, axis=1) > UNCHANGED * np.linalg.norm(present, axis=1)
+            return sum(self._gain_of_noise(p, j, left[j]) - now[j] for j in np.flatnonzero(changed).tolist())
 
-        now = gains(here).sum() if every else 0.0
-        some = [replace(p, score=p.score + gains(p).sum() - now) for p in every[:RENEWED]]
+        some = [replace(p, score=p.score + more(p)) for p in every[:RENEWED]]
         return sorted([*some, *every[RENEWED:]], key=lambda p: -p.score)
+
+    def _gain_of_noise(self, p: Predicted, j: int, left: np.ndarray) -> float:
+        one, hyper = p.linear.fitted.posterior.joints[j], p.solution.hyper
+        return gain_of_other_noise(self.fitter.data, j, one, hyper.sigma[j], hyper.discrepancy[j], left)
 
     def _best(self, at: State, here: Predicted, every: Sequence[Predicted]) -> State | None:
         """The best of some neighbours that is better than where the search is, fitted exactly.
@@ -268,6 +275,7 @@ class Search:
 
     def _on_all(self, near: Fitted, start: Posterior | Start, **options: Any) -> Fitted:
         """The fit to all recordings that goes on from one to the part of them."""
+        options = {"steps": STEPS_ON} | options
         return near if self.few is self.fitter else self.fitter.fit(near.model, near.links, start, **options)
 
     def _restarted(self, found: State, p: Predicted) -> State:
