@@ -16,6 +16,7 @@ from rrr_oc.recordings.header import EFFORTS, HEADER, UNIT_OF, Entry, Header, Sp
 from rrr_oc.recordings.plausibility import Rate
 from rrr_oc.recordings.recording import Recording, RecordingSet
 from rrr_oc.recordings.springs import read_springs
+from rrr_oc.recordings.stamps import spread
 from rrr_oc.robot.robot import BUNDLED, Robot, ToolPoint, load_robot
 from rrr_oc.schema import HEAVIEST, Payload, one_spelling, spellings
 from rrr_oc.storage import resolved
@@ -68,7 +69,8 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
     table = _one_payload(read_table(path))
     recorded = tuple(f"{EFFORTS.get(header.torque, 'tau')}_{joint}" for joint in robot.joints)
     used, ignored = _used_columns(table, robot.joints, recorded)
-    values = table.columns(used)
+    values = np.array(table.columns(used))
+    values[used.index("t")], batch = spread(values[used.index("t")])
     rows = _usable_rows(table, used, values)
     with np.errstate(all="ignore"):  # absurd numbers are looked for
         columns = dict(zip(used, values[:, rows], strict=True))
@@ -90,7 +92,7 @@ def _recording(folder: Path, entry: Entry, springs: tuple[Spring, ...], header: 
         result = Recording(
             columns["t"], q, dq, ddq, columns["payload"], segments,
             file=entry.file, group=entry.group or entry.file, tau=tau, springs=springs, computed=computed,
-            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, rates=rates,
+            dropped=values.shape[1] - len(rows), ignored=ignored, turned=turned, filled=filled, rates=rates, batch=batch,
             command=None if header.loop is None else signal, loop=header.loop,
         )  # fmt: skip
         result = _without_short_segments(path, result)

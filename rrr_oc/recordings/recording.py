@@ -33,6 +33,7 @@ class Recording(Motion):
         turned: Columns of positions that jumped by a whole turn and were unwrapped.
         filled: Columns of rates that are missing in some rows, where derivatives fill them, and the number of these rows.
         rates: Measured rates beside the derivatives of their values; those that are no better are not used.
+        batch: Samples that the driver handed over at once, whose stamps are spread; 1 for none.
         command: Commanded positions [rad], shape (n, K), and
         loop: the loop that follows them, where these are recorded.
     """
@@ -48,6 +49,7 @@ class Recording(Motion):
     turned: tuple[str, ...] = ()
     filled: tuple[tuple[str, int], ...] = ()
     rates: tuple[plausibility.Rate, ...] = ()
+    batch: float = 1.0
     command: np.ndarray | None = None
     loop: Loop | None = None
 
@@ -116,6 +118,9 @@ class RecordingSet:
                 f"{_named(incomplete)}: {nan + short} of {rows} rows are left out ({nan} with a NaN, {short} in pieces too short "
                 "for a derivative)"
             )
+        batched = [r for r in self.recordings if r.batch > 1]
+        if batched:
+            notes.append(f"{_named(batched)}: samples are stamped in batches of {batched[0].batch:g}; their times are spread")
         for names, found in self._by("turned").items():
             notes.append(f"{_named(found)}: {', '.join(names)} jumped by a whole turn and is taken to go on")
         for names, found in self._by("ignored").items():

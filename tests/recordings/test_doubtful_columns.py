@@ -32,7 +32,7 @@ def test_rates_that_are_none_are_not_used(load, kind, factor, said):
         with pytest.raises(UserError, match="dq_joint1' is minus the derivative of 'q_joint1'; one of them has the wrong sign"):
             load(a=wrong)
         return
-    found = load(a=wrong, b=wrong)
+    found = load(a=wrong, b={name: values[:-50] for name, values in wrong.items()})
     (note,) = found.notes
     assert note.startswith("a.csv and 1 more: ")
     assert said in note
@@ -108,3 +108,20 @@ def test_a_recording_of_zeros_is_refused(load):
     for value, said in ((0.0, "are 0 in every row"), (0.5, "are the same in every row")):
         with pytest.raises(UserError, match=rf"b\.csv: all positions and torques {said}; nothing was recorded"):
             load(a=right, b={name: v if name == "t" else 0 * v + value for name, v in right.items()})
+
+
+def test_stamps_of_batches_are_spread(load):
+    """Four samples at a time, with one stamp or a microsecond apart; then some samples are lost; and stamps that jitter are left alone."""
+    right = without(("dq", "ddq"), columns())
+    t = right["t"]
+    last = np.minimum((np.arange(len(t)) // 4) * 4 + 3, len(t) - 1)
+    for apart in (0.0, 1e-6):
+        found = load(a=right | {"t": t[last] + apart * (np.arange(len(t)) % 4)})
+        assert found.notes == ("a.csv: samples are stamped in batches of 4; their times are spread",)
+        np.testing.assert_allclose(found.recordings[0].t, t, atol=1e-3)
+    lost = np.sort(np.random.default_rng(4).choice(len(t), len(t) - 30, replace=False))
+    some = {name: values[lost] for name, values in right.items()}
+    (recording,) = load(a=some | {"t": t[last][lost] + 1e-6 * (lost % 4)}).recordings
+    np.testing.assert_allclose(recording.t, t[lost], atol=0.021)  # of a batch of which two are lost
+    jittered = t + np.random.default_rng(5).uniform(0, 0.004, len(t))
+    np.testing.assert_array_equal(load(a=right | {"t": jittered}).recordings[0].t, jittered)
