@@ -60,6 +60,9 @@ class Way:
         bits: Of the encoders.
         twice: Whether all recordings are the first one.
         swapped, absolute: Whether the columns of torque are in another order, and the last angle is the sum of all.
+        spring: Stiffness of a spring at the last joint that no header lists and that is always taut [Nm/rad].
+        wander: Rms of torques that depend on time alone [Nm].
+        heavier: Masses and inertias over those of the URDF.
         inertial, torque: As in the header.
     """
 
@@ -78,6 +81,9 @@ class Way:
     twice: bool = False
     swapped: bool = False
     absolute: bool = False
+    spring: float = 0.0
+    wander: float = 0.0
+    heavier: float = 1.0
     inertial: str = "nominal"
     torque: str = "motor"
 
@@ -106,6 +112,9 @@ WAYS: dict[str, dict[str, Any]] = {
     "two": {"count": 2},
     "swapped": {"swapped": True},
     "absolute": {"absolute": True},
+    "spring": {"spring": 3.0},
+    "wander": {"wander": 0.3},
+    "heavier": {"heavier": 1.3},
     "identify": {"inertial": "identify"},
     "load": {"torque": "load"},
 }
@@ -142,12 +151,15 @@ def motion(rng: np.random.Generator, way: Way, t: np.ndarray, n: int) -> np.ndar
 
 def recorded(rng: np.random.Generator, way: Way, arm: list[tuple[str, float, float, float]]) -> dict[str, np.ndarray]:
     """A recording's columns."""
-    model, t = pin.buildModelFromXML(urdf(arm)), np.arange(0, way.seconds, 1 / way.rate)
+    real = [(axis, way.heavier * mass, centre, way.heavier * inertia) for axis, mass, centre, inertia in arm]
+    model, t = pin.buildModelFromXML(urdf(real)), np.arange(0, way.seconds, 1 / way.rate)
     data, n = model.createData(), len(arm)
     q, dq, ddq = motion(rng, way, t, n)
     tau = np.array([pin.rnea(model, data, *x) for x in zip(q.T, dq.T, ddq.T, strict=True)]).T
     if way.torque == "motor":
         tau += DRY * np.tanh(dq / WIDTH) + VISCOUS * dq + ROTOR * ddq
+    tau[-1] += way.spring * (q[-1] - 3.0)
+    tau += way.wander * np.cumsum(rng.standard_normal(tau.shape), axis=1) / np.sqrt(t.size / 2)
     tau = np.array([np.interp(t - way.late, t, x) for x in tau])
     tau = tau + way.noise * tau.std() * rng.standard_normal(tau.shape)
     most = way.limit * np.abs(tau).max()

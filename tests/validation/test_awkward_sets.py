@@ -39,6 +39,8 @@ def test_ways_are_what_they_are_called():
     assert np.mean(np.abs(saturated) == np.abs(saturated).max()) > 0.02
     np.testing.assert_allclose(made("absolute")["q_j2"], usual["q_j1"] + usual["q_j2"], atol=1e-5)
     np.testing.assert_array_equal(made("swapped")["tau_j2"], usual["tau_j1"])
+    pull = made("spring")["tau_j2"] - usual["tau_j2"]
+    np.testing.assert_allclose(pull, 3.0 * (usual["q_j2"] - 3.0), atol=0.3)  # of noise, which is larger beside it
     pendulum = made("no noise", "pendulum")
     rest = int(np.argmin(np.abs(np.gradient(pendulum["q_j1"]))))
     mass, centre, inertia = awkward.LINK
