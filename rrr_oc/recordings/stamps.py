@@ -24,8 +24,9 @@ def spread(t: np.ndarray) -> tuple[np.ndarray, float]:
     ends = np.append(np.flatnonzero(~together), len(t) - 1)  # the last sample of each batch
     counts, arrivals = np.diff(ends, prepend=-1), t[ends]
     each, size = np.diff(arrivals) / counts[1:], float(np.median(counts))
-    usual, line = float(np.median(each)), np.polynomial.Polynomial.fit(ends, arrivals, 1)
-    if np.max(np.abs(arrivals - line(ends))) < PAUSE * usual:
+    usual, whole = float(np.median(each)), slice(1, -1)  # the first and the last batch may not be whole
+    line = np.polynomial.Polynomial.fit(ends[whole], arrivals[whole], 1)
+    if np.max(np.abs(arrivals - line(ends))[whole]) < PAUSE * usual:
         return line(np.arange(len(t))), size
     each = np.append(usual, np.where(each > PAUSE * usual, usual, each))
     to_end = np.repeat(ends, counts) - np.arange(len(t))
