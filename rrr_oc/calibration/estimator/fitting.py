@@ -110,8 +110,7 @@ class PlainFitter:
 
         At most so many steps of Gauss–Newton are made, and fewer if the evidence would have to rise more than it may to be as `wanted`.
         """
-        data = self.data
-        residual, columns = self.linearised(model, links)
+        data, (residual, columns) = self.data, self.linearised(model, links)
         about = residual
         best, highest, last, fall, idle, exact, first = None, -np.inf, np.inf, np.inf, 0, True, 0
         began, stalled, nearest = -np.inf, 0, np.full(data.n, np.inf)
