@@ -139,7 +139,9 @@ class Neighbours:
     def several_added(self, here: Predicted) -> list[Predicted]:
         """As `added`; before these with the best effects of all joints at once, each of which gains about as much as the best."""
         every = self.added(here)
-        own = [p for p in every if p.linear is self.linear and p.score > here.score + LEAST_GAIN]
+        own = [
+            p for p in every if p.linear is self.linear and p.score > here.score + LEAST_GAIN and p.structure[-1].effect.joints
+        ]
         some: Structure = ()
         for p in own:
             new = p.structure[-1]
