@@ -168,7 +168,8 @@ struct Sizes
 };
 
 // One step of the hyperparameters towards those of the largest evidence (MacKay's fixed point), given the covariance of the parameters; what the
-// step gains [nats], about: the largest squared change of log σ times rows, infinite where errors of a link change by a tenth.
+// step gains [nats], about: the largest squared change of the logarithm of a size times the numbers that it is estimated from, infinite where errors of a link
+// change by a tenth.
 double update(
   const std::vector<Joint> & joints, const Normal & n, const Eigen::MatrixXd & inverse, const Vector & step, const Sizes & sizes,
   const Prior & prior, double least)
@@ -200,7 +201,8 @@ double update(
     const double floor = std::max(LEAST_NOISE * std::sqrt(one.yy / std::max(one.count, 1.0)), 1e-9);
     sizes.sigma[j] = std::max(std::sqrt(std::max(squares, 0.0) / rows), floor);
     sizes.discrepancy[j] = best_size(c.squaredNorm(), used, least);
-    change = std::max(change, std::pow(std::log(sizes.sigma[j] / old), 2) * one.count);
+    const double by_size = std::pow(std::log(sizes.discrepancy[j] / s), 2) * used;
+    change = std::max({change, by_size, std::pow(std::log(sizes.sigma[j] / old), 2) * one.count});
   }
   Vector squares = Vector::Zero(joints.size()), known = squares;
   for (Index i = 0; i < step.size(); ++i)

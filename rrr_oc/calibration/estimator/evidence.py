@@ -273,12 +273,14 @@ class Posterior(Solution):
         data: The data.
         residual: (n, M).
         columns: Derivatives of the prediction, (n, M, p).
+        moving: Joints whose noise has not come to its end.
     """
 
     joints: tuple[Joint, ...]
     data: Data
     residual: np.ndarray
     columns: np.ndarray
+    moving: Sequence[int] = ()
 
     def ratio(self, j: int) -> float:
         """ρ = (σ / size of the discrepancy)² of a joint."""
@@ -339,7 +341,7 @@ def solve(
     # joints whose noise may still change: not where the residual is the one from which it was estimated
     moving = list(range(data.n))
     if isinstance(start, Posterior) and start.data is data:
-        moving = [j for j in moving if start.missed(j, residual[j]) > SAME]
+        moving = [j for j in moving if j in start.moving or start.missed(j, residual[j]) > SAME]
     best = None
     for _ in range(ROUNDS):
         solution = estimated(grams, joints, hyper, prior, fixed)
@@ -360,6 +362,8 @@ def solve(
             grams[j] = Gram.of(joints[j], residual[j], columns[j])
         noise = tuple(one.noise for one in joints)
         hyper = Hyperparameters(noise, sigma, found.hyper.discrepancy, found.hyper.links)
+    else:
+        best = best and replace(best, moving=moving)
     assert best is not None
     return best
 

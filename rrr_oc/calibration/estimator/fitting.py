@@ -20,9 +20,7 @@ from rrr_oc.robot.link_errors import OF_URDF
 
 FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
 STEPS = 60  # most steps of Gauss–Newton; links of which little is known lie in curved valleys
-STEPS_ON = (
-    6  # most steps of a fit that goes on from one to a part of the recordings; doubled, hyperparameters change a little more
-)
+STEPS_ON = 3  # most steps of a fit that goes on from one to a part of the recordings; doubled, it takes twice the time
 GAIN = 0.05  # fall of the cost, in nats, below which no further step follows
 FEW = 3  # steps after which evidence is not expected to rise by more than it has risen
 IDLE = 0.5  # nats: after two steps that raise evidence and likelihood by less, with hardly less to gain, no further one follows
@@ -31,7 +29,10 @@ NONLINEAR = 0.01  # of the squared change over a step, by which residuals may mi
 DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
 LINK_STEP = 100.0  # standard deviations by which one step may change an error of a link; bodies are exponential in them
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
-CLOSER = 2  # fits of least squares, whose weights depend on what the one before leaves
+CLOSER, ALIKE = (
+    4,
+    1.0,
+)  # most fits of least squares, whose weights depend on what the one before leaves; nats of a gain that ends them
 OTHER_SIGN = 3.0  # nats from which another way in which friction changes sign is fitted
 
 
@@ -112,8 +113,7 @@ class PlainFitter:
 
         At most so many steps of Gauss–Newton are made, and fewer if the evidence would have to rise more than it may to be as `wanted`.
         """
-        data = self.data
-        residual, columns = self.linearised(model, links)
+        data, (residual, columns) = self.data, self.linearised(model, links)
         about = residual
         best, highest, last, fall, idle, exact, first = None, -np.inf, np.inf, np.inf, 0, True, 0
         began, stalled, nearest = -np.inf, 0, np.full(data.n, np.inf)
@@ -217,10 +217,13 @@ class PlainFitter:
         calibration, Tuo & Wu 2015). Noise counts as white, with the spectrum at frequency 0 of what is left, as friction and inertia
         are seen in slow motion. The discrepancy, of the likeliest size, bends them beside the noise.
         """
-        size = fitted.posterior.hyper.discrepancy
+        size, last = fitted.posterior.hyper.discrepancy, np.inf
         for _ in range(CLOSER):
             start = Start.of(self.data, at_low_frequency(self.data, fitted))
             fitted = self.fit(fitted.model, fitted.links, start, fixed=True)
+            if abs(fitted.log_evidence - last) < ALIKE:
+                break
+            last = fitted.log_evidence
         return replace(fitted, bent=bent(fitted.posterior, size))
 
     def linearised(self, model: CalibratedModel, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

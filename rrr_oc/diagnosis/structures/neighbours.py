@@ -139,7 +139,9 @@ class Neighbours:
     def several_added(self, here: Predicted) -> list[Predicted]:
         """As `added`; before these with the best effects of all joints at once, each of which gains about as much as the best."""
         every = self.added(here)
-        own = [p for p in every if p.linear is self.linear and p.score > here.score + LEAST_GAIN]
+        own = [
+            p for p in every if p.linear is self.linear and p.score > here.score + LEAST_GAIN and p.structure[-1].effect.joints
+        ]
         some: Structure = ()
         for p in own:
             new = p.structure[-1]
@@ -313,9 +315,10 @@ class Repetitions:
 
     def best(self, blocks: Blocks) -> tuple[Neighbours, Predicted]:
         """The most probable structure on some blocks that moves reach from the last fit's."""
-        near, better = self.about(self.keys[-1], blocks), None
+        near, seen = self.about(self.keys[-1], blocks), set[Key]()
         here = near.at(near.linear.own, near.level.posterior.hyper)
-        while (better := self._better(near, here)) is not None:
+        while here.key not in seen and (better := self._better(near, here)) is not None:
+            seen.add(here.key)
             near, here = self.about(better.key, blocks), better
         return near, here
 

@@ -215,7 +215,10 @@ class Search:
             several = len({a.name for a in p.structure}) < len(p.structure)  # then the key does not say of which shape
             if (p.key in self.visited and not several and p.key != here.key) or (best is not None and most < best.score):
                 continue
-            gained = at.score + LEAST_GAIN * (len(p.structure) > len(here.structure))
+            more_or_same = (
+                len(p.structure) > len(here.structure) or p.key == here.key
+            )  # else one shape may follow the other without end
+            gained = at.score + LEAST_GAIN * more_or_same
             least = (gained if best is None else best.score) - CLOSE
             found = self._fitted(at, p, least)
             tried.append((found, p))
