@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace as told_with
 
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Start
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.estimator.left_out import block_edges
-from rrr_oc.calibration.link_findings import LinkFinding, link_findings, with_falls
+from rrr_oc.calibration.link_findings import OffLink, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
 from rrr_oc.diagnosis.effect_size import in_shape, squares
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as
@@ -70,7 +71,7 @@ def separated(
 
 def with_links(
     undecided: Sequence[Undecided], search: Search, fitted: Fitted
-) -> tuple[list[Undecided], list[Exchange], list[LinkFinding]]:
+) -> tuple[list[Undecided], list[Exchange], list[OffLink]]:
     """What is undecided, with the effects that explain as well what links explain that are far off in a fit, their fits, and these links."""
     found = with_falls(search.fitter, fitted, link_findings(fitted))
     fits = instead_of_links(search, fitted, found) if found else []
@@ -82,20 +83,21 @@ def with_links(
         every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
         probability = max([*(u.probability for u in same), *(link.probability for link in found)])
         result.append(Undecided(every, probability))
-    rivals = tuple(dict.fromkeys(shown_as(t) for u in result for t in u.terms))
-    return result, fits, [replace(f, rivals=rivals) for f in found]
+    names = tuple(dict.fromkeys(t.effect.name for u in result for t in u.terms))
+    return result, fits, [told_with(f, indistinguishable_from=names) for f in found]
 
 
-def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding]) -> list[Exchange]:
+def instead_of_links(search: Search, fitted: Fitted, found: Sequence[OffLink]) -> list[Exchange]:
     """Fits with an effect, their last, that does what the links of a fit do that are off, with these links as described."""
     data, post = search.fitter.data, fitted.posterior
     start = replace(post, hyper=replace(post.hyper, links=np.full_like(post.hyper.links, EXACT)))
     nominal = replace(fitted.model, robot=replace(fitted.model.robot, inertial=data.links.at(data.links.none)[0]))
     none = search.fitter.fit(nominal, data.links.none, start, fixed=True)
     near, result, others = search.neighbours(none), [], post.hyper.links.copy()
-    others[[f.link for f in found]] = EXACT
+    off = [fitted.model.robot.links.index(f.link) for f in found]
+    others[off] = EXACT
     every = [a for a in near.candidates(near.at(near.linear.own, start.hyper, True)) if not is_link_error(a.effect)]
-    for a, same in zip(every, do_the_same(fitted, found, every), strict=True):
+    for a, same in zip(every, do_the_same(fitted, off, every), strict=True):
         if same:
             one = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
             exact = search.fitter.fit(one.model, one.links, Start(replace(post.hyper, links=others), post.joints), fixed=True)
@@ -104,8 +106,8 @@ def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding
     return result
 
 
-def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[Addition]) -> list[bool]:
-    """Whether effects do to the torques of these recordings what links do that are off, but for usual errors of links.
+def do_the_same(fitted: Fitted, links: Sequence[int], effects: Sequence[Addition]) -> list[bool]:
+    """Whether effects do to the torques of these recordings what links do that are off, by their numbers, but for usual errors of links.
 
     Torques are linear in inertial parameters. What the links of the fit change of them is explained by plain parameters and links with
     errors of the declared size, at a cost that is the squared size of the errors. The change of links that are off lowers it, as one
@@ -114,8 +116,8 @@ def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[
     post, data, size = fitted.posterior, fitted.posterior.data, len(fitted.model.values)
     own, scale = slice(size, size + len(fitted.links)), post.hyper.sigma[:, None, None]
     by_bodies = data.rows(fitted.model).jacobian[:, :, size : size + 10 * data.n]
-    off = np.diag((fitted.model.robot.inertial - data.links.plain).T.ravel()).reshape(-1, data.n, 10).sum(axis=2)
-    changes, columns = by_bodies @ off, post.columns.copy()  # of each link (n, M, n)
+    each = np.diag((fitted.model.robot.inertial - data.links.plain).T.ravel()).reshape(-1, data.n, 10).sum(axis=2)
+    changes, columns = by_bodies @ each, post.columns.copy()  # of each link (n, M, n)
     columns[:, :, own] = by_bodies @ data.links.at(data.links.none)[1]
     y = np.append(changes.sum(axis=2) / scale[:, :, 0], np.zeros(len(post.step)))
 
@@ -126,7 +128,7 @@ def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[
         )
         return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
 
-    none, least = left(changes[:, :, :0]), left(changes[:, :, [f.link for f in found]])
+    none, least = left(changes[:, :, :0]), left(changes[:, :, list(links)])
     return [left(a.columns) < least + SAME * (none - least) for a in effects]
 
 

@@ -13,7 +13,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.link_findings import LinkFinding
+from rrr_oc.calibration.link_findings import OffLink
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
 from rrr_oc.diagnosis.alternatives import alternatives, beside, decided
 from rrr_oc.diagnosis.classes import separated, with_links
@@ -79,7 +79,7 @@ class Diagnosis:
     model: CalibratedModel
     findings: tuple[Finding, ...]
     undecided: tuple[Undecided, ...]
-    links: tuple[LinkFinding, ...]
+    links: tuple[OffLink, ...]
     small: tuple[Finding, ...]
     possible: tuple[Possible, ...]
     refuted: tuple[Finding, ...]

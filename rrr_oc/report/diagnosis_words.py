@@ -344,7 +344,7 @@ def off_links(found: Mapping[str, Any]) -> list[str]:
     """A sentence on each link that is far from the robot's description, by how much that lowers the error, and what does the same."""
     result = []
     for one in found.get("link_findings", ()):
-        fall, others = _fall(one["lowers_error"]), one.get("indistinguishable_from")
+        fall, others = _fall(one.get("lowers_error")), one.get("indistinguishable_from")
         or_else = "Either that is so, or it takes up what the model lacks."
         if others is None:
             or_else = (
