@@ -78,12 +78,12 @@ def with_links(
     terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
     result = [u for u in undecided if u not in same]
-    if terms:
+    if same or any(t.effect.side != "body" for t in terms):  # else all say the same to who reads it
         known = {kind(t.effect) for u in same for t in u.terms}
         every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
         probability = max([*(u.probability for u in same), *(link.probability for link in found)])
         result.append(Undecided(every, probability))
-    names = tuple(dict.fromkeys(t.effect.name for u in result for t in u.terms))
+    names = tuple(dict.fromkeys(t.effect.name for t in (*terms, *(t for u in result for t in u.terms))))
     return result, fits, [told_with(f, indistinguishable_from=names) for f in found]
 
 
