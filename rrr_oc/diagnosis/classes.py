@@ -24,7 +24,6 @@ from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
 from rrr_oc.diagnosis.structures.linear import Addition, Level
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
-from rrr_oc.effects import Effect
 
 NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
 SAME = 0.125  # share of what links do that an effect may leave which does the same; doubled, more effects do
@@ -62,8 +61,7 @@ def separated(
         elif all(t.effect.side == "body" for t in (f.term, *found)):  # all of which say the same to who reads it
             told.append(replace(f, rivals=(*rivals, LINK_ERRORS)))
         else:
-            others = tuple(t for t in found if not is_link_error(t.effect))
-            undecided.append(Undecided((shown[id(f.term)], *others), f.probability))
+            undecided.append(Undecided((shown[id(f.term)], *found), f.probability))
         lacks = (LINK_ERRORS,) if undecided and undecided[-1].terms[0] is shown[id(f.term)] else (f.key,)
         exchanges += [Exchange(one, (shown_as(one.extra[-1]),), lacks) for one in fits]
     return told, undecided, exchanges
@@ -96,7 +94,7 @@ def instead_of_links(search: Search, fitted: Fitted, found: Sequence[OffLink]) -
     near, result, others = search.neighbours(none), [], post.hyper.links.copy()
     off = [fitted.model.robot.links.index(f.link) for f in found]
     others[off] = EXACT
-    every = [a for a in near.candidates(near.at(near.linear.own, start.hyper, True)) if not is_link_error(a.effect)]
+    every = near.candidates(near.at(near.linear.own, start.hyper, True))
     for a, same in zip(every, do_the_same(fitted, off, every), strict=True):
         if same:
             one = search.fit(none, near.at((*near.linear.own, a), start.hyper, True))
@@ -130,11 +128,6 @@ def do_the_same(fitted: Fitted, links: Sequence[int], effects: Sequence[Addition
 
     none, least = left(changes[:, :, :0]), left(changes[:, :, list(links)])
     return [left(a.columns) < least + SAME * (none - least) for a in effects]
-
-
-def is_link_error(effect: Effect) -> bool:
-    """Whether an effect says of one link that it differs, which is an error of that link by another name."""
-    return effect.side == "body" and bool(effect.joints)
 
 
 def far_off(hyper: Hyperparameters) -> Hyperparameters:

@@ -230,10 +230,10 @@ def ready(
     model = stages.once("plain model", ModelData, first).model(nominal)
     data = data_of(recordings, without_spikes(whole, model), nominal, model, exact)
     seen = view(data.prepared, model)
-    # links whose errors are parameters of every model need no effect that says the same, of which no body need be the result
-    known = "inertial" if len(data.links.std) else None
-    sought = (t for t in trials(seen, model.torque) if t.effect.name not in priors.excluded)
-    every = tuple(t for t in sought if known is None or t.effect.alters != known)
+    # a link whose errors are parameters needs no effect that says the same, and whose result need not be a body
+    gone = ("inertial",) if len(data.links.std) else ()
+    every = trials(seen, model.torque)
+    every = tuple(t for t in every if t.effect.name not in priors.excluded and t.effect.alters not in gone)
     families: dict[tuple, list[Trial]] = {}
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)

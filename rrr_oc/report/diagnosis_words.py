@@ -33,9 +33,7 @@ OF_LINKS = (
     ("centre", "its centre of mass at", "m"),
     ("inertia", "an inertia about that of", "kg m²"),
 )
-ACROSS = (
-    0.05  # share of a first moment that the description has at most in its direction for that to be across the described one
-)
+ACROSS = 1e-3  # share of a first moment that the description has along it, at most, where it is across the described one
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 

@@ -13,11 +13,7 @@ from rrr_oc.calibration.estimator.data import EVERY
 from rrr_oc.calibration.estimator.evidence import Gram, Posterior, Spectrum, estimated
 from rrr_oc.calibration.samples import STRIDE
 
-BLOCK, LEAST_BLOCKS, LEAST_ROWS = (
-    5.0,
-    4,
-    8,
-)  # length [s] of a block, number of a recording that shortens them, and least rows of one
+BLOCK, LEAST_BLOCKS, LEAST_ROWS = 5.0, 4, 8  # length [s] of a block, number of a recording that shortens them, least rows
 PARTS = 4  # of the blocks, each predicted once
 QUANTILE = 0.975  # of the upper end of an interval
 
