@@ -255,6 +255,14 @@ def small(truth: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [e for e in truth.get("small", []) if e["in_catalogue"]]
 
 
+def links(diagnosis: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Links that are told to be off, as the effect that says so; a link's own joint is the last of its directions."""
+    return [
+        {"effect": "link_inertial", "joint": f["directions"][-1]["joint"], "recordings": "all", "parameters": {}, "rivals": []}
+        for f in diagnosis.get("link_findings", [])
+    ]
+
+
 def oracle_case(folder: Path, sealed: Path, out: Path) -> str:
     """Fit the effects that a case really has, where and in the recordings that have them; the case's id.
 
@@ -321,6 +329,7 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
     diagnosis = result.get("diagnosis") or {"verdict": FAILED, "effects": [], "unexplained": []}
     effects, unexplained, few = diagnosis["effects"], diagnosis["unexplained"], truth["kind"] in FEW
     classes = [{**u["members"][0], "rivals": u["members"][1:]} for u in diagnosis.get("undecided", [])]
+    classes += links(diagnosis)
     told = [*effects, *classes, *diagnosis.get("small", [])]  # what is sure but small is told too
     inside = [e for e in truth["effects"] if e["in_catalogue"] and e.get("ratio", {}).get("reached", 1.0) > ABSENT]
     found = matched(inside, told[:1] if few else told)

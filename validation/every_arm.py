@@ -183,7 +183,7 @@ def made_up(robot: Robot, seed: int) -> Iterator[dict[str, np.ndarray]]:
     motions = [sines(robot, rng) for _ in range(3)]
     most = np.max([np.abs(rigid.torques(motion)[0]).max(axis=1) for motion in motions], axis=0)
     inertia = rigid.model.body.free_inertia(robot.inertial)
-    effects = tuple(kind((j,)) for j in range(robot.n) for kind in plain_effects())
+    effects = tuple(kind((j,)) for j in range(robot.n) for kind in plain_effects() if kind.side != "sensor")
     sizes = {"dry_friction": DRY * most, "viscous_friction": VISCOUS * most, "armature": ARMATURE * inertia}
     theta = np.array([sizes[effect.name][effect.joints[0]] for effect in effects])
     widths = np.array([effect.width.nominal for effect in effects if effect.width is not None])

@@ -12,8 +12,8 @@ from rrr_oc.calibration.estimator.evidence import Start
 from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import covariance
 from rrr_oc.calibration.estimator.knobs import CLOCK_ERROR
-from rrr_oc.calibration.estimator.left_out import Fall
-from rrr_oc.calibration.link_findings import QUANTILE, falls
+from rrr_oc.calibration.estimator.left_out import Fall, surest_fall
+from rrr_oc.calibration.link_findings import QUANTILE
 from rrr_oc.effects import CATALOGUE, Delay
 from rrr_oc.recordings.recording import RecordingSet
 
@@ -54,7 +54,7 @@ def common_delay(fitter: PlainFitter, fitted: Fitted) -> tuple[Term, Fall, float
     apart = np.abs(values - mean) > QUANTILE * np.sqrt(np.diag(spread)) + CLOCK_ERROR
     if mean - QUANTILE * std < CLOCK_ERROR or apart.any():
         return None
-    size = next((f for f in sorted(falls(fitted, _prompt(fitter, fitted, at)), key=lambda f: -f.low)), None)
+    size = surest_fall(fitted.posterior, _prompt(fitter, fitted, at).posterior)
     interval = mean - QUANTILE * std, mean + QUANTILE * std
     kind = next(k for k in CATALOGUE.values() if issubclass(k, Delay) and k.placement == "arm")
     return None if size is None else (Term(kind(()), (Estimate(mean, std, interval),)), size, float(2 * norm.sf(mean / std)))

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace as told_with
 
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Start
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.estimator.left_out import block_edges
-from rrr_oc.calibration.link_findings import LinkFinding, link_findings, with_falls
+from rrr_oc.calibration.link_findings import OffLink, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
 from rrr_oc.diagnosis.effect_size import in_shape, squares
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as
@@ -23,7 +24,6 @@ from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
 from rrr_oc.diagnosis.structures.linear import Addition, Level
 from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
 from rrr_oc.diagnosis.structures.search import Search
-from rrr_oc.effects import Effect
 from rrr_oc.errors import noted
 
 NEAR = 5.0  # times `MATTERS`, by which an effect may be worse in the shape in which it is predicted, to be fitted exactly
@@ -67,8 +67,7 @@ def separated(
         elif all(t.effect.side == "body" for t in (f.term, *found)):  # all of which say the same to who reads it
             told.append(replace(f, rivals=(*rivals, LINK_ERRORS)))
         else:
-            others = tuple(t for t in found if not is_link_error(t.effect))
-            undecided.append(Undecided((shown[id(f.term)], *others), f.probability))
+            undecided.append(Undecided((shown[id(f.term)], *found), f.probability))
         lacks = (LINK_ERRORS,) if undecided and undecided[-1].terms[0] is shown[id(f.term)] else (f.key,)
         exchanges += [Exchange(one, (shown_as(one.extra[-1]),), lacks) for one in fits]
     return told, undecided, exchanges
@@ -76,7 +75,7 @@ def separated(
 
 def with_links(
     undecided: Sequence[Undecided], search: Search, fitted: Fitted, failed: dict[str, str]
-) -> tuple[list[Undecided], list[Exchange], list[LinkFinding]]:
+) -> tuple[list[Undecided], list[Exchange], list[OffLink]]:
     """What is undecided, with the effects that explain as well what links explain that are far off in a fit, their fits, and these links."""
     found, fits = with_falls(search.fitter, fitted, link_findings(fitted)), list[Exchange]()
     if found:
@@ -85,25 +84,26 @@ def with_links(
     terms = [described(one.fitted).terms[-1] for one in fits]
     same = [u for u in undecided if {kind(t.effect) for t in u.terms} & {kind(t.effect) for t in terms}]
     result = [u for u in undecided if u not in same]
-    if terms:
+    if same or any(t.effect.side != "body" for t in terms):  # else all say the same to who reads it
         known = {kind(t.effect) for u in same for t in u.terms}
         every = (*(t for u in same for t in u.terms), *(t for t in terms if kind(t.effect) not in known))
         probability = max([*(u.probability for u in same), *(link.probability for link in found)])
         result.append(Undecided(every, probability))
-    rivals = tuple(dict.fromkeys(shown_as(t) for u in result for t in u.terms))
-    return result, fits, [replace(f, rivals=rivals) for f in found]
+    names = tuple(dict.fromkeys(t.effect.name for t in (*terms, *(t for u in result for t in u.terms))))
+    return result, fits, [told_with(f, indistinguishable_from=names) for f in found]
 
 
-def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding], failed: dict[str, str]) -> list[Exchange]:
+def instead_of_links(search: Search, fitted: Fitted, found: Sequence[OffLink], failed: dict[str, str]) -> list[Exchange]:
     """Fits with an effect, their last, that does what the links of a fit do that are off, with these links as described."""
     data, post = search.fitter.data, fitted.posterior
     start = replace(post, hyper=replace(post.hyper, links=np.full_like(post.hyper.links, EXACT)))
     nominal = replace(fitted.model, robot=replace(fitted.model.robot, inertial=data.links.at(data.links.none)[0]))
     none = search.fitter.fit(nominal, data.links.none, start, fixed=True)
     near, result, others = search.neighbours(none), [], post.hyper.links.copy()
-    others[[f.link for f in found]] = EXACT
-    every = [a for a in near.candidates(near.at(near.linear.own, start.hyper, True)) if not is_link_error(a.effect)]
-    for a, same in zip(every, do_the_same(fitted, found, every), strict=True):
+    off = [fitted.model.robot.links.index(f.link) for f in found]
+    others[off] = EXACT
+    every = near.candidates(near.at(near.linear.own, start.hyper, True))
+    for a, same in zip(every, do_the_same(fitted, off, every), strict=True):
         with noted(failed, f"comparison: {a.effect.name} in the place of links"):
             if not same:
                 continue
@@ -114,8 +114,8 @@ def instead_of_links(search: Search, fitted: Fitted, found: Sequence[LinkFinding
     return result
 
 
-def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[Addition]) -> list[bool]:
-    """Whether effects do to the torques of these recordings what links do that are off, but for usual errors of links.
+def do_the_same(fitted: Fitted, links: Sequence[int], effects: Sequence[Addition]) -> list[bool]:
+    """Whether effects do to the torques of these recordings what links do that are off, by their numbers, but for usual errors of links.
 
     Torques are linear in inertial parameters. What the links of the fit change of them is explained by plain parameters and links with
     errors of the declared size, at a cost that is the squared size of the errors. The change of links that are off lowers it, as one
@@ -124,8 +124,8 @@ def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[
     post, data, size = fitted.posterior, fitted.posterior.data, len(fitted.model.values)
     own, scale = slice(size, size + len(fitted.links)), post.hyper.sigma[:, None, None]
     by_bodies = data.rows(fitted.model).jacobian[:, :, size : size + 10 * data.n]
-    off = np.diag((fitted.model.robot.inertial - data.links.plain).T.ravel()).reshape(-1, data.n, 10).sum(axis=2)
-    changes, columns = by_bodies @ off, post.columns.copy()  # of each link (n, M, n)
+    each = np.diag((fitted.model.robot.inertial - data.links.plain).T.ravel()).reshape(-1, data.n, 10).sum(axis=2)
+    changes, columns = by_bodies @ each, post.columns.copy()  # of each link (n, M, n)
     columns[:, :, own] = by_bodies @ data.links.at(data.links.none)[1]
     y = np.append(changes.sum(axis=2) / scale[:, :, 0], np.zeros(len(post.step)))
 
@@ -136,13 +136,8 @@ def do_the_same(fitted: Fitted, found: Sequence[LinkFinding], effects: Sequence[
         )
         return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2))
 
-    none, least = left(changes[:, :, :0]), left(changes[:, :, [f.link for f in found]])
+    none, least = left(changes[:, :, :0]), left(changes[:, :, list(links)])
     return [left(a.columns) < least + SAME * (none - least) for a in effects]
-
-
-def is_link_error(effect: Effect) -> bool:
-    """Whether an effect says of one link that it differs, which is an error of that link by another name."""
-    return effect.side == "body" and bool(effect.joints)
 
 
 def far_off(hyper: Hyperparameters) -> Hyperparameters:

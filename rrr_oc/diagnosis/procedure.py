@@ -13,7 +13,7 @@ from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.fitting import Fitted, plain_std
 from rrr_oc.calibration.estimator.intervals import described
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.link_findings import LinkFinding
+from rrr_oc.calibration.link_findings import OffLink
 from rrr_oc.calibration.measurement import common_delay
 from rrr_oc.calibration.prediction_error import mean_nrmse
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
@@ -59,7 +59,6 @@ class Diagnosis:
         findings: The effects and black-box terms that are claimed, most important first.
         undecided: Effects that cannot be told from errors of the links.
         links: Links that are far from the URDF's in `model`.
-        late: A delay that the torques of all joints have in common; the model has it joint by joint.
         small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
         possible: What may be present but is not claimed.
         refuted: What is as sure, but does not lower the error on data that it was not fitted to.
@@ -74,6 +73,7 @@ class Diagnosis:
         idle: Joints that never move enough to tell anything, with the mean torque that the model leaves there and its spread [Nm].
         priors: File from which priors were read; None for what the effects declare.
         failed: Optional steps that failed, and why.
+        late: A delay that the torques of all joints have in common; the model has it joint by joint.
     """
 
     recordings: RecordingSet
@@ -81,8 +81,7 @@ class Diagnosis:
     model: CalibratedModel
     findings: tuple[Finding, ...]
     undecided: tuple[Undecided, ...]
-    links: tuple[LinkFinding, ...]
-    late: tuple[Finding, ...]
+    links: tuple[OffLink, ...]
     small: tuple[Finding, ...]
     possible: tuple[Possible, ...]
     refuted: tuple[Finding, ...]
@@ -97,6 +96,7 @@ class Diagnosis:
     idle: tuple[tuple[int, float, float], ...] = ()
     priors: str | None = None
     failed: Mapping[str, str] = field(default_factory=dict)
+    late: tuple[Finding, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -236,10 +236,10 @@ def ready(
     model = stages.once("plain model", ModelData, first).model(nominal)
     data = data_of(recordings, without_spikes(whole, model), nominal, model, exact)
     seen = view(data.prepared, model)
-    # links whose errors are parameters of every model need no effect that says the same, of which no body need be the result
-    known = "inertial" if len(data.links.std) else None
-    sought = (t for t in trials(seen, model.torque) if t.effect.name not in priors.excluded)
-    every = tuple(t for t in sought if known is None or t.effect.alters != known)
+    # a link whose errors are parameters needs no effect that says the same, and whose result need not be a body
+    gone = ("inertial",) if len(data.links.std) else ()
+    every = trials(seen, model.torque)
+    every = tuple(t for t in every if t.effect.name not in priors.excluded and t.effect.alters not in gone)
     families: dict[tuple, list[Trial]] = {}
     for trial in every:
         families.setdefault((trial.effect.name, trial.effect.joints), []).append(trial)

@@ -388,7 +388,7 @@ def moved(
 def later(motion: Motion, x: np.ndarray, delays: Sequence[float]) -> np.ndarray:
     """Signals (m, K) delayed by `delays` (m,) [s], within each segment; linear between samples."""
     result = np.array(x, float)
-    for i in np.flatnonzero(delays):
+    for i in np.flatnonzero(delays).tolist():
         before, after, share = samples_before(motion, float(delays[i]))
         result[i] = x[i, before] * (1 - share) + x[i, after] * share
     return result

@@ -34,9 +34,7 @@ OF_LINKS = (
     ("centre", "its centre of mass at", "m"),
     ("inertia", "an inertia about that of", "kg m²"),
 )
-ACROSS = (
-    0.05  # share of a first moment that the description has at most in its direction for that to be across the described one
-)
+ACROSS = 1e-3  # share of a first moment that the description has along it, at most, where it is across the described one
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 
@@ -364,7 +362,7 @@ def off_links(found: Mapping[str, Any]) -> list[str]:
     """A sentence on each link that is far from the robot's description, by how much that lowers the error, and what does the same."""
     result = []
     for one in found.get("link_findings", ()):
-        fall, others = _fall(one["lowers_error"]), one.get("indistinguishable_from")
+        fall, others = _fall(one.get("lowers_error")), one.get("indistinguishable_from")
         or_else = "Either that is so, or it takes up what the model lacks."
         if others is None:
             or_else = (

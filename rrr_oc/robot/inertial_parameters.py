@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -90,7 +91,7 @@ class Seen:
     """
 
     joint: int
-    quantity: str
+    quantity: Literal["first_moment", "inertia"]
     along: np.ndarray
     row: np.ndarray
 

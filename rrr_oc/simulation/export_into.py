@@ -138,7 +138,8 @@ def _that_fit(model: Model, theta: np.ndarray, left_out: list[str]) -> tuple[Mod
     """The model without what would change more than numbers and springs, its parameters, and what is left out."""
     why = [next((said for kind, said in ELSEWHERE.items() if isinstance(e, kind)), None) for e in model.effects]
     kept = np.repeat([said is None for said in why], [len(e.parameters) for e in model.effects])
-    told = [f"{model.label(e)}: {said}" for e, said in zip(model.effects, why, strict=True) if said is not None]
+    named = zip(model.effects, why, strict=True)
+    told = [f"{model.label(e)}: {said}" for e, said in named if said is not None and e.role != "plain"]
     effects = tuple(e for e, said in zip(model.effects, why, strict=True) if said is None)
     return replace(model, effects=effects), theta[kept.astype(bool)], [*left_out, *told]
 

@@ -81,6 +81,17 @@ def test_a_link_that_is_made_far_too_light_is_named(tmp_path):
     assert np.all(found.nrmse < 0.01)
 
 
+def test_identified_links_are_proposed_where_no_error_of_a_file_explains_as_much(tmp_path):
+    """A mass that is a hundredth of the true one is further off than a link of a file may be."""
+    plant, made, robot = recordings(tmp_path, 1, 5)
+    report = calibrate(as_set(plant, made, robot=moved(robot, 0, 0.01))).report
+    (found,) = report["if_identified"]
+    (one,) = (d for d in found["directions"] if d["quantity"] == "first_moment")
+    assert one["value"] == pytest.approx(np.linalg.norm(robot.inertial[1:4, 0]), rel=0.01)
+    assert found["lowers_error"]["interval"][0] > 0.3
+    assert "if_identified" not in calibrate(as_set(plant, made)).report
+
+
 def test_links_stay_bodies_where_a_spring_is_missing(tmp_path):
     """Gravity of a link stands for a spring in part; its file then needs the same torques."""
     plant, made, robot = recordings(tmp_path, 2, 4)

@@ -36,7 +36,7 @@ class Model:
 
 
 def searched(visited: dict, predicted: dict | None = None) -> Search:
-    return Search(None, None, visited=visited, predicted=predicted or {})  # pyright: ignore[reportArgumentType]
+    return Search(None, None, None, visited=visited, predicted=predicted or {})  # pyright: ignore[reportArgumentType]
 
 
 def test_probabilities_are_shares_of_all_structures():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import Plant, as_set, record
+from recorded import Plant, as_set, by_trial, record
 
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.jacobian import Prediction
@@ -74,7 +74,7 @@ def test_a_payload_that_runs_through_many_values_costs_no_more(planar):
         for a, b in zip(moving.partials, alone.partials, strict=True):
             assert a[..., k] == pytest.approx(b[..., k], abs=1e-9)
         trial = next(t for t in trials(view(prepare(whole), model), "motor") if t.effect.name == "payload_com")
-        assert moving.by_trial(trial)[..., k] == pytest.approx(alone.by_trial(trial)[..., k], abs=1e-9)
+        assert by_trial(moving, trial)[..., k] == pytest.approx(by_trial(alone, trial)[..., k], abs=1e-9)
     assert 10 < len(pieces(ramp)) < 60
 
 

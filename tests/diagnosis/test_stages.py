@@ -12,7 +12,7 @@ from recorded import Plant, as_set, record
 from typer.testing import CliRunner
 
 from rrr_oc.calibration.calibrated_model import Estimate
-from rrr_oc.calibration.link_findings import LinkFinding, Quantity
+from rrr_oc.calibration.link_findings import Off, OffLink
 from rrr_oc.calibration.model_file import load_model
 from rrr_oc.commands import app
 from rrr_oc.commands import diagnose as command
@@ -221,7 +221,7 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
         small=(f,),
         possible=(Possible(f.key, (), gone),),
         shares=Shares(*[(gone, gone)] * 3),
-        links=(LinkFinding(0, {"mass": Quantity((gone,), (1.0,), gone)}, gone),),
+        links=(OffLink(found.model.robot.links[0], (), gone, mass=Off(gone, 1.0, gone)),),
         idle=((0, gone, gone),),
         above_noise=(np.inf,),
         calibration=(np.array([gone]), np.array([gone])),

@@ -25,6 +25,7 @@ from rrr_oc.effects import (
     CATALOGUE,
     BlackBox,
     BodyChange,
+    Delay,
     Effect,
     LinkSpring,
     MotionShift,
@@ -730,7 +731,7 @@ def test_what_is_said_of_an_effect_holds(name):
     differs = bool(np.any(np.abs(before - after) > 1e-9))
     of_load = "load" in effect.inputs or name in ("torque_gain", "controller_gain")  # "load" of a sensor is the true torque
     assert differs == of_load
-    nothing = effect.side == "body" or effect.moves_link or name == "time_delay"
+    nothing = effect.side == "body" or effect.moves_link or isinstance(effect, Delay)
     assert (before.size > 0 and bool(np.any(before != 0))) == (not nothing)
 
 
@@ -820,7 +821,7 @@ def test_an_effect_of_no_size_changes_no_prediction(name, arm):
         np.testing.assert_allclose(found, plain, atol=1e-7)  # a compliance of 1e-12 times derivatives over samples of 10 ms
 
 
-@pytest.mark.parametrize("name", [*CONTRACT, "echo", "empirical", "friction_change"])
+@pytest.mark.parametrize("name", [*(name for name in CONTRACT if name != "time_delay"), "echo", "empirical", "friction_change"])
 def test_signatures_are_the_slopes_of_predictions(name, arm):
     """Σ c_k column_k against the difference of predictions with and without the term that c_k stand for."""
     model, prepared, by_name = arm
@@ -836,7 +837,7 @@ def test_signatures_are_the_slopes_of_predictions(name, arm):
         seen += 1
         wanted = 1e-6 * np.sqrt(np.mean(plain**2))  # so small that squares of it do not show
         coefficients = rng.uniform(0.3, 1, len(raw)) * wanted / size
-        if name in ("backlash", "time_delay") or abs(trial.size) > 10 * trial.effect.step:  # the change over a finite amount
+        if name == "backlash" or abs(trial.size) > 10 * trial.effect.step:  # the change over a finite amount
             coefficients = np.array([trial.size])
         change = extended(model, trial, coefficients).output_torque(recording) - plain
         expected = np.einsum("k,kit->it", coefficients, raw)
@@ -851,7 +852,7 @@ def test_signatures_of_several_recordings_are_those_of_each(arm):
     model, prepared, by_name = arm
     every = [trial for name in by_name for trial in some(by_name[name])]
     sizes = {
-        "load_dependent_friction": 0.1, "torque_gain": -0.2, "torque_offset": 0.5, "time_delay": 0.01, "joint_elasticity": 800.0,
+        "load_dependent_friction": 0.1, "torque_gain": -0.2, "torque_offset": 0.5, "joint_elasticity": 800.0,
         "payload_mass": 1.0, "payload_com": 0.02, "cable_harness": 2.0, "encoder_offset": 0.05, "quadratic_drag": 1.0,
     }  # fmt: skip
     added = {

@@ -228,7 +228,8 @@ def test_an_effect_of_every_model_is_in_every_model(added, stretched):
     model = calibrate(thick)
     (term,) = (t for t in model.terms if t.effect == tar((0,)))
     assert term.values == pytest.approx(0.4, rel=0.1)
-    assert Response(thick, model).box.shape == (4,)
+    prompt = replace(model, terms=model.prompt_terms)
+    assert Response(thick, prompt).box.shape == (4,)
 
 
 def test_two_effects_of_one_name_are_turned_away(band):

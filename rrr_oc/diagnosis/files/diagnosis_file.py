@@ -1,13 +1,13 @@
 """The diagnosis as data: what `diagnosis.json` holds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, to_builtins
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.calibration.link_findings import entries
+from rrr_oc.calibration.link_findings import Fallen, OffLink
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named, shown_as
 from rrr_oc.diagnosis.held_out import ranges
 from rrr_oc.diagnosis.mismatch import FAR
@@ -113,20 +113,6 @@ class Named(Struct, forbid_unknown_fields=True):
     joint: Joint
 
 
-class Fallen(Struct, forbid_unknown_fields=True):
-    """By how much the error of a joint falls on data left out of the fit.
-
-    Attributes:
-        joint: The joint where that is surest.
-        share: Of the rms before [1].
-        interval: 95 % interval, from the variation between blocks of some seconds; null with fewer than two.
-    """
-
-    joint: str
-    share: float
-    interval: tuple[float, float] | None
-
-
 class Lowered(Fallen):
     """By how much an effect lowers the error of a joint on data that it was not fitted to, beside all other effects.
 
@@ -193,64 +179,6 @@ class Class(Struct, forbid_unknown_fields=True):
     members: tuple[Member, ...]
     probability: float
     decided_by: str | None
-
-
-class Off(Struct, forbid_unknown_fields=True):
-    """A mass, centre or moments of inertia about it that differ from the URDF's.
-
-    Attributes:
-        value: As found; the three components of a vector [kg, m, kg m²].
-        urdf: The same in the URDF [kg, m, kg m²].
-        sigmas: By how many declared standard deviations they differ; the largest of the components.
-    """
-
-    value: float | tuple[float, ...]
-    urdf: float | tuple[float, ...]
-    sigmas: float
-
-
-class OffDirection(Struct, forbid_unknown_fields=True):
-    """A first moment or an inertia of what turns about a joint that differs from the URDF's by more than it does in 98 of 100 files.
-
-    Attributes:
-        joint: The joint.
-        quantity: Which of the two: of the joint's own link, and of what base parameters add of the outer ones.
-        value: As found.
-        urdf: The same in the URDF.
-        interval: 95 % interval from the recordings alone.
-        unit: Of these.
-        along: Unit vector in the joint's frame along which the first moment counts, or the axis.
-    """
-
-    joint: str
-    quantity: Literal["first_moment", "inertia"]
-    value: float
-    urdf: float
-    interval: tuple[float, float]
-    unit: str
-    along: tuple[float, float, float]
-
-
-class OffLink(Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """A link that differs from the URDF by more than what is usual.
-
-    Attributes:
-        link: The link's name in the robot's description.
-        directions: What torques see of it.
-        lowers_error: Fall of the error against links within three declared standard deviations of the URDF.
-        indistinguishable_from: Names of effects that explain these recordings as well beside such links.
-        mass: Its mass, if this is known by itself to be off by three declared standard deviations.
-        centre: Its centre of mass, in its joint's frame, if so.
-        inertia: Its moments of inertia about the centre, if so.
-    """
-
-    link: str
-    directions: tuple[OffDirection, ...]
-    lowers_error: Fallen
-    indistinguishable_from: tuple[str, ...]
-    mass: Off | None = None
-    centre: Off | None = None
-    inertia: Off | None = None
 
 
 class Possible(Named):
@@ -544,7 +472,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
         "measurement": dict(model.report.get("measurement", {})),
         "idle": [{"joint": joints[j], "torque": mean, "std": std} for j, mean, std in diagnosis.idle],
-        "link_findings": entries(diagnosis.links, model.robot.links, joints),
+        "link_findings": to_builtins(diagnosis.links),
         "priors_file": diagnosis.priors,
         "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [
@@ -595,7 +523,7 @@ def _late(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
     return _claim(diagnosis, finding, 1 - (1 - finding.fall.share) ** 2, {"held_out_before": None, "held_out_after": None})
 
 
-def _claim(diagnosis: Diagnosis, finding: Finding, share: float, errors: dict[str, float | None]) -> dict[str, Any]:
+def _claim(diagnosis: Diagnosis, finding: Finding, share: float, errors: Mapping[str, float | None]) -> dict[str, Any]:
     joints = diagnosis.model.joints
     return {
         **named(finding.key, joints),

@@ -15,7 +15,7 @@ from msgspec import Struct
 from rrr_oc.calibration.calibrated_model import CalibratedModel
 from rrr_oc.calibration.estimator.data import Data, Noise
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, Start
-from rrr_oc.calibration.link_findings import LinkFinding
+from rrr_oc.calibration.link_findings import OffLink
 from rrr_oc.calibration.model_file import (
     AlternativeEntry,
     TermEntry,
@@ -324,7 +324,7 @@ class ResultData(Struct):
     model: ModelData
     findings: list[FindingData]
     undecided: list[UndecidedData]
-    links: tuple[LinkFinding, ...]
+    links: tuple[OffLink, ...]
     late: list[FindingData]
     small: list[FindingData]
     possible: tuple[Possible, ...]

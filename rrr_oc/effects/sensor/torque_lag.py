@@ -1,11 +1,11 @@
 """A joint's torque that is recorded late, or early, as every log's is by some milliseconds."""
 
 from rrr_oc.effects.base import Prior
-from rrr_oc.effects.capabilities import Delay
+from rrr_oc.effects.sensor.time_delay import TimeDelay
 from rrr_oc.robot.parameters import Parameter
 
 
-class TorqueLag(Delay):
+class TorqueLag(TimeDelay):
     """recorded torque(t) = true torque(t − delay), of one joint, with either sign.
 
     A filter of the first order with a time constant is, for motions that are slow beside it, a delay of that time. A torque that is held
@@ -16,12 +16,8 @@ class TorqueLag(Delay):
     equation = "recorded torque(t) = true torque(t - delay), of one joint"
     plain = "The recorded torque of {joints} lags the recorded motion by {delay:ms}."
     parameters = (Parameter("delay", "s", 0.0, lower=-0.02, upper=0.05),)
-    amplitudes = ("delay",)
-    step = 1e-3
     role = "plain"
+    scope = "everywhere"
     placement = "joint"
     recorded_as = ("motor", "load", "current")  # of commands, the torque follows from the motion itself
     prior = Prior(1.0, {"delay": (0.005, "")}, "cycles of field buses, held torques and filters of currents: some ms")
-
-    def delay(self, theta):
-        return theta["delay"]

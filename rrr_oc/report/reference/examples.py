@@ -31,6 +31,7 @@ CENTRES, SWINGS, HERTZ = (0.0, 60.0, -90.0), (60.0, 45.0, 50.0), (0.15, 0.2, 0.3
 SECOND, FASTER = 0.25, 2.6  # its amplitude and frequency over those of the first
 SPRING = {"stiffness_Nm_per_rad": 6.0, "equilibrium_rad": 2.0}  # of joint 2, in parallel, as the recording lists it
 DRY, VISCOUS, ARMATURE = (2.0, 3.0, 1.5), (3.0, 4.0, 2.0), (0.2, 0.3, 0.1)  # [Nm], [Nm s/rad], [kg m²], of the plain model
+LATE = (0.004, 0.005, 0.006)  # [s], by which its torques are late
 KP, KD = 600.0, 5.0  # [Nm/rad], [Nm s/rad], of the loop, for effects of recorded commands
 FEW = 4  # curves that a picture shows, the largest ones
 SHAPE = 0.25  # where in the list of an effect's trials the example is taken
@@ -127,7 +128,7 @@ def _arm() -> _Arm:
 
 def _sizes(term: Term) -> np.ndarray:
     """Parameters of the plain model, by their unit; nominal ones for a unit that is not known."""
-    known = {"Nm": DRY, "Nm s/rad": VISCOUS, "kg m²": ARMATURE}
+    known = {"Nm": DRY, "Nm s/rad": VISCOUS, "kg m²": ARMATURE, "s": LATE}
     joint, parameters = term.effect.joints[0], term.effect.parameters
     return np.array([known[p.unit][joint] if p.unit in known else p.nominal for p in parameters])
 
