@@ -114,9 +114,8 @@ class PlainFitter:
         At most so many steps of Gauss–Newton are made, and fewer if the evidence would have to rise more than it may to be as `wanted`.
         """
         data, (residual, columns) = self.data, self.linearised(model, links)
-        about = residual
         best, highest, last, fall, idle, exact, first = None, -np.inf, np.inf, np.inf, 0, True, 0
-        began, stalled, nearest = -np.inf, 0, np.full(data.n, np.inf)
+        about, began, stalled, nearest = residual, -np.inf, 0, np.full(data.n, np.inf)
         for number in range(steps):
             post = solve(data, residual, columns, self.prior(model, links), start, fixed)
             start, stalled = post, 0 if post.log_evidence > highest + IDLE else stalled + 1
