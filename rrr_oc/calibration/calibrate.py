@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from msgspec import to_builtins
 from msgspec.structs import replace as told_with
 
 from rrr_oc.calibration.calibrated_model import CalibratedModel
@@ -21,7 +20,7 @@ from rrr_oc.calibration.estimator.fitting import Fitted, PlainFitter
 from rrr_oc.calibration.estimator.intervals import described, fit_report
 from rrr_oc.calibration.estimator.knobs import CENTRE_ERROR, INERTIA_ERROR, MASS_ERROR
 from rrr_oc.calibration.inverse_dynamics import finished, plain_model
-from rrr_oc.calibration.link_findings import fall_against, in_directions, link_findings, with_falls
+from rrr_oc.calibration.link_findings import entries, fall_against, in_directions, link_findings, with_falls
 from rrr_oc.calibration.samples import Prepared, pieces_of, prepare, shortened, thinned, without_spikes
 from rrr_oc.errors import UserError
 from rrr_oc.recordings.recording import RecordingSet
@@ -49,7 +48,7 @@ def fit(recordings: RecordingSet, nominal: CalibratedModel) -> CalibratedModel:
     clean = without_spikes(whole, model)
     fitter = PlainFitter.of(data_of(recordings, clean, nominal, model))
     found = fitter.closest(fitter.begin(nominal))
-    far_off = {"link_findings": to_builtins(with_falls(fitter, found, link_findings(found)))}
+    far_off = {"link_findings": entries(with_falls(fitter, found, link_findings(found)))}
     report = {"way": "inverse dynamics"} | fit_report(found, clean) | far_off | if_identified(recordings, clean, fitter, found)
     return finished(recordings, whole, described(found), report, began)
 
@@ -66,9 +65,7 @@ def if_identified(recordings: RecordingSet, prepared: Sequence[Prepared], fitter
     fall = fall_against(identified, found)
     if fall is None or fall.interval is None or fall.interval[0] < FAR_BETTER:
         return {}
-    return {
-        "if_identified": to_builtins([told_with(f, lowers_error=fall) for f in in_directions(identified, fitter.data.links)])
-    }
+    return {"if_identified": entries([told_with(f, lowers_error=fall) for f in in_directions(identified, fitter.data.links)])}
 
 
 def first_estimate(

@@ -5,7 +5,7 @@ from dataclasses import replace as renewed
 from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, to_builtins
 from msgspec.structs import replace
 from scipy.stats import norm
 
@@ -15,6 +15,7 @@ from rrr_oc.calibration.estimator.intervals import covariance, half_width
 from rrr_oc.calibration.estimator.left_out import surest_fall
 from rrr_oc.robot.inertial_parameters import seen_quantities
 from rrr_oc.robot.link_errors import OF_URDF, LinkErrors
+from rrr_oc.storage import plain
 
 USUAL = 2.33  # declared standard deviations within which 98 of 100 files are in one direction; doubled, a link half as heavy again is not told
 QUANTILE = 1.96  # of the normal distribution, of a 95 % interval
@@ -125,14 +126,14 @@ def in_directions(fitted: Fitted, described: LinkErrors) -> list[OffLink]:
     robot, size, result = fitted.model.robot, len(fitted.model.values), dict[int, list[tuple[OffDirection, float]]]()
     own = slice(size, size + len(fitted.links))
     spread = covariance(fitted, loose=True)[own, own]
-    (plain, usual), (bodies, slopes) = described.at(described.none), fitted.posterior.data.links.at(fitted.links)
+    (nominal, usual), (bodies, slopes) = described.at(described.none), fitted.posterior.data.links.at(fitted.links)
     half = half_width(min(one.count for one in fitted.posterior.joints))
-    for seen in seen_quantities(renewed(robot, inertial=plain)):
-        value, urdf = (float(seen.row @ x.T.ravel()) for x in (bodies, plain))
+    for seen in seen_quantities(renewed(robot, inertial=nominal)):
+        value, urdf = (float(seen.row @ x.T.ravel()) for x in (bodies, nominal))
         limit, slope = USUAL * np.linalg.norm(seen.row @ usual), seen.row @ slopes
         std, off = max(float(np.sqrt(slope @ spread @ slope)), 1e-12), abs(value - urdf)
         if off - half * std > limit:
-            of_links = (seen.row * (bodies - plain).T.ravel()).reshape(-1, 10).sum(axis=1)
+            of_links = (seen.row * (bodies - nominal).T.ravel()).reshape(-1, 10).sum(axis=1)
             link = int(np.argmax(of_links * np.sign(value - urdf)))
             interval = value - half * std, value + half * std
             x, y, z = seen.along.tolist()
@@ -157,6 +158,11 @@ def fall_against(fitted: Fitted, other: Fitted) -> Fallen | None:
     if best is None:
         return None
     return Fallen(fitted.model.joints[best.joint], best.share, (best.low, best.high) if np.isfinite(best.low) else None)
+
+
+def entries(found: Sequence[OffLink]) -> list[dict[str, Any]]:
+    """Findings as in files."""
+    return plain(to_builtins(found))
 
 
 def _described(inertial: np.ndarray) -> dict[str, Any]:

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct, to_builtins
+from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import Term
-from rrr_oc.calibration.link_findings import Fallen, OffLink
+from rrr_oc.calibration.link_findings import Fallen, OffLink, entries
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named, shown_as
 from rrr_oc.diagnosis.held_out import ranges
 from rrr_oc.diagnosis.mismatch import FAR
@@ -472,7 +472,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
         "measurement": dict(model.report.get("measurement", {})),
         "idle": [{"joint": joints[j], "torque": mean, "std": std} for j, mean, std in diagnosis.idle],
-        "link_findings": to_builtins(diagnosis.links),
+        "link_findings": entries(diagnosis.links),
         "priors_file": diagnosis.priors,
         "priors": [_prior(f, joints) for f in diagnosis.findings if f.prior],
         "suggested_recordings": [
