@@ -70,10 +70,11 @@ def test_a_law_is_named_rather_than_a_series_that_also_says_how_friction_changes
     assert found.term.values == pytest.approx([0.4], rel=0.05)
 
 
-def test_abrupt_dry_friction_that_holds_a_joint_for_a_moment_is_no_effect(planar):
+def test_abrupt_dry_friction_that_holds_a_joint_for_a_moment_is_no_large_effect(planar):
+    """No law of the catalogue holds a joint: what stands for it is told, and is less than a hundredth of the torque."""
     plant, rng = planar(1), np.random.default_rng(1)
     found = diagnose(as_set(plant, [by_engine(plant, f"{i}.csv", rng, 1.0) for i in range(4)]))
-    assert not found.findings
+    assert all(f.fall and f.fall.of_torque < 0.01 for f in found.findings)
 
 
 def with_stops(plant: Plant, name: str, rng: np.random.Generator) -> Recording:

@@ -80,14 +80,18 @@ def test_one_gain_of_all_joints_in_one_set_up(planar):
 
 
 def test_a_harness_that_hardens_in_pieces_of_one_slow_sweep(tmp_path):
-    """Each piece covers angles that the others lack; the law holds there too. Gravity does not turn the joint."""
+    """Each piece covers angles that the others lack; the law holds there too. Gravity does not turn the joint.
+
+    What is left at the only reversals, which a lag of the torque may stand for, is told beside it or not.
+    """
     plant, rng = upright(tmp_path, 1), np.random.default_rng(36)
     t, slow = np.arange(4000) / 100, np.pi / 40
     motion = 1.4 * np.cos(slow * t), -1.4 * slow * np.sin(slow * t), -1.4 * slow**2 * np.cos(slow * t)
     parts = [tuple(x[None, k : k + 1000] for x in motion) for k in range(0, 4000, 1000)]
     made = [record(plant, f"{i}.csv", rng, 10.0, 0.01, part) for i, part in enumerate(parts)]
     found, claimed = told(plant, [replace(r, tau=r.tau + 2.0 * r.q + 1.5 * r.q**3) for r in made])
-    assert list(claimed) == [("cable_harness", (0,))]
+    assert next(iter(claimed)) == ("cable_harness", (0,))
+    assert all(f.fall.of_torque < 0.01 for f in found.findings[1:])
     named = claimed["cable_harness", (0,)]
     assert named["hardening"] == pytest.approx(1.5, rel=0.1)
     assert named["stiffness"] == pytest.approx(2.0, abs=0.5)

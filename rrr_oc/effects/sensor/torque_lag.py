@@ -20,4 +20,4 @@ class TorqueLag(TimeDelay):
     scope = "everywhere"
     placement = "joint"
     recorded_as = ("motor", "load", "current")  # of commands, the torque follows from the motion itself
-    prior = Prior(1.0, {"delay": (0.005, "")}, "cycles of field buses, held torques and filters of currents: some ms")
+    prior = Prior(1.0, {"delay": (0.003, "")}, "cycles of field buses, held torques and filters of currents: some ms")
