@@ -283,7 +283,8 @@ def _by_trials(
     at, used = Prediction(plain.model, recording), np.flatnonzero(coefficients)
     result = np.zeros_like(recording.q)
     for k in np.unique(np.searchsorted(start, used, side="right") - 1).tolist():
-        result += np.tensordot(coefficients[start[k] : start[k + 1]], at.by_trial(plain.trials[k]), 1)
+        changes = [at.physics.late(recording, change) for change in at.before_sensors(plain.trials[k])]
+        result += np.tensordot(coefficients[start[k] : start[k + 1]], np.array(changes), 1)
     if len(used):
         result -= at.by_parameters() @ (shares @ coefficients)
     return result
