@@ -19,6 +19,7 @@ from rrr_oc.effects.friction.quadratic_drag import QuadraticDrag
 from rrr_oc.effects.friction.stribeck import Stribeck
 from rrr_oc.effects.friction.viscous_friction import ViscousFriction
 from rrr_oc.effects.sensor.time_delay import TimeDelay
+from rrr_oc.effects.sensor.torque_lag import TorqueLag
 from rrr_oc.effects.transmission.torque_ripple import TorqueRipple
 from rrr_oc.model.symbolic_model import Model
 from rrr_oc.robot.robot import load_robot
@@ -172,6 +173,14 @@ def test_a_delayed_torque_is_the_motors_earlier_torque(delay):
         # straight lines between samples 1 ms apart: (2π 3 · 1 ms)² / 8 of the amplitude
         assert data.sensor(f"{joint}_torque").data[0] == pytest.approx(earlier, abs=4e-5)
     assert abs(earlier - 0.4 * np.sin(wave * now)) > 0.01
+
+
+def test_each_joint_has_a_sensor_of_its_own_delay():
+    """None where the torque is early."""
+    _, mj = exported((TorqueLag((0,)), TorqueLag((1,)), TorqueLag((2,))), [0.004, -0.002, 0.01])
+    names = [mj.sensor(k).name for k in range(mj.nsensor)]
+    assert [f"{joint}_torque" in names for joint in ROBOT.joints] == [True, False, True]
+    assert mj.sensor_delay[[names.index(f"{ROBOT.joints[j]}_torque") for j in (0, 2)]] == pytest.approx([0.004, 0.01])
 
 
 def test_simulations_run_the_generated_laws_of_what_only_files_have():

@@ -32,7 +32,8 @@ class TimeDelay(Delay, ExportTwin):
         """Sensors `<joint>_torque` of the motors, delayed; none of torques that are early."""
         import mujoco  # here: every command imports the effects, few the engine
 
-        for joint in joints if theta["delay"] > 0 else ():
+        own = [joints[j] for j in self.joints] or joints
+        for joint in own if theta["delay"] > 0 else ():
             sensor = spec.add_sensor(name=f"{joint}_torque", type=mujoco.mjtSensor.mjSENS_ACTUATORFRC)
             sensor.objtype, sensor.objname, sensor.interp = mujoco.mjtObj.mjOBJ_ACTUATOR, joint, LINEAR
             sensor.delay, sensor.nsample = theta["delay"], 2 + math.ceil(theta["delay"] / (SHORTEST * spec.option.timestep))
