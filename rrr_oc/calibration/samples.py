@@ -111,12 +111,9 @@ class Prepared:
 def prepare(recordings: RecordingSet, window: float = FILTER) -> tuple[Prepared, ...]:
     """All recordings of a set made ready for `regression.rows`.
 
-    Raises `UserError` for one of which the filters leave nothing, one that stands twice, and a torque that moves a joint and never changes.
+    Raises `UserError` for one of which the filters leave nothing, and a torque that moves a joint and never changes.
     """
-    known = dict[tuple[bytes, bytes], str]()
     for r in recordings.recordings:
-        if (first := known.setdefault((r.q.tobytes(), r.tau.tobytes()), r.file)) != r.file:
-            raise UserError(f"{recordings.path / r.file}: has the samples of {first}; what is recorded once may stand once")
         if not len(kept_rows(r)[0]):
             raise UserError(
                 f"{recordings.path / r.file}: {len(r.t)} rows of {np.ptp(r.t):.3g} s are too short for the filters, which take {window:g} s; "

@@ -4,7 +4,7 @@ import numpy as np
 
 TOGETHER = 0.1  # of the mean step, below which two samples were handed over at once; doubled, jitter counts as that
 BATCHED = 0.3  # share of such steps from which samples came in batches; doubled, batches of two are no batches
-LEAST = 8  # samples from which batches are told
+LEAST = 8  # samples, and batches, from which these are told
 PAUSE = 1.6  # times the usual time of a sample, above which samples are missing before a batch; doubled, gaps are filled
 
 
@@ -15,13 +15,17 @@ def spread(t: np.ndarray) -> tuple[np.ndarray, float]:
     two, they have these. Else some are missing, and those of a batch are spread evenly over the time since the batch before; after a pause they
     have the usual distance.
     """
-    steps = np.diff(t)
-    if len(t) < LEAST or not np.all(steps >= 0):
+    with np.errstate(all="ignore"):  # absurd times are refused elsewhere
+        steps = np.diff(t)
+        mean = float(np.mean(steps)) if len(t) >= LEAST else np.nan
+    if not (np.isfinite(mean) and np.all(steps >= 0)):
         return t, 1.0
-    together = steps < TOGETHER * np.mean(steps)
+    together = steps < TOGETHER * mean
     if np.mean(together) < BATCHED:
         return t, 1.0
     ends = np.append(np.flatnonzero(~together), len(t) - 1)  # the last sample of each batch
+    if len(ends) < LEAST:
+        return t, 1.0
     counts, arrivals = np.diff(ends, prepend=-1), t[ends]
     each, size = np.diff(arrivals) / counts[1:], float(np.median(counts))
     usual, whole = float(np.median(each)), slice(1, -1)  # the first and the last batch may not be whole

@@ -51,9 +51,11 @@ class LinkErrors:
         n = self.plain.shape[1]
         each = len(self.std) // n
         links, slopes = self.plain.copy(), np.zeros((10 * n, len(self.std)))
+        if not each:
+            return links, slopes
         root = np.sqrt(1 + (self.std * errors / np.where(errors < 0, *self.most)) ** 2)
         change, rate = self.std * errors / root, self.std / root**3
-        for i in range(n if each else 0):
+        for i in range(n):
             own = slice(each * i, each * i + each)
             if each == OF_URDF:
                 links[:, i], slope = _erroneous()(self.plain[:, i], change[own])

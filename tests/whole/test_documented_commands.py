@@ -96,6 +96,7 @@ NOT_RUN = {
     "validation/kills.py": ("minutes", "tests/whole/test_study.py"),
     "validation/known_misses.py": ("half an hour", "tests/validation/test_known_misses.py"),
     "python docs/dependencies.py": ("it writes a page; a test compares that page", "tests/test_packaging.py"),
+    "python -m validation.chains": ("minutes to hours", "tests/validation/test_chains.py"),
     "validation/peers/": ("hours, and needs other tools", "tests/validation/test_peers.py"),
     "validation/engine_plants.py": ("minutes to hours", "tests/diagnosis/test_dry_friction.py"),
     "validation/open_world.py": ("half an hour", "tests/validation/test_open_world.py"),

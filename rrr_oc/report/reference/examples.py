@@ -101,7 +101,7 @@ class _Arm:
         recorded = CATALOGUE[name].recorded_as
         torque = "motor" if "motor" in recorded else recorded[0]
         every = [*trials(self.view, torque), *black_box_trials([self.prepared], self.view, self.model, J)]
-        return [trial for trial in every if trial.effect.name == name]
+        return [trial for trial in every if trial.effect.name == name] or list(CATALOGUE[name].trials(self.view))
 
 
 @cache
@@ -120,7 +120,7 @@ def _arm() -> _Arm:
     unknown = (None,) * robot.n
     recordings = RecordingSet(robot, "rrr", "motor", "nominal", robot.tool, unknown, (recording,), Path("example"))
     model = plain_model(recordings)
-    model = replace(model, terms=tuple(term.with_values(_sizes(term)) for term in model.terms))
+    model = replace(model, terms=tuple(term.with_values(_sizes(term)) for term in model.prompt_terms))
     recording = replace(recording, tau=model.output_torque(recording))
     (prepared,) = prepare(replace(recordings, recordings=(recording,)))
     return _Arm(model, prepared, view([prepared], model))
@@ -159,6 +159,7 @@ def _alone(arm: _Arm, kind: type[Effect]) -> tuple[Term, Sequence[Term]]:
     """The term of the plain model, or of a spring of co-designs with its nominal parameters."""
     found = [t for t in arm.model.terms if t.effect.name == kind.name and t.effect.joints == (J,)]
     term = found[0] if found else nominal_term(kind((J, J + 1) if kind.placement == "pair" else (J,)))
+    term = term if found or kind.role != "plain" else term.with_values(_sizes(term))
     return term, [term]
 
 
