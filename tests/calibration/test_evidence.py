@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from test_data import INNOVATION, PLACE, dense, exact_noise, places
 
 from rrr_oc.calibration.estimator.data import Noise
-from rrr_oc.calibration.estimator.evidence import Hyperparameters, Joint, Prior, solve
+from rrr_oc.calibration.estimator.evidence import Gram, Hyperparameters, Joint, Prior, Spectrum, estimated, solve
 
 
 class Problem:
@@ -205,3 +205,18 @@ def test_a_joint_without_rows_that_count_says_nothing():
     alone = SimpleNamespace(**{**vars(still.data), "n": 1, "counted": still.data.counted[:1]})
     expected = solve(alone, still.residual[:1], still.columns[:1], prior)
     np.testing.assert_allclose(found.step, expected.step, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("count", [3, 40, 90])
+def test_many_parameters_and_no_discrepancy(count):
+    """Least squares with a normal prior, whatever the number of parameters."""
+    rng = np.random.default_rng(count)
+    x, y = rng.standard_normal((300, count)), rng.standard_normal(300)
+    gram = Gram(x.T @ x, x.T @ y, float(y @ y), np.zeros((0, count)), np.zeros(0), np.arange(count))
+    prior, none = normal(np.zeros(count), np.ones(count)), Noise((np.zeros(0),), np.ones(1), 1.0)
+    hyper = Hyperparameters((none,), np.array([0.5]), np.array([1.0]), np.array([1.0]))
+    for fixed in (True, False):
+        found = estimated([gram], [Spectrum(np.zeros(0), 0.0, 300)], hyper, prior, fixed)
+        weight = 1 / found.hyper.sigma[0] ** 2
+        expected = np.linalg.solve(weight * gram.xx + np.diag(prior.precision), weight * gram.xy)
+        np.testing.assert_allclose(found.step, expected, rtol=1e-6, atol=1e-9)

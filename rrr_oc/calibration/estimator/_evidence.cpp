@@ -101,7 +101,8 @@ Normal normal(const std::vector<Joint> & joints, const double * sigma, const dou
     const Vector ty = root.cwiseProduct(In<Vector>(one.ty, one.features));
     Matrix xx = In<Matrix>(one.xx, one.m, one.m);
     const Vector rounded = CANCELLED * xx.diagonal();
-    xx.selfadjointView<Eigen::Lower>().rankUpdate(tx.transpose(), -1.0);
+    // Eigen divides by the number of features where it chooses the sizes of blocks
+    if (tx.size() > 0) xx.selfadjointView<Eigen::Lower>().rankUpdate(tx.transpose(), -1.0);
     xx.triangularView<Eigen::StrictlyUpper>() = xx.transpose();
     xx.diagonal() += rounded;
     xx /= sigma2;
@@ -191,7 +192,7 @@ double update(
     }
     const Vector t = In<Vector>(one.ty, one.features) - tx * d, c = weights.cwiseProduct(t);
     Matrix through = Matrix::Zero(one.m, one.m);
-    through.selfadjointView<Eigen::Lower>().rankUpdate((weights.asDiagonal() * tx).transpose());
+    if (tx.size() > 0) through.selfadjointView<Eigen::Lower>().rankUpdate((weights.asDiagonal() * tx).transpose());
     through.diagonal() /= 2;
     const double spread = 2 * through.triangularView<Eigen::Lower>().toDenseMatrix().cwiseProduct(own).sum() / (s * s);
     const double used = std::max(values.dot(weights) - spread, 0.0), taken = n.own[j].cwiseProduct(own).sum();
