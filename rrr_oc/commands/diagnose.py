@@ -37,6 +37,7 @@ from rrr_oc.report.diagnosis_words import (
     extrapolated,
     idle,
     measured,
+    missing,
     not_claimed,
     not_made,
     off_links,
@@ -113,7 +114,7 @@ def _tracked(found: Diagnosis, kept: Keeping) -> dict[str, Any]:
 def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
     said = sentence(found)
     output.show(said)
-    for line in [*map(plain, found["effects"]), *map(unexplained, found["unexplained"])]:
+    for line in [*map(plain, missing(found)), *map(unexplained, found["unexplained"])]:
         output.show(line)
     header, body = rows(found)
     table = Table(*header)

@@ -176,7 +176,7 @@ class Rate:
     noise: float
 
     @property
-    def of_scale(self) -> bool:
+    def right_scale(self) -> bool:
         """Whether it is as many times the derivative as it should be."""
         return abs(self.times - 1) <= SAME_SCALE + 2 * self.std[0]
 
@@ -189,12 +189,12 @@ class Rate:
     def used(self) -> bool:
         """Whether it is better than the derivative: of the same scale, not noisier, and if it is late not by much and much quieter."""
         quiet = self.noise <= (QUIETER if self.is_late else NOISIER)
-        return self.of_scale and quiet and abs(self.late) <= LATEST
+        return self.right_scale and quiet and abs(self.late) <= LATEST
 
     @property
     def said(self) -> str:
         """What it is, for people, after its name."""
-        if not self.of_scale:
+        if not self.right_scale:
             return f"is {0.0 + self.times:.3g} times the derivative of {self.value}"
         if self.is_late:
             return f"comes {abs(1e3 * self.late):.2g} ms {'later' if self.late > 0 else 'earlier'} than the derivative of {self.value}"

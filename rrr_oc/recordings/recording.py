@@ -140,11 +140,12 @@ class RecordingSet:
     def _of_rates(self) -> list[str]:
         """Which measured rates are not used, or not everywhere, a sentence each."""
         notes, found = [], dict[tuple[bool, tuple[str, ...]], dict[str, None]]()
-        wrong = [(r.file, rate) for r in self.recordings for rate in r.rates if rate.is_late or not rate.of_scale]
+        wrong = [(r.file, rate) for r in self.recordings for rate in r.rates if rate.is_late or not rate.right_scale]
         for name, used in dict.fromkeys((rate.column, rate.used) for _, rate in wrong):
             some = {file: rate for file, rate in wrong if (rate.column, rate.used) == (name, used)}
             worst = max(
-                some.values(), key=lambda rate: (not rate.of_scale, abs(rate.times - 1) * (not rate.of_scale), abs(rate.late))
+                some.values(),
+                key=lambda rate: (not rate.right_scale, abs(rate.times - 1) * (not rate.right_scale), abs(rate.late)),
             )
             found.setdefault((used, tuple(some)), {})[f"{name} {worst.said}"] = None
         for (used, files), said in found.items():

@@ -48,7 +48,7 @@ def sentence(found: Mapping[str, Any]) -> str:
         few = f" But it predicts recordings left out of the fit badly ({poor}): these are too few or too short to show more."
         nothing = "Nothing that matters" if found.get("small") else "Nothing"
         return f"{nothing} is missing: the calibrated model explains these recordings to their noise.{few * bool(poor)}"
-    if not (_missing(found) or found["unexplained"]):
+    if not (missing(found) or found["unexplained"]):
         if found["verdict"] == "missing_physics":
             return " ".join(
                 ["With other links than described the model explains these recordings to their noise.", *off_links(found)]
@@ -133,7 +133,7 @@ def _gain_held_out(found: Mapping[str, Any]) -> str:
         for joint, b in found["bootstrap"].items()
         if b["ratio"]["value"] is not None
     }
-    touched = {joint for e in (*found["effects"], *found["unexplained"]) for joint in touches(e, list(found["bootstrap"]))}
+    touched = {joint for e in (*missing(found), *found["unexplained"]) for joint in touches(e, list(found["bootstrap"]))}
     told = {joint: pair for joint, pair in errors.items() if joint in touched}
     if not told:
         return ""
@@ -288,12 +288,12 @@ def rows(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
             lowered(e["lowers_error"]),
             ", ".join(rivals(e)) or "nothing",
         ]
-        for e in found["effects"]
+        for e in missing(found)
     ]
     return header, body
 
 
-def _missing(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def missing(found: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """The effects that are physics, not delays of what is recorded."""
     return [e for e in found["effects"] if not issubclass(CATALOGUE.get(e["effect"], Effect), Delay)]
 
@@ -308,7 +308,7 @@ def _unforeseen(found: Mapping[str, Any]) -> str:
 
 def _lacking(found: Mapping[str, Any]) -> list[str]:
     """What was found and where, in a few words; effects that only some recordings have are named once for all of them."""
-    named = [(placed(e), e) for e in _missing(found)]
+    named = [(placed(e), e) for e in missing(found)]
     named += [(f"a torque on {joint_words(u['joint'])} that depends on {depends(u)}", u) for u in found["unexplained"]]
     files: dict[tuple[str, bool], set[str]] = {}
     for name, entry in named:
@@ -318,7 +318,7 @@ def _lacking(found: Mapping[str, Any]) -> list[str]:
 
 def on_prior(found: Mapping[str, Any]) -> list[str]:
     """A sentence for each claim that would not be made, had it been `LESS_PROBABLE` times less probable before the recordings."""
-    named = [(placed(e), e["probability"]) for e in found["effects"]]
+    named = [(placed(e), e["probability"]) for e in missing(found)]
     named += [
         (f"a torque on {joint_words(u['joint'])} that no effect explains", u["probability"]) for u in found["unexplained"]
     ]

@@ -39,7 +39,7 @@ def claims(found: Mapping[str, Any], files: Sequence[str]) -> list[Claim]:
         files: All recordings.
     """
     return [
-        *(_claim(say.placed(e), say.told(e), e, found, files) for e in found["effects"]),
+        *(_claim(say.placed(e), say.told(e), e, found, files) for e in say.missing(found)),
         *(
             _claim(f"torque on {joint_words(u['joint'])} that no effect explains", say.unexplained(u), u, found, files)
             for u in found["unexplained"]
@@ -140,7 +140,7 @@ def remaining(found: Mapping[str, Any]) -> list[str]:
     """What stays unexplained, in at least one sentence."""
     result = [say.worthless(joint, found) for joint in say.worthless_joints(found)]
     over = say.left_over(found)  # of which the verdict speaks where nothing is claimed
-    result += [*say.idle(found), *([over] if over and (found["effects"] or found["unexplained"]) else [])]
+    result += [*say.idle(found), *([over] if over and (say.missing(found) or found["unexplained"]) else [])]
     silent = {*say.worthless_joints(found), *(e["joint"] for e in found.get("idle", ()))}
     left = {
         joint: b["after"]["value"]
@@ -192,7 +192,7 @@ def record_next(found: Mapping[str, Any]) -> list[str]:
         result.append(
             f"Further motions with other speeds and payloads, diagnosed together with these: they decide about {listed(list(doubtful))}."
         )
-    check = "the model, extended as said above," if found["effects"] or found["unexplained"] else "the calibrated model"
+    check = "the model, extended as said above," if say.missing(found) or found["unexplained"] else "the calibrated model"
     result.append(
         f"A motion that takes no part here and goes beyond what these recordings cover, to check {check} where it was never fitted: "
         "“rrr-oc excite” plans one within the arm's limits, and “rrr-oc evaluate model.json” with the folder of the new recordings says "
