@@ -330,7 +330,7 @@ def score_case(truth: Mapping[str, Any], result: Mapping[str, Any], oracle: Mapp
     effects, unexplained, few = diagnosis["effects"], diagnosis["unexplained"], truth["kind"] in FEW
     classes = [{**u["members"][0], "rivals": u["members"][1:]} for u in diagnosis.get("undecided", [])]
     classes += links(diagnosis)
-    told = [*effects, *classes, *diagnosis.get("small", [])]  # what is sure but small is told too
+    told = [*effects, *classes, *diagnosis.get("small", [])]  # what is small is told, too
     inside = [e for e in truth["effects"] if e["in_catalogue"] and e.get("ratio", {}).get("reached", 1.0) > ABSENT]
     found = matched(inside, told[:1] if few else told)
     seen = [r["file"] for r in truth["recordings"] if not r["unseen"]]

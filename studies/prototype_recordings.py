@@ -118,11 +118,10 @@ def report(recordings: RecordingSet, found: dict[str, dict[str, Any]]) -> str:
         for e in content["effects"]:
             values = ", ".join(f"{k} {_value(v['value'])} {v['unit']}" for k, v in e["parameters"].items() if "value" in v)
             where = e["recordings"] if isinstance(e["recordings"], str) else ", ".join(e["recordings"])
-            rows.append([e["effect"], str(e["joint"]), where, values, f"{e['share_of_error']:.3f}"])
+            rows.append([e["effect"], str(e["joint"]), where, values, f"{e['lowers_error']['share']:.3f}"])
         for u in content["unexplained"]:
-            rows.append(
-                ["unexplained", u["joint"], str(u["recordings"]), ", ".join(u["depends_on"]), f"{u['share_of_error']:.3f}"]
-            )
+            size, depends = f"{u['lowers_error']['share']:.3f}", ", ".join(u["depends_on"])
+            rows.append(["unexplained", u["joint"], str(u["recordings"]), depends, size])
         held = content["nrmse"]["held_out"]
         boxes = content["black_box"]
         errors = [
@@ -132,7 +131,7 @@ def report(recordings: RecordingSet, found: dict[str, dict[str, Any]]) -> str:
         ]
         parts += [
             f"## {name}\n",
-            markdown(["effect", "joint", "recordings", "parameters", "share of error"], rows),
+            markdown(["effect", "joint", "recordings", "parameters", "lowers the error by"], rows),
             markdown(["joint", "NRMSE held out, plain", "extended", "ratio", *(f"ratio of {box}" for box in boxes)], errors),
         ]
     return "\n".join(parts)

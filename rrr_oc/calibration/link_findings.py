@@ -17,7 +17,9 @@ from rrr_oc.robot.inertial_parameters import seen_quantities
 from rrr_oc.robot.link_errors import OF_URDF, LinkErrors
 from rrr_oc.storage import plain
 
-USUAL = 2.33  # declared standard deviations within which 98 of 100 files are in one direction; doubled, a link half as heavy again is not told
+ALARMS = (
+    0.03  # of files whose links are as they usually are, of which a link is told; halved, a link must be off by a tenth more
+)
 QUANTILE = 1.96  # of the normal distribution, of a 95 % interval
 PARTS = {"mass": slice(0, 1), "centre": slice(1, 4), "inertia": slice(4, 7)}  # of a link's errors
 
@@ -99,7 +101,7 @@ class OffLink(Struct, forbid_unknown_fields=True, omit_defaults=True):
 def link_findings(fitted: Fitted) -> list[OffLink]:
     """The links of a fit that are known to be off; none where the set says that links are unknown, or priors that they are exact."""
     data, size = fitted.posterior.data, len(fitted.model.values)
-    if not data.free or np.linalg.norm(fitted.links) < USUAL:  # which bounds the difference in any direction
+    if not data.free or np.linalg.norm(fitted.links) < usual_of(1):  # which bounds the difference in any direction
         return []
     std = np.sqrt(np.diag(covariance(fitted, loose=True))[size : size + len(fitted.links)])
     known = np.abs(fitted.links) - QUANTILE * std > FAR
@@ -112,6 +114,12 @@ def link_findings(fitted: Fitted) -> list[OffLink]:
         off = {k: Off(found[k], urdf[k], float(sigmas[part].max())) for k, part in PARTS.items() if sigmas[part].any()}
         result.append(replace(one, **off))
     return result
+
+
+def usual_of(directions: int) -> float:
+    """Declared standard deviations that a file whose links are as they usually are exceeds in none of so many directions, but for `ALARMS`
+    of such files (Bonferroni)."""
+    return float(norm.ppf(1 - ALARMS / (2 * directions)))
 
 
 def in_directions(fitted: Fitted, described: LinkErrors) -> list[OffLink]:
@@ -128,9 +136,10 @@ def in_directions(fitted: Fitted, described: LinkErrors) -> list[OffLink]:
     spread = covariance(fitted, loose=True)[own, own]
     (nominal, usual), (bodies, slopes) = described.at(described.none), fitted.posterior.data.links.at(fitted.links)
     half = half_width(min(one.count for one in fitted.posterior.joints))
-    for seen in seen_quantities(renewed(robot, inertial=nominal)):
+    every = seen_quantities(renewed(robot, inertial=nominal))
+    for seen in every:
         value, urdf = (float(seen.row @ x.T.ravel()) for x in (bodies, nominal))
-        limit, slope = USUAL * np.linalg.norm(seen.row @ usual), seen.row @ slopes
+        limit, slope = usual_of(len(every)) * np.linalg.norm(seen.row @ usual), seen.row @ slopes
         std, off = max(float(np.sqrt(slope @ spread @ slope)), 1e-12), abs(value - urdf)
         if off - half * std > limit:
             of_links = (seen.row * (bodies - nominal).T.ravel()).reshape(-1, 10).sum(axis=1)

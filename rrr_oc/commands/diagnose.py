@@ -33,7 +33,9 @@ from rrr_oc.progress import Progress
 from rrr_oc.report.diagnosis_report import FILES, write_diagnosis
 from rrr_oc.report.diagnosis_words import (
     SMALL,
+    anatomy,
     error,
+    events,
     extrapolated,
     idle,
     measured,
@@ -129,7 +131,15 @@ def _show_diagnosis(found: dict[str, Any], output: Output) -> None:
         for row in body:
             table.add_row(*row)
         output.show(table)
+    header, body = anatomy(found)
+    if body:
+        table = Table(*header)
+        table.title = "Parts of the squared error of the robot's file, on data left out, in percent"
+        for row in body:
+            table.add_row(*row)
+        output.show(table)
     lines = [
+        *events(found),
         *undecided(found),
         *off_links(found),
         *measured(found),

@@ -11,8 +11,9 @@ from scipy.stats import chi2
 from rrr_oc.calibration.calibrated_model import Estimate, Term, nominal_term
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.knobs import DISCREPANCY
 from rrr_oc.calibration.estimator.left_out import Fall
-from rrr_oc.diagnosis.knobs import CLAIM, NEGLIGIBLE
+from rrr_oc.diagnosis.knobs import CLAIM, MATTERS, NEGLIGIBLE
 from rrr_oc.diagnosis.structures.neighbours import Identity, identity, kind
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.effects import Effect
@@ -30,6 +31,19 @@ def shown_as(term: Term) -> Key:
 
 
 @dataclass(frozen=True)
+class Like:
+    """A law that a torque is most like.
+
+    Attributes:
+        term: The law.
+        reach: Share of what the best function of the same variables explains that it explains.
+    """
+
+    term: Term
+    reach: float
+
+
+@dataclass(frozen=True)
 class Finding:
     """An effect that the plain model lacks.
 
@@ -41,7 +55,10 @@ class Finding:
         p_value: Of its amplitudes being 0 (Wald's test).
         rivals: Names and joints of effects that may be present in its place.
         prior: What was believed of it before: its declared or given prior with the probability that it has on this arm.
-        fall: Its size on held-out data.
+        fall: By how much it lowers the error of a joint on data that it was not fitted to.
+        innovations: The same of the error's innovations, which a slow disturbance does not hide.
+        like: Of a black-box term: the law that it is most like.
+        reach: Of a law: share of what the best flexible function in its place explains that it explains.
     """
 
     term: Term
@@ -52,6 +69,26 @@ class Finding:
     rivals: tuple[Key, ...] = ()
     prior: Prior | None = None
     fall: Fall | None = None
+    innovations: Fall | None = None
+    like: Like | None = None
+    reach: float = 1.0
+
+    @property
+    def joint(self) -> int:
+        """Where it is surest."""
+        assert self.fall is not None
+        return self.fall.joint
+
+    @property
+    def of_torque(self) -> float:
+        """By how much the error or its innovations fall, over the joint's torque."""
+        return max((f.of_torque for f in (self.fall, self.innovations) if f), default=0.0)
+
+    @property
+    def matters(self) -> bool:
+        """Whether it lowers the error of a joint, or the error's innovations, by a share that matters, and by more than the best law may be
+        wrong."""
+        return any(f.share >= MATTERS and f.explained >= DISCREPANCY for f in (self.fall, self.innovations) if f)
 
     @property
     def key(self) -> Key:
@@ -138,14 +175,13 @@ def found(search: Search, at: State) -> tuple[list[Finding], list[Possible]]:
 
 
 def further(search: Search, fitted: Fitted, first: int) -> list[Finding]:
-    """The effects of a fit from this number on, each as sure as its removal says."""
-    worths = search.worths(State(fitted, 0.0))
-    result = []
+    """The effects of a fit from this number on that do something there, each as sure as its removal says."""
+    worths, result = search.worths(State(fitted, 0.0)), []
     for i, term in enumerate(fitted.extra):
         if i >= first and contribution(search.fitter.data, fitted, i) >= NEGLIGIBLE:
             p = float(expit(worths[i]))
             result.append(Finding(term, p, p, worths[i], wald(fitted, i), prior=_before(search, term.effect)))
-    return [f for f in result if f.probability >= CLAIM]
+    return result
 
 
 def moved(findings: Sequence[Finding], at: Fitted, to: Fitted) -> list[Finding]:

@@ -4,7 +4,7 @@ Errors before and after with bootstrap intervals, and while MuJoCo tracks the re
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,16 +14,17 @@ from rrr_oc import parallel
 from rrr_oc.calibration.calibrated_model import CalibratedModel, Term
 from rrr_oc.calibration.estimator.data import Data
 from rrr_oc.calibration.estimator.fitting import Fitted
-from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, summary
+from rrr_oc.calibration.prediction_error import SIGNALS, Errors, error, evaluate_simulated, mean_nrmse, summary
 from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.diagnosis.files.stages import Fold, FoldData, Stages
 from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.fitting import Fitter
-from rrr_oc.diagnosis.structures.linear import Structure
-from rrr_oc.diagnosis.structures.neighbours import Neighbours, Repetitions
+from rrr_oc.diagnosis.knobs import MATTERS
+from rrr_oc.diagnosis.structures.neighbours import Repetitions
 from rrr_oc.diagnosis.structures.search import Search, terms_of
 from rrr_oc.effects import Effect
 from rrr_oc.errors import noted, tried
+from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import number
 
 if TYPE_CHECKING:
@@ -40,19 +41,6 @@ OUTSIDE = 0.05  # share of samples, and of a range, from which a motion leaves t
 Start = tuple[CalibratedModel, np.ndarray]  # where a fit begins: a model, and the errors of its links
 
 
-@dataclass(frozen=True)
-class Check:
-    """How well held-out recordings are predicted with the first 0, 1, … of some effects, fitted to the rest.
-
-    Attributes:
-        squares: Squared residual of each joint over what remains with all, (effects + 1, n).
-        errors: NRMSE, (effects + 1, number held out, n).
-    """
-
-    squares: np.ndarray
-    errors: np.ndarray
-
-
 def folds_of(data: Data) -> list[list[int]]:
     """The indices held out in each fold.
 
@@ -65,25 +53,28 @@ def folds_of(data: Data) -> list[list[int]]:
     return [sorted(alike[k::number]) for k in range(number)]
 
 
-def repeated(search: Search, begin: Fitted, findings: Sequence[Finding], stages: Stages, failed: dict[str, str]) -> list[Fold]:
+def repeated(
+    search: Search, begin: Fitted, findings: Sequence[Finding], stages: Stages, failed: dict[str, str], again: str = ""
+) -> list[Fold]:
     """The folds, in which the search is repeated in the linear problems about its fits, if anything is claimed, from what it found on.
 
     They are fitted with those effects alone that were found in them and are claimed.
 
     Args:
         failed: Takes why a fold is missing.
+        again: What the stages are called beside those of other findings.
     """
     held = folds_of(search.fitter.data)
-    names = [f"search without part {k} of {len(held)}" for k in range(1, len(held) + 1)]
+    names = [f"search without part {k} of {len(held)}{again}" for k in range(1, len(held) + 1)]
     saved = {k: one for k, name in enumerate(names) if (one := stages.saved(name, FoldData)) is not None}
     missing = [k for k in range(len(held)) if k not in saved]
     stages.progress.count("search without parts", len(saved), len(held), kind="parts")
-    again, calls = search.repetitions if missing and findings else None, []
+    parts, calls = search.repetitions if missing and findings else None, []
     for k in missing:
         with noted(failed, names[k]):
-            start = None if again is None else _found(again, held[k], findings)
+            start = None if parts is None else _found(parts, held[k], findings)
             calls.append((names[k], _fold, k, search.fitter, begin, start, held[k]))
-    for found, why in parallel.unordered(tried, calls) if again else (tried(*call) for call in calls):
+    for found, why in parallel.unordered(tried, calls) if parts else (tried(*call) for call in calls):
         failed |= why
         for k, fold in found:
             saved[k] = stages.keep(names[k], fold)
@@ -104,7 +95,8 @@ def _found(again: Repetitions, held: Sequence[int], findings: Sequence[Finding])
 
 def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held: Sequence[int]) -> tuple[int, FoldData]:
     """A fold and its number; `start` is where the fit of what was found begins."""
-    train = replace(fitter, data=fitter.data.part([i for i in range(len(fitter.data.prepared)) if i not in held]))
+    rest = fitter.data.part([i for i in range(len(fitter.data.prepared)) if i not in held])
+    train = replace(fitter, data=rest, holds_delays=False)
     test, plain = fitter.data.part(held), train.fit(begin.model, begin.links, steps=1)
     near = train.closest(plain)  # as of the whole diagnosis, the model is reported that predicts best
     before = nrmse(test, near.model)
@@ -112,40 +104,6 @@ def _fold(number: int, fitter: Fitter, begin: Fitted, start: Start | None, held:
         return number, FoldData.of(Fold(tuple(held), near.model, near.model, before, before))
     found = train.closest(train.fit(*start, plain.posterior, steps=1))
     return number, FoldData.of(Fold(tuple(held), near.model, found.model, before, nrmse(test, found.model)))
-
-
-def checked(near: Neighbours, findings: Sequence[Finding]) -> list[Check]:
-    """One check of findings for each part of the recordings, in the linear problem of a fit that has them."""
-    own = {id(a.source): a for a in near.linear.own}
-    effects = tuple(own[id(f.term)] for f in findings)
-    return [_check(near, effects, held) for held in folds_of(near.linear.fitter.data)]
-
-
-def _check(near: Neighbours, effects: Structure, held: Sequence[int]) -> Check:
-    data, edges = near.linear.fitter.data, near.level.edges
-    rest = replace(near, blocks=tuple(k for k in near.level.whole if k not in held))
-    groups = {data.groups[k] for k in rest.blocks}
-    rows, residuals = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in held]), []
-    for k in range(len(effects) + 1):
-        seen = tuple(a for a in effects[:k] if groups & set(a.scope or data.labels))
-        residuals.append(near.linear.left(seen, rest.at(seen, near.level.posterior.hyper).solution.step, rows))
-    weights = 1 / np.maximum(np.sum(residuals[-1] ** 2, axis=1), 1e-12)
-    squares = np.array([weights * np.sum(r**2, axis=1) for r in residuals])
-    return Check(squares, np.array([_errors(data, held, r) for r in residuals]))
-
-
-def _errors(data: Data, held: Sequence[int], residual: np.ndarray) -> np.ndarray:
-    """Root mean square of filtered residuals over the standard deviation of the torque, by recording and joint; NaN at rest."""
-    result, first = np.full((len(held), data.n), np.nan), 0
-    for i, k in enumerate(held):
-        size = int(data.edges[k + 1] - data.edges[k])
-        counted = data.counted[:, data.edges[k] : data.edges[k + 1]]
-        mean = np.sum(residual[:, first : first + size] ** 2, axis=1) / np.maximum(counted.sum(axis=1), 1)
-        std = np.std(data.prepared[k].measured, axis=1)
-        moves = counted.any(axis=1) & (std > 0)
-        result[i, moves] = np.sqrt(mean[moves]) / std[moves]
-        first += size
-    return result
 
 
 def acts_on(effect: Effect, n: int) -> list[int]:
@@ -201,25 +159,31 @@ def _interval(data: tuple[np.ndarray, ...], statistic: Any) -> dict[str, Any]:
     return {"value": value, "interval": [number(found.low), number(found.high)]}
 
 
-def ranges(diagnosis: "Diagnosis") -> dict[str, str]:
+def ranges(recordings: RecordingSet, folds: Sequence[Fold]) -> dict[str, str]:
     """Whether what was held out moved where the fit had seen the joint move, by joint: "inside" or "outside".
 
     Outside is a joint if more than `OUTSIDE` of the samples of a recording are at angles or speeds that the others do not reach. There a
     law has to predict what it was never fitted to, and an error tells less of it.
     """
-    every = diagnosis.recordings.recordings
+    every, joints = recordings.recordings, recordings.joints
     parts = [np.concatenate([r.q, np.abs(r.dq)]) for r in every]  # (2 n, K) each
-    if diagnosis.way == "blocks":
+    if len(every) == 1:
         parts = [parts[0][:, block] for block in blocks_of(every[0])]
     outside = np.zeros(len(parts[0]), bool)
-    for fold in diagnosis.folds:
+    for fold in folds:
         rest = np.concatenate([x for k, x in enumerate(parts) if k not in fold.held], axis=1)
         low, high = rest.min(axis=1, keepdims=True), rest.max(axis=1, keepdims=True)
         margin = OUTSIDE * (high - low)
         for k in fold.held:
             outside |= np.mean((parts[k] < low - margin) | (parts[k] > high + margin), axis=1) > OUTSIDE
-    joints = diagnosis.model.joints
     return {joint: "outside" if np.any(outside[j :: len(joints)]) else "inside" for j, joint in enumerate(joints)}
+
+
+def joints_made_worse(recordings: RecordingSet, folds: Sequence[Fold]) -> set[int]:
+    """Joints whose error rises with what was found, on held-out recordings that moved where the fits had seen them move."""
+    before, after = map(mean_nrmse, errors_of(folds, len(recordings.joints)))
+    there = [where == "inside" for where in ranges(recordings, folds).values()]
+    return set(np.flatnonzero((after > (1 + MATTERS) * before) & there).tolist())
 
 
 def in_closed_loop(diagnosis: "Diagnosis") -> dict[str, Any]:

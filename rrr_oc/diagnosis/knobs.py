@@ -4,7 +4,9 @@
 CLAIM = 0.95
 # Share of a joint's torque below which an effect is too small to matter and is not claimed; 0 claims effects of any size.
 NEGLIGIBLE = 0.0003
-# Share by which an effect must lower the held-out error of a joint; with less it is small, and not claimed; doubled, less is claimed.
+# Share by which an effect must lower the held-out error of a joint, or the error's innovations; with less it is small; doubled, more is.
 MATTERS = 0.02
 # By how much effects exceed their typical size, and in which share of arms; with smaller factors, large effects are taken for others.
 EXCESS = {1.0: 0.7, 4.0: 0.25, 16.0: 0.05}
+# Share of what the best function of some variables explains that a law must explain to be named; higher, more is only described.
+NAMED = 0.9

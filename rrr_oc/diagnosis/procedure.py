@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
@@ -18,8 +18,11 @@ from rrr_oc.calibration.measurement import common_delay
 from rrr_oc.calibration.prediction_error import mean_nrmse
 from rrr_oc.calibration.samples import Prepared, prepare, without_spikes
 from rrr_oc.diagnosis.alternatives import alternatives, beside, decided
-from rrr_oc.diagnosis.classes import separated, with_links
-from rrr_oc.diagnosis.effect_size import sized
+from rrr_oc.diagnosis.claims.anatomy import anatomy
+from rrr_oc.diagnosis.claims.classes import separated, with_links
+from rrr_oc.diagnosis.claims.dependence import by_degree
+from rrr_oc.diagnosis.claims.effect_size import LeftOut, confirmed, predictive
+from rrr_oc.diagnosis.events import Event, events, unlike_laws, without
 from rrr_oc.diagnosis.files.stages import (
     SHARES,
     FindingData,
@@ -33,8 +36,8 @@ from rrr_oc.diagnosis.files.stages import (
 )
 from rrr_oc.diagnosis.findings import Finding, Possible, Undecided, found, further, moved
 from rrr_oc.diagnosis.fitting import Fitter
-from rrr_oc.diagnosis.held_out import Check, Fold, acts_on, checked, errors_of, nrmse, repeated
-from rrr_oc.diagnosis.knobs import MATTERS
+from rrr_oc.diagnosis.held_out import Fold, errors_of, joints_made_worse, nrmse, repeated
+from rrr_oc.diagnosis.knobs import CLAIM, MATTERS
 from rrr_oc.diagnosis.mismatch import FAR, above_noise, filtered_noise, idle, mismatch, unexplained
 from rrr_oc.diagnosis.signatures import trials, view
 from rrr_oc.diagnosis.structures.search import Search, State
@@ -47,6 +50,7 @@ from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import RecordingSet
 
 CHECK = "held-out check"  # the last stage of the procedure
+SETTLED, ALIKE = 2, 0.001  # searches until the delay of the torques is settled, and by how much it may differ then [s]
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,12 @@ class Diagnosis:
     Attributes:
         recordings: The set.
         plain, model: Without and with the effects that are claimed, fitted to all recordings.
-        findings: The effects and black-box terms that are claimed, most important first.
+        findings: The effects and black-box terms of `model` that matter, most important first.
         undecided: Effects that cannot be told from errors of the links.
         links: Links that are far from the URDF's in `model`.
-        small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
+        small: Effects that the model has, too, though they lower no joint's error by a share that matters.
         possible: What may be present but is not claimed.
         refuted: What is as sure, but does not lower the error on data that it was not fitted to.
-        shares: Contribution of each finding, and of what is small, on held-out recordings.
         calibration: NRMSE of each joint with the plain and the extended model on all recordings, two of (n,).
         held_out: The same on recordings that took part in no fit and no selection.
         way: "recordings" or "blocks": what was held out.
@@ -74,6 +77,8 @@ class Diagnosis:
         priors: File from which priors were read; None for what the effects declare.
         failed: Optional steps that failed, and why.
         late: A delay that the torques of all joints have in common; the model has it joint by joint.
+        events: Stretches of time that took no part, since nothing explains a joint's torque there.
+        anatomy: Of each joint the parts of the error of the robot's file, see `anatomy.anatomy`.
     """
 
     recordings: RecordingSet
@@ -85,7 +90,6 @@ class Diagnosis:
     small: tuple[Finding, ...]
     possible: tuple[Possible, ...]
     refuted: tuple[Finding, ...]
-    shares: "Shares"
     calibration: tuple[np.ndarray, np.ndarray]
     held_out: tuple[np.ndarray, np.ndarray]
     way: str
@@ -97,14 +101,14 @@ class Diagnosis:
     priors: str | None = None
     failed: Mapping[str, str] = field(default_factory=dict)
     late: tuple[Finding, ...] = ()
+    events: tuple[Event, ...] = ()
+    anatomy: tuple[dict[str, float], ...] = ()
 
     @property
     def verdict(self) -> str:
         """One of "missing_physics", "nothing_missing" and "cannot_tell"."""
         if not self.findings:
-            # what matters and is no claim may be a part of what no law explains
-            part = any(f.fall and f.fall.low > MATTERS for f in self.small)
-            if self.undecided or part:
+            if self.undecided:
                 return "cannot_tell"
             held = any(abs(mean) > FAR * max(float(self.model.noise[j]), spread) for j, mean, spread in self.idle)
             if held or max(self.above_noise, default=0.0) > FAR:
@@ -113,32 +117,6 @@ class Diagnosis:
         contested = all(len(f.rivals) > 3 for f in self.findings if not f.term.effect.black_box)
         named = any(not f.term.effect.black_box for f in self.findings)
         return "cannot_tell" if named and contested else "missing_physics"
-
-
-@dataclass(frozen=True)
-class Shares:
-    """What each effect contributes on held-out recordings; one entry per effect, NaN where it is not known.
-
-    Attributes:
-        share: Fall of the squared residual when the effect is added, relative to the plain model's squared residual.
-        before, after: Mean NRMSE of the joints whose torque it changes, without and with it.
-    """
-
-    share: tuple[float, ...] = ()
-    before: tuple[float, ...] = ()
-    after: tuple[float, ...] = ()
-
-    @classmethod
-    def of(cls, checks: Sequence[Check], findings: Sequence[Finding], n: int) -> "Shares":
-        """From checks in which the findings were added in their order."""
-        total = np.sum([c.squares for c in checks], axis=(0, 2))
-        errors = [mean_nrmse(np.concatenate([c.errors[k] for c in checks])) for k in range(len(findings) + 1)]
-        joints = [acts_on(f.term.effect, n) for f in findings]
-        return cls(
-            tuple(float((total[k] - total[k + 1]) / max(total[0], 1e-300)) for k in range(len(findings))),
-            tuple(float(mean_nrmse(errors[k][j])) for k, j in enumerate(joints)),
-            tuple(float(mean_nrmse(errors[k + 1][j])) for k, j in enumerate(joints)),
-        )
 
 
 def diagnose(
@@ -164,44 +142,65 @@ def diagnose(
 def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultData:
     """The result of all stages up to the check on held-out recordings."""
     whole, fitter, every, _ = ready(recordings, priors, stages)
-    begin = fitter.begin(stages.start)
-    search, at = _searched(fitter, every, begin, stages)
+    fitter, plain, some = _begun(fitter, every, stages.start)
+    begin, search, at = _settled(fitter, every, plain, stages)
     findings, possible, failed = *found(search, at), dict[str, str]()
     stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
     complete = search.completed(at)
-    findings = [*moved(findings, at.fitted, complete), *further(search, complete, len(at.fitted.extra))]
-    near = search.neighbours(complete)
-    findings, rest = sized(near, findings, filtered_noise(fitter.data, complete.model))
-    worse = [f for f in rest if f.fall and f.fall.share <= 0]
-    small = [f for f in rest if f not in worse]
-    findings, undecided, as_good = separated(search, complete, findings, small, failed)
-    shares = Shares(*[(np.nan,) * len([*findings, *small])] * 3)
-    with noted(failed, "shares of effects"):
-        shares = Shares.of(checked(near, [*findings, *small]), [*findings, *small], fitter.data.n)
+    added = [f for f in further(search, complete, len(at.fitted.extra)) if f.probability >= CLAIM]
+    findings = [*moved(findings, at.fitted, complete), *added]
+    findings, worse = predictive(LeftOut(search.neighbours(complete)), findings)
+    complete, findings, more = confirmed(search, begin, complete, findings)
+    worse = [*worse, *more]
+    named = complete
+    complete, findings = by_degree(search, complete, findings)
+    if complete is not named:
+        complete, findings, more = confirmed(search, begin, complete, findings)
+        worse = [*worse, *more]
+    large, small = [f for f in findings if f.matters], [f for f in findings if not f.matters]
+    large, undecided, as_good = separated(search, complete, large, small, failed)
+    findings = [*large, *small]
     folds = repeated(search, begin, findings, stages, failed)
+    if gone := [f for f in findings if f.joint in joints_made_worse(recordings, folds)]:
+        findings, worse = [f for f in findings if f not in gone], [*worse, *gone]
+        folds = repeated(search, begin, findings, stages, failed, ", less what is worse")
     kept = tuple(f.term for f in findings)
-    final = complete if kept else begin
+    final = complete if kept else plain
     if kept and kept != complete.extra:  # some are missing, or in another order
         model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
         final = fitter.fit(model, complete.links, complete.posterior)
+    alone, with_all = (LeftOut(search.neighbours(one)) for one in (begin, final))
+    parts = anatomy(alone, with_all, filtered_noise(fitter.data, final.model))
     closest = fitter.closest(final)
     undecided, instead, links = with_links(undecided, search, closest, failed)
     as_good = [*as_good, *instead]
     with noted(failed, "alternative: all effects that are not refuted"):
         as_good = [*beside(fitter, complete, findings, worse, bool(undecided)), *as_good]
-    small = with_intervals(complete, small)
     way = "recordings" if len(recordings.recordings) > 1 else "blocks"
     return _assembled(
         recordings,
         whole,
         fitter,
-        (begin, final, closest, as_good),
-        (findings, undecided, links, small, possible, worse),
-        (way, shares, folds, failed),
+        (plain, final, closest, as_good),
+        (findings, undecided, links, possible, worse),
+        (way, folds, failed, some, parts),
     )
 
 
-def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: Stages) -> tuple[Search, State]:
+def _settled(fitter: Fitter, every: tuple[Trial, ...], plain: Fitted, stages: Stages) -> tuple[Fitted, Search, State]:
+    """The plain fit and a search under one delay of all torques, that of the model that the search ends with, and its best structure."""
+    delay, name = fitter.delay_of(plain), "search"
+    for _ in range(SETTLED):
+        holding, begin = fitter.holding(delay, plain)
+        search, at = _searched(holding, every, begin, stages, name)
+        last, delay = delay, fitter.delay_of(at.fitted)
+        if abs(delay - last) < ALIKE:
+            break
+        name = "search with the delay that was found"
+    return begin, search, at
+
+
+def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: Stages, name: str) -> tuple[Search, State]:
     """A search on all recordings, and its best structure."""
     stages.progress.tell("search")
     moves = itertools.count(1)
@@ -217,7 +216,7 @@ def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: S
         search.run(begin)
         return SearchData.of(search)
 
-    data = stages.once("search", SearchData, made)
+    data = stages.once(name, SearchData, made)
     search = data.search(replace(search, report=lambda *_: None), stages.start)
     return search, search.path[-1]
 
@@ -248,7 +247,7 @@ def ready(
 
 def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultData:
     begin, final, closest, as_good = fits
-    (findings, undecided, links, small, possible, refuted), (way, shares, folds, failed) = told, check
+    (findings, undecided, links, possible, refuted), (way, folds, failed, some, parts) = told, check
     near_begin = fitter.closest(begin) if findings else closest
     plain, model = (
         finished(recordings, whole, described(one), {"way": "inverse dynamics"}, perf_counter())
@@ -269,14 +268,13 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
     return ResultData(
         ModelData.of(plain),
         ModelData.of(model),
-        [FindingData.of(f, model.robot) for f in findings],
+        [FindingData.of(f, model.robot) for f in findings if f.matters],
+        [FindingData.of(f, model.robot) for f in findings if not f.matters],
         [UndecidedData.of(u, model.robot) for u in undecided],
         tuple(links),
         [FindingData.of(f, model.robot) for f in _late(fitter, closest)],
-        [FindingData.of(f, model.robot) for f in small],
         tuple(possible),
         [FindingData.of(f, model.robot) for f in refuted],
-        astuple(shares),
         tuple(x.tolist() for x in calibration),
         (before.tolist(), after.tolist()),
         way,
@@ -287,6 +285,8 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
         idle(fitter.data, final.model),
         fitter.priors.file,
         failed,
+        some,
+        parts,
     )
 
 
@@ -305,12 +305,17 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
     told = {name: getattr(data, name) for name in data.__struct_fields__}
     told |= {name: tuple(f.finding(model.robot) for f in told[name]) for name in ("findings", "late", "small", "refuted")}
     told |= {name: tuple(map(np.array, told[name])) for name in ("calibration", "held_out")}
-    told |= {"undecided": tuple(u.undecided(model.robot) for u in data.undecided), "shares": Shares(*data.shares)}
+    told |= {name: tuple(told[name]) for name in ("events", "anatomy")}
+    told |= {"undecided": tuple(u.undecided(model.robot) for u in data.undecided)}
     told |= {"suggestions": tuple(s.suggestion() for s in data.suggestions), "folds": tuple(f.fold(start) for f in data.folds)}
     return Diagnosis(**told | {"recordings": recordings, "plain": plain, "model": model})
 
 
-def with_intervals(fitted: Fitted, findings: Sequence[Finding]) -> list[Finding]:
-    """Findings of a fit with the standard errors and intervals of their terms."""
-    terms = {id(t): shown for t, shown in zip(fitted.model.terms, described(fitted).terms, strict=True)} if findings else {}
-    return [replace(f, term=terms[id(f.term)]) for f in findings]
+def _begun(fitter: Fitter, every: tuple[Trial, ...], start: CalibratedModel) -> tuple[Fitter, Fitted, list[Event]]:
+    """What fits models to all but events, the plain fit, and the events."""
+    begin = fitter.begin(start)
+    some = events(begin)
+    if some and (some := unlike_laws(Search.of(fitter, every), begin, some)):
+        fitter = replace(fitter, data=fitter.data.of(without(fitter.data.prepared, start.joints, some)))
+        begin = fitter.begin(start)
+    return fitter, begin, some

@@ -22,7 +22,9 @@ def _either(symbolic: Callable[..., Any], numeric: Callable[..., Any]) -> Callab
 
 
 SYMBOLIC = (ca.SX, ca.MX, ca.DM)
-cos, sin, exp, sqrt, tanh = (_either(getattr(ca, name), getattr(np, name)) for name in ("cos", "sin", "exp", "sqrt", "tanh"))
+cos, sin, exp, log, sqrt, tanh = (
+    _either(getattr(ca, name), getattr(np, name)) for name in ("cos", "sin", "exp", "log", "sqrt", "tanh")
+)
 arctan, erf = _either(ca.atan, np.arctan), _either(ca.erf, special.erf)
 fabs, fmax, fmin = (_either(getattr(ca, name), getattr(np, name)) for name in ("fabs", "fmax", "fmin"))
 

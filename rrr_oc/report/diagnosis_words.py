@@ -20,10 +20,7 @@ SURE = 0.999  # probability above which no closer number is shown; nearer to 1, 
 # predicted and the verdict says so; doubled, a model that fits too few recordings passes as complete
 POOR_RATIO, POOR_NRMSE = 3.0, 0.2
 EACH = 3  # joints whose errors the verdict tells one by one; of more it tells the range
-SMALL = (
-    "Almost surely there, yet not in the model, since what it explains is small: the lower end of its interval is below what a claim "
-    f"needs. That is {100 * MATTERS:.0f} %, and more on a joint where much stays unexplained, since it may then be a part of that."
-)
+SMALL = "The model has this, too, since it lowers an error on data left out, if by little: nothing of it is sure."
 DEGREES = {
     "rad": (180 / math.pi, "°"),
     "rad/s": (180 / math.pi, " °/s"),
@@ -35,6 +32,8 @@ OF_LINKS = (
     ("inertia", "an inertia about that of", "kg m²"),
 )
 ACROSS = 1e-3  # share of a first moment that the description has along it, at most, where it is across the described one
+LAST = ("seen, no law", "not explained", "noise")  # parts of an error that no law is
+SHOWN = 6  # events that are listed
 QUANTITIES = {"q": "position", "dq": "speed", "ddq": "acceleration"}  # by the prefix of a variable's name in the file
 
 
@@ -82,13 +81,10 @@ def _undecided(found: Mapping[str, Any]) -> str:
     """The verdict where something is missing and nothing is claimed: on joints with an error, on joints that never moved, or on both."""
     still = {e["joint"] for e in found.get("idle", ())}
     names = [_missed(m, found) for m in found["mismatch"] if m["significant"] and m["joint"] not in still]
-    parts = parts_of_unexplained(found)
-    none = "" if parts else ": nothing was found that explains it"
-    missed = f"Something is missing on {'; on '.join(names)}. These recordings do not decide what it is{none}."
-    only_still = still and not parts
-    moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if only_still else ""
+    missed = f"Something is missing on {'; on '.join(names)}. These recordings do not decide what it is: nothing was found that explains it."
+    moved = "Nothing is missing on the joints that move, and these recordings do not tell of the others." if still else ""
     said = missed if names else moved or "Something is missing, and these recordings do not decide what."
-    return " ".join([said, *parts, *idle(found)])
+    return " ".join([said, *idle(found)])
 
 
 def _missed(m: Mapping[str, Any], found: Mapping[str, Any]) -> str:
@@ -105,11 +101,52 @@ def unsaid(lines: Sequence[str], *texts: str) -> list[str]:
     return [line for line in dict.fromkeys(lines) if not any(line in text for text in texts)]
 
 
-def parts_of_unexplained(found: Mapping[str, Any]) -> list[str]:
-    """A sentence on effects that matter but explain less than what stays unexplained; none where there are none."""
-    some = [e for e in found.get("small", ()) if e["lowers_error"]["interval"] and e["lowers_error"]["interval"][0] > MATTERS]
-    what = listed([placed(e) for e in some])
-    return [f"What was found explains less than what stays unexplained, and may be a part of it: {what}."] if some else []
+def events(found: Mapping[str, Any]) -> list[str]:
+    """A sentence on events; none where there are none."""
+    each = [
+        f"{joint_words(e['joint'])} in {e['recording']} at {e['from']:.2f} to {e['to']:.2f} s ({e['peak']:+.2g} Nm)"
+        for e in found.get("events", ())
+    ]
+    more = f" and {len(each) - SHOWN} more" * (len(each) > SHOWN)
+    what = f"{len(each)} stretch{'es' * (len(each) > 1)} of time took no part, since nothing explains a joint's torque there"
+    return (
+        [f"{what}, as if it was pushed: {listed(each[:SHOWN]) if not more else ', '.join(each[:SHOWN]) + more}."]
+        if each
+        else []
+    )
+
+
+def most_like(u: Mapping[str, Any]) -> str:
+    """The law that an unexplained torque is most like, in a sentence; nothing where there is none."""
+    like = u.get("most_like")
+    if not like:
+        return ""
+    values = [f"{symbol} = {read(entry)}" for symbol, entry in like["parameters"].items()]
+    numbers = f" ({', '.join(values)})" * bool(values)
+    return f"It is most like {called(like['effect'])}{numbers}, which explains {100 * like['reaches']:.0f} % of it."
+
+
+def anatomy(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """The parts of each joint's error as a table: its header, and a row for each part, in percent of the squared error."""
+    parts = found.get("anatomy", {})
+    names = dict.fromkeys(p["part"] for own in parts.values() for p in own if p["part"] not in LAST)
+    shares = {joint: {p["part"]: p["share"] for p in own} for joint, own in parts.items()}
+    body = [
+        [
+            _part(name),
+            *(f"{100 * own[name] + 0.0:.1f}".replace("-0.0", "0.0") if name in own else "" for own in shares.values()),
+        ]
+        for name in [*names, *LAST]
+        if any(name in own for own in shares.values())
+    ]
+    return ["part", *map(joint_words, parts)], body
+
+
+def _part(name: str) -> str:
+    """A part of an error in words."""
+    effect, _, joint = name.partition("@")
+    known = f"{called(effect)}{f' of {listed(list(map(joint_words, joint.split())))}' * bool(joint)}"
+    return known if effect in CATALOGUE else name
 
 
 def measured(found: Mapping[str, Any]) -> list[str]:
@@ -243,8 +280,11 @@ def unexplained(u: Mapping[str, Any]) -> str:
     """What no effect explains, in a sentence."""
     carried = u["description"].partition("the model carries it as ")[2]
     some = f" in {listed(some_recordings(u))}" * bool(some_recordings(u))
-    head = f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and no effect of the catalogue explains it"
-    return f"{head}{f'; the model carries it as {carried}' * bool(carried)}."
+    head = (
+        f"A torque on {joint_words(u['joint'])}{some} depends on {depends(u)}, and no effect of the catalogue explains it well"
+    )
+    like = most_like(u)
+    return f"{head}{f'; the model carries it as {carried}' * bool(carried)}.{f' {like}' * bool(like)}"
 
 
 def variable(name: str) -> str:
@@ -318,28 +358,18 @@ def _lacking(found: Mapping[str, Any]) -> list[str]:
 
 def on_prior(found: Mapping[str, Any]) -> list[str]:
     """A sentence for each claim that would not be made, had it been `LESS_PROBABLE` times less probable before the recordings."""
-    named = [(placed(e), e["probability"]) for e in missing(found)]
-    named += [
-        (f"a torque on {joint_words(u['joint'])} that no effect explains", u["probability"]) for u in found["unexplained"]
-    ]
     return [
-        f"The claim of {name} ({percent(p)}) rests on the prior: had it been {LESS_PROBABLE:g} times less probable before these "
-        f"recordings, it would be below {100 * CLAIM:.0f} % now, and not claimed."
-        for name, p in named
-        if rests_on_prior(p)
+        f"The claim of {placed(p)} rests on what was believed before: had it been {LESS_PROBABLE:g} times less probable, it would not be made."
+        for p in found.get("priors", ())
+        if p["claim_rests_on_prior"]
     ]
-
-
-def rests_on_prior(p: float) -> bool:
-    """Whether a claim of this probability would not be made, had its odds before been `LESS_PROBABLE` times lower."""
-    return p * (1 - CLAIM) < LESS_PROBABLE * CLAIM * (1 - p)
 
 
 def not_claimed(found: Mapping[str, Any]) -> list[str]:
     """A sentence each on what is possible and what is not confirmed; none where there is nothing to say."""
     result = []
     if found.get("possible"):
-        result.append(f"Possible, not claimed (below {100 * CLAIM:.0f} %): {_listed(found['possible'])}.")
+        result.append(f"Possible, not claimed: {_listed(found['possible'])}.")
     if found.get("not_confirmed"):
         result.append(
             f"Not confirmed, not claimed: {_listed(found['not_confirmed'])}. All recordings together make it probable, but it does "
@@ -448,12 +478,14 @@ def _listed(entries: Sequence[Mapping[str, Any]]) -> str:
         f" in {', '.join(files)}" * bool(files)
         for files in ([] if "recordings" not in e else some_recordings(e) for e in entries)
     ]
-    named = [f"{placed(e)}{where} ({percent(e['probability'])})" for e, where in zip(entries, some, strict=True)]
+    named = [f"{placed(e)}{where}" for e, where in zip(entries, some, strict=True)]
     return ", ".join(dict.fromkeys(named))
 
 
-def percent(probability: float) -> str:
+def percent(probability: float | None) -> str:
     """A probability; none is shown as certain."""
+    if probability is None or math.isnan(probability):
+        return "not known"
     if probability > SURE:
         return f"> {100 * SURE:.1f} %"
     return f"{100 * probability:.{int(probability > CLAIM)}f} %"

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,8 @@ from rrr_oc.calibration.calibrated_model import Estimate, Term
 from rrr_oc.calibration.inverse_dynamics import plain_model
 from rrr_oc.calibration.prediction_error import SIGNALS
 from rrr_oc.diagnosis import held_out as before_after
-from rrr_oc.diagnosis.findings import Fall, Finding
-from rrr_oc.diagnosis.held_out import Check, Fold, _means, acts_on, in_closed_loop, intervals, ranges
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, ready
+from rrr_oc.diagnosis.held_out import Fold, _means, acts_on, in_closed_loop, intervals, joints_made_worse, ranges
+from rrr_oc.diagnosis.procedure import Diagnosis, ready
 from rrr_oc.effects.body.gravity_tilt import GravityTilt
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.effects.priors import Priors
@@ -31,10 +31,6 @@ STIFFNESS, REST = 15.0, 1.5  # of the spring that nobody listed [Nm/rad, rad]
 def fold(k: int, models, errors) -> Fold:
     """A fold that holds out recording k."""
     return Fold((k,), *models, *errors)
-
-
-def finding(effect) -> Finding:
-    return Finding(Term(effect, ()), 1.0, 1.0, 10.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +64,6 @@ def diagnosis() -> Diagnosis:
         (),
         (),
         (),
-        Shares(),
         (none, none),
         (none, none),
         "recordings",
@@ -150,12 +145,6 @@ def test_the_page_says_for_which_recordings_nothing_could_be_foretold(diagnosis,
     assert write_diagnosis(shared, tmp_path)["alone"] == ["1.csv"]
 
 
-@pytest.mark.parametrize(("low", "verdict"), [(0.01, "nothing_missing"), (0.03, "cannot_tell")])
-def test_what_matters_but_may_be_a_part_of_what_no_law_explains_is_not_nothing(diagnosis, low, verdict):
-    one = replace(finding(ParallelSpring((0,))), fall=Fall(0, 0.1, low, 0.2, needed=0.29))
-    assert replace(diagnosis, small=(one,)).verdict == verdict
-
-
 def test_the_verdict_is_a_sentence(diagnosis):
     found = {
         "verdict": "missing_physics",
@@ -193,29 +182,30 @@ def test_what_changes_motion_or_body_acts_on_all_joints(effect, joints):
     assert acts_on(effect, 3) == joints
 
 
-@pytest.mark.parametrize(("effect", "mean"), [(ParallelSpring((1,)), (0.2, 0.1)), (EncoderOffset((1,)), (0.4, 0.2))])
-def test_the_error_of_an_effect_is_that_of_all_joints_whose_torque_it_changes(effect, mean):
-    """An encoder's offset turns the links, of which all joints feel a part; a spring acts on its own joint."""
-    errors = np.array([[[0.4, 0.2, 0.6]], [[0.2, 0.1, 0.3]]])  # without and with it, one recording, three joints
-    one = Check(np.array([[4.0] * 3, [1.0] * 3]), errors)
-    found = Shares.of([one], [finding(effect)], 3)
-    assert (found.before[0], found.after[0]) == pytest.approx(mean)
-    assert found.share == pytest.approx((0.75,))
+def reaching(reach: float) -> Any:
+    """Three recordings of two joints, each held out once, on all of which the first joint's error rises: in the last it goes `reach` times
+    as far as in the others."""
+    t = np.arange(0, 10, 0.02)
+    motions = [np.array([np.sin(t) * (reach if k == 2 else 1.0), np.sin(t)]) for k in range(3)]
+    made = [SimpleNamespace(q=q, dq=np.gradient(q, t, axis=1)) for q in motions]
+    errors = {"before": np.array([[0.1, 0.1]]), "after": np.array([[0.2, 0.1]])}
+    return SimpleNamespace(recordings=made, joints=("a", "b")), [SimpleNamespace(held=(k,), **errors) for k in range(3)]
 
 
 @pytest.mark.parametrize(("reach", "said"), [(1.0, "inside"), (2.0, "outside")])
 def test_an_error_says_whether_the_motion_was_covered(reach, said):
     """The last of three recordings goes as far as the others, or twice as far, on the first of two joints."""
-    t, joints = np.arange(0, 10, 0.02), ("a", "b")
-    motions = [np.array([np.sin(t) * (reach if k == 2 else 1.0), np.sin(t)]) for k in range(3)]
-    made = [SimpleNamespace(q=q, dq=np.gradient(q, t, axis=1)) for q in motions]
-    folds = [SimpleNamespace(held=(k,)) for k in range(3)]
-    model, recordings = SimpleNamespace(joints=joints), SimpleNamespace(recordings=made)
-    found = ranges(SimpleNamespace(recordings=recordings, way="recordings", folds=folds, model=model))  # pyright: ignore[reportArgumentType]
+    recordings, folds = reaching(reach)
+    found = ranges(recordings, folds)
     assert found == {"a": said, "b": "inside"}
     (line, *rest) = extrapolated({"nrmse": {"held_out": {"range": found}}, "held_out": "recordings"}) or [""]
     assert ("move a at" in line) == (said == "outside")
     assert not rest
+
+
+@pytest.mark.parametrize(("reach", "worse"), [(1.0, {0}), (2.0, set())])
+def test_an_error_that_rises_where_the_motion_was_covered_tells_against_what_was_found(reach, worse):
+    assert joints_made_worse(*reaching(reach)) == worse
 
 
 def test_what_is_held_out_is_predicted_by_what_a_calibration_reports(planar):

@@ -17,12 +17,13 @@ from rrr_oc.calibration.model_file import load_model
 from rrr_oc.commands import app
 from rrr_oc.commands import diagnose as command
 from rrr_oc.commands.output import Output
-from rrr_oc.diagnosis import alternatives, classes, held_out, procedure
+from rrr_oc.diagnosis import alternatives, held_out, procedure
+from rrr_oc.diagnosis.claims import classes
 from rrr_oc.diagnosis.files.diagnosis_file import DiagnosisFile, to_json
 from rrr_oc.diagnosis.files.stages import SHARES, FindingData, ModelData, SearchData, Stages
-from rrr_oc.diagnosis.findings import Fall, Possible
+from rrr_oc.diagnosis.findings import Fall, Like, Possible
 from rrr_oc.diagnosis.held_out import intervals
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares, diagnose
+from rrr_oc.diagnosis.procedure import Diagnosis, diagnose
 from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.errors import UserError
 from rrr_oc.kept import Keeping
@@ -135,7 +136,6 @@ def failing(*_):
     [
         (command, "in_closed_loop", "tracking"),
         (procedure, "suggest", "suggested recordings"),
-        (procedure, "checked", "shares of effects"),
         (classes, "as_good", "comparison: links in the place of quadratic_drag"),
         (alternatives, "equal_terms", "alternatives to quadratic_drag of j1"),
         (diagnosis_report, "draw_errors", "before_after.png"),
@@ -213,27 +213,30 @@ def test_what_is_no_number_is_null_and_is_read_as_none(recordings, whole, tmp_pa
     )
     spread = np.array(found.model.spread)
     spread[0, 0] = 1e30
-    f = replace(f, term=term, worth=-np.inf, probability=gone, p_value=gone, fall=Fall(0, gone, -np.inf, np.inf))
+    fall, like = Fall(0, gone, -np.inf, np.inf), Like(term, gone)
+    f = replace(f, term=term, worth=-np.inf, probability=gone, p_value=gone, fall=fall, innovations=fall, like=like, reach=gone)
     strange = replace(
         found,
         model=replace(model, spread=spread),
         findings=(f,),
         small=(f,),
         possible=(Possible(f.key, (), gone),),
-        shares=Shares(*[(gone, gone)] * 3),
+        anatomy=({"noise": gone},),
         links=(OffLink(found.model.robot.links[0], (), gone, mass=Off(gone, 1.0, gone)),),
         idle=((0, gone, gone),),
         above_noise=(np.inf,),
         calibration=(np.array([gone]), np.array([gone])),
     )
     kept = Stages(start).keep("one", FindingData.of(f, start.robot)).finding(start.robot)
-    assert np.isnan([kept.worth, kept.probability, kept.p_value, kept.fall.low]).all()
+    numbers_of = kept.worth, kept.probability, kept.p_value, kept.fall.low, kept.innovations.high, kept.like.reach, kept.reach
+    assert np.isnan(numbers_of).all()
+    assert kept.like.term == kept.term
     assert kept.term.estimates[0] == replace(estimate, std=None, interval=None)
     assert Stages(start).keep("one", ModelData.of(model)).model(start).spread is not None
     assert Stages(start).keep("one", ModelData.of(replace(model, spread=spread * gone))).model(start).spread is None
     content = diagnosis_report.write_diagnosis(strange, tmp_path)
     assert content["failed"] == {}
-    assert (content["left_over"], content["effects"][0]["probability"]) == ({"j1": None}, None)
+    assert (content["left_over"], content["effects"][0]["log_odds"]) == ({"j1": None}, None)
     assert content == json.loads((tmp_path / "diagnosis.json").read_text())
     read = load_model(tmp_path / "model.json")
     assert read.spread is not None

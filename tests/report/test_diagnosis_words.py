@@ -8,8 +8,11 @@ import pytest
 from rrr_oc.effects import CATALOGUE, Effect
 from rrr_oc.effects.words import Number, joint_words, read
 from rrr_oc.report.diagnosis_words import (
+    anatomy,
+    events,
     if_identified,
     lowered,
+    most_like,
     not_claimed,
     off_links,
     on_prior,
@@ -30,47 +33,44 @@ from rrr_oc.report.pages.diagnosis_claims import claims, record_next, remaining,
 from rrr_oc.report.pages.diagnosis_page import diagnosis_page
 from rrr_oc.robot.parameters import Parameter
 
+BOX = next(name for name, kind in CATALOGUE.items() if kind.role == "black_box")
+
 
 def entry(effect: str, joint="a", probability: float = 0.5, **more) -> dict:
     return {"effect": effect, "joint": joint, "probability": probability, **more}
 
 
-@pytest.mark.parametrize("beforehand", [0.005, 0.03, 0.3])
-def test_a_claim_rests_on_the_prior_where_a_tenth_of_it_makes_no_claim(beforehand):
-    """By Bayes' rule with two hypotheses: odds are prior odds times the ratio of likelihoods."""
-    odds = beforehand / (1 - beforehand)
-    for ratio, rests in ((0.99 * 190 / odds, True), (1.01 * 190 / odds, False)):
-        now, less = (x / (1 + x) for x in (odds * ratio, odds / 10 * ratio))
-        assert (less < 0.95) == rests
-        said = on_prior({"effects": [entry("stribeck", probability=now)], "unexplained": []})
-        assert len(said) == rests
-        said = on_prior({"effects": [], "unexplained": [{"joint": "b", "probability": now}]})
-        assert [("torque on b" in line, "rests on the prior" in line) for line in said] == [(True, True)] * rests
-    assert on_prior({"effects": [entry("stribeck", probability=1.0)], "unexplained": []}) == []
+def test_a_claim_that_rests_on_its_prior_is_told():
+    """Of a law, and of a torque that no law explains; whether a claim does is in the file."""
+    drag, box = entry("quadratic_drag", "b", claim_rests_on_prior=True), entry(BOX, "b", claim_rests_on_prior=True)
+    assert on_prior({}) == on_prior({"priors": [entry("stribeck", claim_rests_on_prior=False)]}) == []
+    sure, *said = [entry("stribeck", claim_rests_on_prior=False), drag, box]
+    assert on_prior({"priors": [sure, *said]}) == [
+        f"The claim of {what} rests on what was believed before: had it been 10 times less probable, it would not be made."
+        for what in ("quadratic drag of b", "a torque on b that no effect explains")
+    ]
 
 
 def test_what_is_not_claimed_is_listed():
     assert not_claimed({}) == not_claimed({"possible": [], "not_confirmed": []}) == []
-    box = next(name for name, kind in CATALOGUE.items() if kind.role == "black_box")
     possible = [
         entry("torque_ripple", "a", 0.61, recordings="all"),
         entry("payload_mass", None, 0.08, recordings=["1.csv", "2.csv"]),
         entry("coupled_friction", ["a", "b"], 0.07, recordings="all"),
     ]
-    first, second = not_claimed({"possible": possible, "not_confirmed": [entry(box, "b", 0.9996), entry(box, "b", 0.9996)]})
-    assert first.endswith(": torque ripple of a (61 %), payload mass in 1.csv, 2.csv (8 %), coupled friction of a and b (7 %).")
-    assert second.startswith("Not confirmed, not claimed: a torque on b that no effect explains (> 99.9 %). ")
+    first, second = not_claimed({"possible": possible, "not_confirmed": [entry(BOX, "b", 0.9996), entry(BOX, "b", 0.9997)]})
+    assert first == "Possible, not claimed: torque ripple of a, payload mass in 1.csv, 2.csv, coupled friction of a and b."
+    assert second.startswith("Not confirmed, not claimed: a torque on b that no effect explains. ")
 
 
-def test_what_is_sure_but_small_is_said_with_its_size():
-    size = {"joint": "a", "share": 0.004, "interval": [-0.001, 0.009], "needed": 0.02}
-    one = stribeck() | {"probability": 0.99, "lowers_error": size}
+def test_what_is_small_is_said_with_its_size():
+    size = {"joint": "a", "share": 0.004, "interval": [-0.001, 0.009], "innovations": None}
+    one = stribeck() | {"probability": None, "lowers_error": size}
     header, body = small({"small": [one]})
     assert len(header) == len(body[0])
-    assert body == [[plain(one), "99.0 %", "a", "0.4 % (95 %: -0.1 to 0.9 %)", "2 %"]]
+    assert body == [[plain(one), "a", "0.4 % (95 %: -0.1 to 0.9 %)"]]
     assert "0.400 Nm" in plain(one)
-    box = next(name for name, kind in CATALOGUE.items() if kind.role == "black_box")
-    assert small({"small": [one | {"effect": box}]})[1][0][0] == "a torque on a that no effect explains"
+    assert small({"small": [one | {"effect": BOX}]})[1][0][0] == "a torque on a that no effect explains"
     assert small({})[1] == []
     noise = {
         "verdict": "nothing_missing",
@@ -120,7 +120,9 @@ def test_a_range_without_width_is_one_number():
 
 
 def test_numbers_and_names():
-    assert [percent(p) for p in (0.054, 0.949, 0.953, 0.9989, 0.9995, 1.0)] == [
+    assert [percent(p) for p in (None, np.nan, 0.054, 0.949, 0.953, 0.9989, 0.9995, 1.0)] == [
+        "not known",
+        "not known",
         "5 %",
         "95 %",
         "95.3 %",
@@ -148,10 +150,10 @@ def found_effect(effect: str, joint, recordings="all", **parameters) -> dict:
         recordings=recordings,
         equation="law",
         parameters=parameters,
-        share_of_error=0.123456789,
-        lowers_error={"joint": "joint1", "share": 0.123456789, "interval": [0.1, 0.2], "needed": 0.02},
+        lowers_error={"joint": "joint1", "share": 0.123456789, "interval": [0.1, 0.2], "innovations": None},
         nrmse={"held_out_before": 0.123456789, "held_out_after": 0.0123456789},
-        probability_of_itself=0.6,
+        log_odds=12.3456789,
+        reaches=0.987654321,
         rivals=[],
     )
 
@@ -295,18 +297,50 @@ def test_names_are_words():
     ]
     found = [variable(name) for name in ("q_wrist_2_joint", "ddq_j2", "sign(dq_elbow_joint)", "load_torque")]
     assert found == ["the position of wrist 2", "the acceleration of j2", "the direction of elbow", "the load torque"]
-    text = unexplained(
-        {
-            "joint": "elbow_joint",
-            "depends_on": ["q_wrist_2_joint", "sign(dq_elbow_joint)"],
-            "recordings": "all",
-            "description": "a torque on elbow_joint that depends on …; the model carries it as a sum of 3 cosines, valid in the ranges given",
-        }
-    )
-    assert text == (
-        "A torque on elbow depends on the position of wrist 2 and the direction of elbow, and no effect of the catalogue explains it; "
+    assert unexplained(TORQUE) == (
+        "A torque on elbow depends on the position of wrist 2 and the direction of elbow, and no effect of the catalogue explains it well; "
         "the model carries it as a sum of 3 cosines, valid in the ranges given."
     )
+
+
+TORQUE = {
+    "joint": "elbow_joint",
+    "depends_on": ["q_wrist_2_joint", "sign(dq_elbow_joint)"],
+    "recordings": "all",
+    "probability": 0.97,
+    "log_odds": 12.3456789,
+    "lowers_error": {"joint": "elbow_joint", "share": 0.123456789, "interval": [0.1, 0.2], "innovations": None},
+    "most_like": None,
+    "description": "a torque on elbow_joint that depends on …; the model carries it as a sum of 3 cosines, valid in the ranges given",
+}
+LIKE = {
+    "effect": "torque_ripple",
+    "joint": "elbow_joint",
+    "parameters": {"amplitude": number(0.75, "Nm", 0.05), "order": number(10.0, "1")},
+    "reaches": 0.6183,
+}
+
+
+def test_a_torque_that_is_described_says_which_law_it_is_most_like_and_how_much():
+    like = (
+        "It is most like torque ripple (amplitude = 0.75 Nm (95 %: 0.70 to 0.80 Nm), order = 10.0), which explains 62 % of it."
+    )
+    assert most_like(TORQUE) == most_like({}) == ""
+    assert most_like(TORQUE | {"most_like": LIKE}) == like
+    assert most_like({"most_like": LIKE | {"parameters": {}, "reaches": 0.5}}) == (
+        "It is most like torque ripple, which explains 50 % of it."
+    )
+    assert unexplained(TORQUE | {"most_like": LIKE}) == f"{unexplained(TORQUE)} {like}"
+    found = {"effects": [], "unexplained": [TORQUE], "bootstrap": bootstrap(elbow_joint=(0.4, 0.2)), "mismatch": []}
+    (claim,) = claims(found, ["0.csv"])
+    assert (claim.title, claim.law, claim.numbers) == ("Torque on elbow that no effect explains", "", "")
+    facts = dict(claim.facts)
+    assert facts["Rests on"].startswith("Probability 97.0 % that it is there")
+    assert facts["Could also be"].startswith("A law that the catalogue lacks, or a known one in another shape")
+    assert facts["Could also be"].endswith("holds in its range alone.")
+    assert "lowers the error of elbow's torque by 12.3 %" in facts["On unseen data"]
+    (claim,) = claims(found | {"unexplained": [TORQUE | {"most_like": LIKE}]}, ["0.csv"])
+    assert dict(claim.facts)["Could also be"] == f"{facts['Could also be']} {like}"
 
 
 RIVAL = found_effect("payload_mass", None, mass=number(1.0, "kg", 0.02)) | {
@@ -376,6 +410,29 @@ def test_an_effect_that_changes_no_prediction_is_said_to_change_none():
 
 
 @pytest.mark.parametrize(
+    ("innovations", "said"),
+    [
+        (None, False),
+        ({"share": 0.12, "interval": [0.1, 0.14]}, False),
+        ({"share": 0.345, "interval": [0.3, 0.4]}, True),
+    ],
+)
+def test_a_claim_says_what_it_explains_of_what_is_fast_where_that_is_more(innovations, said):
+    """Of the error it explains 12.3 %."""
+    one = stribeck()
+    one["lowers_error"] |= {"innovations": innovations}
+    found = {"effects": [one], "unexplained": [], "bootstrap": bootstrap(joint1=(0.4, 0.2)), "mismatch": []}
+    (claim,) = claims(found, ["0.csv"])
+    unseen = dict(claim.facts)["On unseen data"]
+    fast = "Of what is fast in that error, which nothing before foretells, it explains 34.5 % (95 %: 30.0 to 40.0 %)."
+    assert unseen.startswith(
+        "On stretches of some seconds left out of the fit, it lowers the error of joint1's torque by 12.3 % (95 %: 10.0 to 20.0 %), "
+        f"beside all else that was found. {f'{fast} ' * said}On whole recordings left out"
+    )
+    assert ("what is fast" in unseen) == said
+
+
+@pytest.mark.parametrize(
     ("recordings", "said"),
     [
         ("all", "On a, in all 3 recordings."),
@@ -398,19 +455,22 @@ def test_a_claim_says_where_it_is(recordings, said):
 
 
 def test_a_claim_says_what_it_rests_on_and_what_else_it_could_be():
-    prior = {"effect": "stribeck", "joint": "a", "probability": 0.0005, "source": "a book"}
+    prior = {"effect": "stribeck", "joint": "a", "probability": 0.0005, "source": "a book", "claim_rests_on_prior": True}
     one = stribeck() | {"rivals": [{"effect": "quadratic_drag", "joint": "a"}]}
     found = {"effects": [one], "unexplained": [], "bootstrap": bootstrap(a=(0.4, 0.2)), "mismatch": [], "priors": [prior]}
     facts = dict(claims(found, ["0.csv"])[0].facts)
-    assert facts["Rests on"].startswith("Probability 97.0 % that it or one of its rivals is there")
-    assert (
-        "Before these recordings it was given a probability of 0.05 % (a book). That matters: had it been 10 times"
-        in facts["Rests on"]
+    assert facts["Rests on"] == (
+        "Probability 97.0 % that it or one of its rivals is there: of claims like this one about sealed arms, so many were right. It raises "
+        "the posterior odds by 12 nats. Before these recordings it was given a probability of 0.05 % (a book). That matters: had it been "
+        "10 times less probable before, it would not be claimed."
     )
-    assert facts["Could also be"].startswith("Quadratic drag, which these recordings do not tell apart from it.")
-    sure = found | {"effects": [stribeck() | {"probability": 1.0}]}
+    assert facts["Could also be"] == "Quadratic drag, which these recordings do not tell apart from it."
+    sure = found | {"effects": [stribeck()], "priors": [prior | {"claim_rests_on_prior": False}]}
     facts = dict(claims(sure, ["0.csv"])[0].facts)
-    assert "That matters" not in facts["Rests on"]
+    assert "Probability 97.0 % that it is there" in facts["Rests on"]
+    assert facts["Rests on"].endswith("it was given a probability of 0.05 % (a book).")
+    (claim,) = claims(found | {"priors": []}, ["0.csv"])
+    assert dict(claim.facts)["Rests on"].endswith("by 12 nats.")
     assert facts["Could also be"].startswith("Nothing else of the catalogue")
 
 
@@ -430,12 +490,7 @@ def test_what_stays_unexplained_and_what_to_record_next_are_always_said():
     assert sentence(undecided).startswith(
         "Nothing is missing on the joints that move, and these recordings do not tell of the others. B never moved"
     )
-    size = {"joint": "a", "share": 0.1, "interval": [0.05, 0.15], "needed": 0.29}
-    part = undecided | {"small": [entry("stribeck", "a", 0.99, lowers_error=size)]}
-    assert sentence(part).startswith(
-        "Something is missing, and these recordings do not decide what. What was found explains less than what stays unexplained, and "
-        "may be a part of it: stribeck of a. B never moved"
-    )
+    assert sentence(undecided | {"small": [stribeck()]}) == sentence(undecided)  # nothing of what is small is sure
     missed = {"joint": "a", "significant": True, "where": []}
     assert sentence(undecided | {"mismatch": [missed]}).startswith("Something is missing on a, where the error is far")
     where = [
@@ -456,8 +511,48 @@ def test_what_stays_unexplained_and_what_to_record_next_are_always_said():
     part_of = remaining(left | {"effects": [stribeck()]})
     assert part_of == ["What is left is still 7.0 times the noise on a: more is missing, or of another shape.", rest]
     assert "a at the position of a from 5.7 to 11.5°" in record_next(left)[0]
+    pushed = {"joint": "a", "recording": "0.csv", "from": 1.0, "to": 1.25, "peak": 4.0}
+    assert remaining(left | {"events": [pushed]}) == [*events({"events": [pushed]}), rest]
     doubtful = record_next(found | {"possible": [entry("torque_ripple", "a", 0.5)]})
     assert "they decide about torque ripple of a" in doubtful[0]
+
+
+def test_events_are_told_with_joint_recording_times_and_peak():
+    one = {"joint": "wrist_2_joint", "recording": "1.csv", "from": 2.0, "to": 2.345678, "peak": -3.456}
+    said = "took no part, since nothing explains a joint's torque there, as if it was pushed: "
+    where = "wrist 2 in 1.csv at 2.00 to 2.35 s (-3.5 Nm)"
+    assert events({}) == events({"events": []}) == []
+    assert events({"events": [one]}) == [f"1 stretch of time {said}{where}."]
+    other = one | {"joint": "a", "recording": "2.csv", "peak": 12.3}
+    assert events({"events": [one, other]}) == [f"2 stretches of time {said}{where} and a in 2.csv at 2.00 to 2.35 s (+12 Nm)."]
+    (six,) = events({"events": [one] * 6})
+    assert (six.count(where), six.count(" and ")) == (6, 1)
+    (many,) = events({"events": [one] * 9})
+    assert many == f"9 stretches of time {said}{', '.join([where] * 6)} and 3 more."
+
+
+def test_the_parts_of_an_error_are_rows_in_percent_what_no_law_explains_last():
+    def parts(**shares) -> list[dict]:
+        return [{"part": part, "share": share} for part, share in shares.items()]
+
+    rest = {"not explained": 0.0123, "noise": 0.01}
+    ripple, coupled = {"torque_ripple@wrist_2_joint": 0.2}, {"coupled_friction@a wrist_2_joint": 0.1}
+    own = {"friction and rotor": 0.6, "links": -0.0004, "payload_mass": 0.05, "seen, no law": 0.03}
+    found = {"a": parts(**own, **coupled, **rest), "wrist_2_joint": parts(links=0.5, **ripple, **coupled, **rest)}
+    header, body = anatomy({"anatomy": found})
+    assert header == ["part", "a", "wrist 2"]
+    assert body == [
+        ["friction and rotor", "60.0", ""],
+        ["links", "0.0", "50.0"],
+        ["payload mass", "5.0", ""],
+        ["coupled friction of a and wrist 2", "10.0", "10.0"],
+        ["torque ripple of wrist 2", "", "20.0"],
+        ["seen, no law", "3.0", ""],
+        ["not explained", "1.2", "1.2"],
+        ["noise", "1.0", "1.0"],
+    ]
+    assert anatomy({"anatomy": {"a": parts(links=-0.2)}}) == (["part", "a"], [["links", "-20.0"]])
+    assert anatomy({}) == (["part"], [])
 
 
 def test_a_mass_that_recordings_do_not_tell_is_not_told():
@@ -487,7 +582,15 @@ def test_the_page_has_no_raw_names_and_no_sixteen_digits():
         "verdict": "missing_physics",
         "held_out": "recordings",
         "effects": [RIVAL],
-        "unexplained": [],
+        "unexplained": [TORQUE | {"joint": "wrist_2_joint", "most_like": LIKE}],
+        "small": [stribeck() | {"probability": None}],
+        "events": [{"joint": "wrist_2_joint", "recording": "1.csv", "from": 1 / 3, "to": 2 / 3, "peak": 1 / 3}],
+        "anatomy": {
+            "wrist_2_joint": [
+                {"part": "payload_mass", "share": 1 / 3}, {"part": "torque_ripple@wrist_2_joint", "share": 1 / 3},
+                {"part": "noise", "share": 1 / 3}
+            ]
+        },
         "bootstrap": bootstrap(wrist_2_joint=(0.4, 0.2)),
         "nrmse": {"held_out": {"range": {"wrist_2_joint": "outside"}}},
         "mismatch": [
@@ -510,5 +613,8 @@ def test_the_page_has_no_raw_names_and_no_sixteen_digits():
     assert "The model has 1.00 kg (95 %: 0.98 to 1.02 kg) less at the tool than the arm." in text
     assert "0.33 Nm s/rad" in text
     assert "payload mass, inertial parameters of the link of wrist 2, inertial parameters of the link of wrist 3" in text
+    assert "1 stretch of time took no part" in text
+    assert "It is most like torque ripple (amplitude = 0.75 Nm" in text
+    assert re.search(r"part\s+wrist 2\s+payload mass\s+33\.3\s+torque ripple of wrist 2\s+33\.3\s+noise\s+33\.3\s", text)
     assert "Some recordings move wrist 2 at angles or speeds that the others do not reach." in text
     assert not re.search(r"\w_\w|\d\.\d{7}", text.replace("tau_l", ""))

@@ -28,7 +28,7 @@ from rrr_oc.calibration.model_file import save_model
 from rrr_oc.calibration.samples import blocks_of
 from rrr_oc.codesign.certificate import MeshQuality
 from rrr_oc.diagnosis.held_out import Fold
-from rrr_oc.diagnosis.procedure import Diagnosis, Shares
+from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects.elastic.parallel_spring import ParallelSpring
 from rrr_oc.report.design_report import optima_table, report, small_too
 from rrr_oc.report.design_words import bound, cautions, hardware, verdict
@@ -62,7 +62,7 @@ def made_diagnosis(joints: tuple[str, ...]) -> Diagnosis:
         np.full(3, 0.1),
     )
     held = (none, none), (none, none)
-    return Diagnosis(recordings, plain, model, (), (), (), (), (), (), Shares(), *held, "recordings", (), (), folds, (0.0,) * 3)
+    return Diagnosis(recordings, plain, model, (), (), (), (), (), (), *held, "recordings", (), (), folds, (0.0,) * 3)
 
 
 @pytest.fixture(scope="module")

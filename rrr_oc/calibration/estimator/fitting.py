@@ -15,7 +15,7 @@ from rrr_oc.calibration.estimator.evidence import LEAST, Hyperparameters, Poster
 from rrr_oc.calibration.parameter_vector import WIDTHS, bounds, widened, with_parameter_values
 from rrr_oc.calibration.regression import rows
 from rrr_oc.calibration.samples import shortened
-from rrr_oc.effects import Effect
+from rrr_oc.effects import Delay, Effect
 from rrr_oc.robot.link_errors import OF_URDF
 
 FAR = 3.0  # declared standard deviations from which an error of a link is more than what files usually have
@@ -28,6 +28,7 @@ PATIENCE = 3  # steps without more evidence after which hyperparameters stay as 
 NONLINEAR = 0.01  # of the squared change over a step, by which residuals may miss the prediction without new derivatives
 DAMPINGS = (0.0, 0.001, 0.03, 0.3, 3.0, 30.0, 300.0)  # of a step, tried until the cost falls
 LINK_STEP = 100.0  # standard deviations by which one step may change an error of a link; bodies are exponential in them
+HELD = 1e-9  # standard deviation of a delay that is held [s]
 WIDE = 30.0  # prior standard deviation of plain friction and armature, as a multiple of the joint's torque
 CLOSER, ALIKE = (
     4,
@@ -75,11 +76,13 @@ class PlainFitter:
         data: The data.
         plain_std: Prior standard deviations of the parameters of the plain terms, those of `Data.start`.
         farthest: Declared standard deviations by which a link of a URDF may be off at most.
+        holds_delays: Whether delays of the torque stay as they are.
     """
 
     data: Data
     plain_std: np.ndarray
     farthest: float = field(default=np.inf, kw_only=True)
+    holds_delays: bool = field(default=False, kw_only=True)
 
     @classmethod
     def of(cls, data: Data) -> "PlainFitter":
@@ -94,6 +97,22 @@ class PlainFitter:
             start = Start.of(self.data, fitted.posterior.hyper)
             fitted = self.fit(fitted.model, fitted.links, start, steps=STEPS_ON)
         return fitted
+
+    def delay_of(self, fitted: Fitted) -> float:
+        """By how much the torques are late in the model that predicts best, the median over joints; 0 where no delay is in it [s].
+
+        What is likeliest is decided by what is fast. There the way in which friction sticks where a joint turns looks like a delay, for
+        which laws that are not there would make up elsewhere; and a law that is missing looks like a delay of its joint. One clock takes
+        the torques of all joints.
+        """
+        near = replace(self, holds_delays=False).closest(fitted).model
+        return float(np.median([t.values[0] for t in near.terms if isinstance(t.effect, Delay)] or [0.0]))
+
+    def holding(self, delay: float, fitted: Fitted) -> tuple[Self, Fitted]:
+        """What holds a delay of all torques, and a fit with it."""
+        held = [t.with_values(np.array([delay])) if isinstance(t.effect, Delay) else t for t in fitted.model.terms]
+        holding = replace(self, holds_delays=True)
+        return holding, holding.fit(replace(fitted.model, terms=tuple(held)), fitted.links, fitted.posterior)
 
     def few(self) -> Self:
         """What fits models to a part of the recordings, evenly over them; itself where they are short."""
@@ -262,9 +281,11 @@ class PlainFitter:
         f = np.flatnonzero(np.isfinite(factor))  # parameters that one step may change by a factor at most
         low[f], high[f] = np.maximum(low[f], values[f] / factor[f]), np.minimum(high[f], values[f] * factor[f])
         farthest, number = np.full(k, self.farthest), np.arange(end)
+        delays = np.array([isinstance(t.effect, Delay) for t in model.terms[:base] for _ in t.estimates], bool)
+        std = np.where(delays & self.holds_delays, HELD, self.plain_std)
         return Prior(
             mean=np.concatenate([np.zeros(plain), mean, -links, 0 * widths]),  # of plain terms so wide that it draws nothing
-            precision=np.concatenate([self.plain_std**-2.0, precision, np.ones(end - size)]),
+            precision=np.concatenate([std**-2.0, precision, np.ones(end - size)]),
             proper=(number >= plain) & (number < size + k),
             links=np.where((number >= size) & (number < size + k), 1 + (number - size) // OF_URDF, 0) * self.data.free,
             lower=np.concatenate([np.minimum(low - values, 0), -farthest - links, np.log(WIDTHS[0] / widths)]),

@@ -22,21 +22,24 @@ QUANTILE = 0.975  # of the upper end of an interval
 class Fall:
     """By how much a change of a model lowers the held-out rms of a joint, as a share of what it is without, and its 95 % interval.
 
-    `needed` is the share that a claim's lower end exceeds, `of_torque` the fall over the rms of the joint's torque, by which effects of
-    different joints are compared.
+    `before` is the rms without it over the standard deviation of the joint's torque.
     """
 
     joint: int
     share: float
     low: float
     high: float
-    needed: float = 0.0
-    of_torque: float = 0.0
+    before: float = 0.0
 
     @property
-    def margin(self) -> float:
-        """By how much the lower end exceeds what a claim needs."""
-        return self.low - self.needed
+    def of_torque(self) -> float:
+        """The fall over the joint's torque, by which effects of different joints are compared."""
+        return self.share * self.before
+
+    @property
+    def explained(self) -> float:
+        """Rms of what the change explains over the joint's torque."""
+        return self.before * float(np.sqrt(max(1 - (1 - self.share) ** 2, 0.0)))
 
 
 def block_edges(edges: np.ndarray) -> np.ndarray:

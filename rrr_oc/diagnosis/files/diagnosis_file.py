@@ -1,13 +1,17 @@
 """The diagnosis as data: what `diagnosis.json` holds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 
 from rrr_oc.calibration.calibrated_model import Term
+from rrr_oc.calibration.estimator.left_out import Fall
 from rrr_oc.calibration.link_findings import Fallen, OffLink, entries
+from rrr_oc.diagnosis.claims.reliability import probability
+from rrr_oc.diagnosis.events import Event
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, named, shown_as
 from rrr_oc.diagnosis.held_out import ranges
 from rrr_oc.diagnosis.mismatch import FAR
@@ -90,11 +94,11 @@ class Estimate(Struct, forbid_unknown_fields=True):
 
 
 class HeldOut(Struct, forbid_unknown_fields=True):
-    """Error of the torque of the joints that an effect acts on, on held-out recordings.
+    """Error of a joint's torque over the recorded one's standard deviation, on blocks of some seconds that were left out.
 
     Attributes:
-        held_out_before: Without it [1].
-        held_out_after: With it, beside the effects above it [1].
+        held_out_before: Without an effect, beside all others [1].
+        held_out_after: With it [1].
     """
 
     held_out_before: float | None
@@ -113,14 +117,29 @@ class Named(Struct, forbid_unknown_fields=True):
     joint: Joint
 
 
+class Share(Struct, forbid_unknown_fields=True):
+    """A share with its 95 % interval.
+
+    Attributes:
+        share: The share [1].
+        interval: Of it; null where there is too little data.
+    """
+
+    share: float
+    interval: tuple[float, float] | None
+
+
 class Lowered(Fallen):
     """By how much an effect lowers the error of a joint on data that it was not fitted to, beside all other effects.
 
     Attributes:
-        needed: Share that the lower end exceeds, of a claim: what matters, or what a law needs to explain more than stays unexplained [1].
+        innovations: The same of the error's innovations, what an autoregression does not foresee of it: what is fast and lies under a
+            slow disturbance shows there alone.
+        of_torque: The larger fall of both, over the standard deviation of the joint's torque [1].
     """
 
-    needed: float
+    innovations: Share | None
+    of_torque: float | None
 
 
 class Claim(Named):
@@ -130,12 +149,12 @@ class Claim(Named):
         recordings: Recordings that have it.
         equation: Its law.
         parameters: Estimates by parameter.
-        share_of_error: By how much the held-out squared error falls with it, as a share of what it was without any effect [1].
-        p_value: Probability of such a gain by chance.
-        probability: Of the effect or one of its rivals, from all models compared.
-        probability_of_itself: Of the effect alone.
-        nrmse: Held-out error without and with it.
-        lowers_error: Its size on data that it was not fitted to.
+        p_value: Of its amplitudes being 0, by Wald's test; it decides nothing.
+        probability: How often claims like this one are right, it or one of its rivals; null of what is small.
+        log_odds: By how much it raises the logarithm of the posterior probability [nats].
+        nrmse: Error without and with it.
+        lowers_error: Its size, on data that it was not fitted to.
+        reaches: Share of what the best flexible function in its place explains that it explains [1].
         indistinguishable_from: Names of the effects that explain these recordings as well.
         rivals: The same with their joints.
         follows: Of friction that grows with a torque: whether that is the load's or the motor's.
@@ -144,12 +163,12 @@ class Claim(Named):
     recordings: Files
     equation: str
     parameters: dict[str, Estimate]
-    share_of_error: float
     p_value: float
-    probability: float
-    probability_of_itself: float
+    probability: float | None
+    log_odds: float
     nrmse: HeldOut
     lowers_error: Lowered
+    reaches: float
     indistinguishable_from: tuple[str, ...]
     rivals: tuple[Named, ...]
     follows: Literal["load", "motor"] | None = None
@@ -229,16 +248,30 @@ class Valid(Struct, forbid_unknown_fields=True):
     range: tuple[float, float]
 
 
+class Like(Named):
+    """A law that a torque is most like.
+
+    Attributes:
+        parameters: Its numbers, as they were found in the torque's place.
+        reaches: Share of what the best function of the torque's variables explains that the law explains [1].
+    """
+
+    parameters: dict[str, Estimate]
+    reaches: float
+
+
 class Unexplained(Struct, forbid_unknown_fields=True):
-    """A torque that no effect of the catalogue explains; the model carries it as an empirical term.
+    """A torque that no effect of the catalogue explains well; the model carries it as an empirical term.
 
     Attributes:
         joint: The joint it acts on.
         depends_on: Variables that it depends on, also `sign(dq_<joint>)`.
         recordings: Recordings that have it.
-        share_of_error: As of an effect [1].
         p_value: As of an effect.
-        probability: As of an effect.
+        probability: How often claims like this one are right: that something of this joint depends on these variables.
+        log_odds: As of an effect.
+        lowers_error: As of an effect.
+        most_like: The law of the catalogue that comes closest; null where none comes close.
         validity: Where it holds.
         description: A sentence.
     """
@@ -246,9 +279,11 @@ class Unexplained(Struct, forbid_unknown_fields=True):
     joint: str
     depends_on: tuple[str, ...]
     recordings: Files
-    share_of_error: float
     p_value: float
-    probability: float
+    probability: float | None
+    log_odds: float
+    lowers_error: Lowered
+    most_like: Like | None
     validity: tuple[Valid, ...]
     description: str
 
@@ -389,6 +424,19 @@ class Measured(Struct, forbid_unknown_fields=True):
     used: Literal["q", "dq", "q and dq"]
 
 
+class Part(Struct, forbid_unknown_fields=True):
+    """A part of an error.
+
+    Attributes:
+        part: What lowers the error: "friction and rotor", "links", an effect as `effect@joint`, "seen, no law"; and what is left: "not
+            explained" and "noise".
+        share: Of the squared error of the robot's file; negative where the part raises it [1].
+    """
+
+    part: str
+    share: float
+
+
 class DiagnosisFile(Struct, forbid_unknown_fields=True):
     """The content of `diagnosis.json`; a number that could not be computed is null, wherever it stands.
 
@@ -398,13 +446,16 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
         held_out: What took no part in fits and choices: whole recordings, or blocks of the only one.
         mismatch: Where the plain model fails, a joint each.
         left_over: Joints whose error exceeds the noise with all effects, by how many times [1].
-        effects: What the tool adds to the model, most important first; and, last, a delay of all torques, which is no physics that is missing.
+        effects: Laws that the model has beyond friction and rotors, most important first; and, last, a delay of all torques, which is no
+            physics that is missing.
         undecided: Effects that these recordings do not tell from errors of the links; the model does not have them.
-        small: Effects that are as sure, but lower no joint's error by a share that matters; the model does not have them.
+        small: What else the model has, though it lowers no joint's error by a share that matters; nothing of it is sure.
         link_findings: Links that are far from the URDF's in the model.
         possible: What is less probable than a claim needs.
         not_confirmed: What is as sure, but does not lower the error on data that it was not fitted to.
-        unexplained: Torques that no effect of the catalogue explains.
+        unexplained: Torques that no effect of the catalogue explains well; the model has them.
+        events: Stretches of time in which nothing explains a joint's torque, such as pushes; they took no part.
+        anatomy: By joint the parts of the squared error of the robot's file, on data left out; the shares add up to 1.
         idle: Joints that never moved enough to tell anything, with the torque that is left there.
         measurement: How each joint was measured.
         priors_file: File that was given by `--priors`.
@@ -439,6 +490,8 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
     bootstrap: dict[str, Bootstrap]
     alone: tuple[str, ...]
     measurement: dict[str, Measured]
+    events: tuple[Event, ...]
+    anatomy: dict[str, tuple[Part, ...]]
     simulated: Simulated | None = None
     failed: dict[str, str] = {}
 
@@ -446,11 +499,15 @@ class DiagnosisFile(Struct, forbid_unknown_fields=True):
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of `diagnosis.json`."""
     model, joints = diagnosis.model, diagnosis.model.joints
-    effects = [f.term.effect for f in diagnosis.findings]
 
     def by_joint(pair: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
         before, after = (dict(zip(joints, values.tolist(), strict=True)) for values in pair)
         return {"before": before, "after": after}
+
+    anatomy = dict(zip(joints, diagnosis.anatomy, strict=False))
+
+    def likely(entry: dict[str, Any]) -> dict[str, Any]:
+        return entry | {"probability": probability(entry, anatomy.get(entry["lowers_error"]["joint"], {}))}
 
     found = {
         "format": FORMAT,
@@ -459,17 +516,19 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
         "effects": [
-            *(_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.findings) if not f.term.effect.black_box),
-            *(_late(diagnosis, f) for f in diagnosis.late),
+            *(likely(_claim(diagnosis, f)) for f in diagnosis.findings if not f.term.effect.black_box),
+            *(_claim(diagnosis, f) for f in diagnosis.late),
         ],
         "undecided": [_class(diagnosis, u) for u in diagnosis.undecided],
-        "small": [_effect(diagnosis, i, f) for i, f in enumerate(diagnosis.small, len(effects))],
+        "small": [_claim(diagnosis, f) | {"probability": None} for f in diagnosis.small],
         "possible": [
             {**named(p.key, joints), "recordings": _files(diagnosis.recordings, p.groups), "probability": p.probability}
             for p in diagnosis.possible
         ],
         "not_confirmed": [{**named(f.key, joints), "probability": f.probability} for f in diagnosis.refuted],
-        "unexplained": [_unexplained(diagnosis, i, effect) for i, effect in enumerate(effects) if isinstance(effect, BlackBox)],
+        "unexplained": [likely(_unexplained(diagnosis, f)) for f in diagnosis.findings if f.term.effect.black_box],
+        "events": [msgspec.to_builtins(e) for e in diagnosis.events],
+        "anatomy": {j: [{"part": part, "share": x} for part, x in parts.items()] for j, parts in anatomy.items()},
         "measurement": dict(model.report.get("measurement", {})),
         "idle": [{"joint": joints[j], "torque": mean, "std": std} for j, mean, std in diagnosis.idle],
         "link_findings": entries(diagnosis.links),
@@ -481,7 +540,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "nrmse": {
             "calibration": by_joint(diagnosis.calibration),
-            "held_out": {**by_joint(diagnosis.held_out), "range": ranges(diagnosis)},
+            "held_out": {**by_joint(diagnosis.held_out), "range": ranges(diagnosis.recordings, diagnosis.folds)},
         },
         "versions": dict(model.versions),
         "failed": dict(diagnosis.failed),
@@ -504,39 +563,31 @@ def _prior(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
 
 
 def _lowered(finding: Finding, joints: Sequence[str]) -> dict[str, Any]:
-    fall = finding.fall
-    assert fall is not None
-    interval = [fall.low, fall.high] if np.isfinite([fall.low, fall.high]).all() else None
-    return {"joint": joints[fall.joint], "share": fall.share, "interval": interval, "needed": fall.needed}
-
-
-def _effect(diagnosis: Diagnosis, i: int, finding: Finding) -> dict[str, Any]:
-    """A claim, or an effect that is small, `i` being its number among both."""
-    shares = diagnosis.shares
-    errors = {"held_out_before": shares.before[i], "held_out_after": shares.after[i]}
-    return _claim(diagnosis, finding, shares.share[i], errors)
-
-
-def _late(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
-    """A delay of all torques; of its joint the share of the squared error follows from the fall."""
     assert finding.fall is not None
-    return _claim(diagnosis, finding, 1 - (1 - finding.fall.share) ** 2, {"held_out_before": None, "held_out_after": None})
+    fast = None if finding.innovations is None else _share(finding.innovations)
+    return {"joint": joints[finding.fall.joint], **_share(finding.fall), "innovations": fast, "of_torque": finding.of_torque}
 
 
-def _claim(diagnosis: Diagnosis, finding: Finding, share: float, errors: Mapping[str, float | None]) -> dict[str, Any]:
-    joints = diagnosis.model.joints
+def _share(fall: Fall) -> dict[str, Any]:
+    interval = [fall.low, fall.high] if np.isfinite([fall.low, fall.high]).all() else None
+    return {"share": fall.share, "interval": interval}
+
+
+def _claim(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
+    joints, fall = diagnosis.model.joints, finding.fall
+    assert fall is not None
     return {
         **named(finding.key, joints),
         "recordings": files_of(finding.term, diagnosis.recordings),
         "equation": finding.term.effect.law,
         **finding.term.effect.said,
         "parameters": _parameters(finding.term, diagnosis.recordings),
-        "share_of_error": share,
         "p_value": finding.p_value,
         "probability": finding.probability,
-        "probability_of_itself": finding.alone,
-        "nrmse": errors,
+        "log_odds": finding.worth,
+        "nrmse": {"held_out_before": fall.before, "held_out_after": fall.before - fall.of_torque},
         "lowers_error": _lowered(finding, joints),
+        "reaches": finding.reach,
         "indistinguishable_from": list(dict.fromkeys(name for name, _ in finding.rivals)),
         "rivals": [named(rival, joints) for rival in finding.rivals],
     }
@@ -559,21 +610,29 @@ def _class(diagnosis: Diagnosis, u: Undecided) -> dict[str, Any]:
     }
 
 
-def _unexplained(diagnosis: Diagnosis, i: int, effect: BlackBox) -> dict[str, Any]:
-    finding, joints = diagnosis.findings[i], diagnosis.model.joints
-    named = [_variable(kind, j, joints) for kind, j in effect.depends_on]
+def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
+    effect, joints = finding.term.effect, diagnosis.model.joints
+    assert isinstance(effect, BlackBox)
+    on = [_variable(kind, j, joints) for kind, j in effect.depends_on]
     validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in effect.validity]
     joint, files = joints[effect.joints[0]], files_of(finding.term, diagnosis.recordings)
     some = "" if files == "all" else f" in {', '.join(files)}"
+    like = finding.like and {
+        **named(shown_as(finding.like.term), joints),
+        "parameters": _parameters(finding.like.term, diagnosis.recordings),
+        "reaches": finding.like.reach,
+    }
     return {
         "joint": joint,
-        "depends_on": named,
+        "depends_on": on,
         "recordings": files,
-        "share_of_error": diagnosis.shares.share[i],
         "p_value": finding.p_value,
         "probability": finding.probability,
+        "log_odds": finding.worth,
+        "lowers_error": _lowered(finding, joints),
+        "most_like": like,
         "validity": validity,
-        "description": f"a torque on {joint}{some} that depends on {' and '.join(named)} and that no effect of the catalogue explains; "
+        "description": f"a torque on {joint}{some} that depends on {' and '.join(on)} and that no effect of the catalogue explains; "
         f"the model carries it as {effect.words(finding.term.named)}{', valid in the ranges given' if validity else ''}",
     }
 

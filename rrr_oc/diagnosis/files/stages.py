@@ -29,7 +29,8 @@ from rrr_oc.calibration.model_file import (
     term_of,
     terms_of,
 )
-from rrr_oc.diagnosis.findings import Fall, Finding, Possible, Undecided
+from rrr_oc.diagnosis.events import Event
+from rrr_oc.diagnosis.findings import Fall, Finding, Like, Possible, Undecided
 from rrr_oc.diagnosis.fitting import Fitter
 from rrr_oc.diagnosis.structures.search import Search, State
 from rrr_oc.diagnosis.suggestion import Suggestion
@@ -274,14 +275,24 @@ class FindingData(Struct):
     rivals: tuple[tuple[str, tuple[int, ...]], ...]
     prior: Prior | None
     fall: Fall | None
+    innovations: Fall | None
+    like: tuple[TermEntry, float] | None
+    reach: float
 
     @classmethod
     def of(cls, f: Finding, robot: Robot) -> "FindingData":
-        return cls(term_entry(f.term, robot), f.probability, f.alone, f.worth, f.p_value, f.rivals, f.prior, f.fall)
+        like = f.like and (term_entry(f.like.term, robot), f.like.reach)
+        numbers = f.probability, f.alone, f.worth, f.p_value
+        return cls(term_entry(f.term, robot), *numbers, f.rivals, f.prior, f.fall, f.innovations, like, f.reach)
 
     def finding(self, robot: Robot) -> Finding:
-        numbers = self.probability, self.alone, self.worth, self.p_value
-        return Finding(term_of(self.term, robot), *numbers, self.rivals, self.prior, self.fall)
+        numbers, like = (
+            (self.probability, self.alone, self.worth, self.p_value),
+            self.like and Like(term_of(self.like[0], robot), self.like[1]),
+        )
+        return Finding(
+            term_of(self.term, robot), *numbers, self.rivals, self.prior, self.fall, self.innovations, like, self.reach
+        )
 
 
 class UndecidedData(Struct):
@@ -323,13 +334,12 @@ class ResultData(Struct):
     plain: ModelData
     model: ModelData
     findings: list[FindingData]
+    small: list[FindingData]
     undecided: list[UndecidedData]
     links: tuple[OffLink, ...]
     late: list[FindingData]
-    small: list[FindingData]
     possible: tuple[Possible, ...]
     refuted: list[FindingData]
-    shares: tuple[tuple[float, ...], ...]
     calibration: tuple[list[float], ...]
     held_out: tuple[list[float], ...]
     way: str
@@ -340,3 +350,5 @@ class ResultData(Struct):
     idle: tuple[tuple[int, float, float], ...]
     priors: str | None
     failed: dict[str, str]
+    events: list[Event]
+    anatomy: list[dict[str, float]]

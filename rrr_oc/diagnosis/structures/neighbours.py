@@ -1,6 +1,6 @@
 """The neighbours of a structure, with an effect more, fewer or another, and their posterior probabilities as linearity predicts them."""
 
-from collections.abc import Callable, Container, Hashable, Sequence
+from collections.abc import Callable, Container, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -225,6 +225,11 @@ class Neighbours:
         """The additions of the catalogue that gain most beside a structure, at its hyperparameters."""
         table, every = self.tables(None), self._screen(here.structure, here, None).candidates()
         return [self.linear.candidate(table, c) for c in every if self._open(c, here.structure)][:TRIED]
+
+    def black_boxes(self, here: Predicted, joint: int) -> Iterator[Addition]:
+        """The black-box terms of a joint beside a structure, at its hyperparameters, the one that gains most first."""
+        table, every = self.tables(joint), self._screen(here.structure, here, joint).candidates()
+        return (self.linear.candidate(table, c) for c in every)
 
     def promising(self, structure: Structure, joint: int | None) -> set[Hashable]:
         """What of a table raises the probability beside a structure, as `sought_as` names it."""

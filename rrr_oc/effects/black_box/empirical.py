@@ -11,13 +11,14 @@ import numpy as np
 from rrr_oc.effects.base import SIGN_WIDTH, Prior
 from rrr_oc.effects.capabilities import BlackBox
 from rrr_oc.errors import UserError
-from rrr_oc.numerics.smooth import cos, fmax, fmin, sign
+from rrr_oc.numerics.smooth import cos, fabs, fmax, fmin, log, sign
 from rrr_oc.robot.parameters import Parameter
 
 EDGES = (0.5, 0.65, 0.8, 0.9, 0.95)  # of the trials, as a share of the variable's range
 STRAIGHT = ((1, 0.0, 1), (-1, 1.0, 1))  # the edges of a straight line over a whole range
 Direction = Literal["either", "turned", "upwards", "downwards"]
-KINDS = ("q", "dq", "ddq", "load", "motor", "time")  # of variables
+KINDS = ("q", "dq", "speed", "ddq", "load", "motor", "time")  # of variables
+SLOW = 0.01  # speed [rad/s] from which on the scale of ("speed", joint) is logarithmic
 HIGHEST = 60  # order of a series; a diagnosis tries lower ones
 EITHER: tuple[Direction, ...] = ("either", "turned")
 ONE_WAY: tuple[Direction, ...] = ("upwards", "downwards")
@@ -33,8 +34,9 @@ class Empirical(BlackBox):
 
     Attributes:
         variables: What it depends on: ("q", joint), ("dq", joint), ("ddq", joint), ("load", joint), ("motor", joint) for the load
-            with plain friction, or ("time", −1).
-        low, high: Range of validity of each [rad, rad/s, rad/s², Nm or s].
+            with plain friction, ("time", −1), or ("speed", joint) for log(1 + |dq| / `SLOW`), on whose scale friction at slow speeds
+            is as wide as at fast ones.
+        low, high: Range of validity of each [rad, rad/s, 1, rad/s², Nm or s].
         orders: Highest k (and l).
         direction: Factor d: "either" 1, "turned" sgn(dq), "upwards" and "downwards" (1 ± sgn(dq))/2.
         edges: (±1, edge in [0, 1], power) of a torque that begins at an edge, above or below it.
@@ -83,9 +85,9 @@ class Empirical(BlackBox):
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:
-        """(k,) or (k, l) of each coefficient; a constant is part of it only if it acts in one direction, else it is an offset."""
+        """(k,) or (k, l) of each coefficient; a constant is no part of it where it would be plain dry friction."""
         every = itertools.product(*(range(o + 1) for o in self.orders))
-        return [p for p in every if any(p) or self.direction in ONE_WAY]
+        return [p for p in every if any(p) or self.direction != "turned"]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -110,11 +112,13 @@ class Empirical(BlackBox):
         """Torque for each coefficient being 1 [Nm]."""
         scaled = []
         for (kind, j), low, high in zip(self.variables, self.low, self.high, strict=True):
-            x = signals.time if kind == "time" else getattr(signals, "load" if kind == "motor" else kind)[j]
+            x = signals.time if kind == "time" else getattr(signals, {"motor": "load", "speed": "dq"}.get(kind, kind))[j]
             if kind == "motor":
                 x = x - signals.friction[j]
+            if kind == "speed":
+                x = log(1 + fabs(x) / SLOW)
             scaled.append(fmin(fmax((x - low) / (high - low), 0.0), 1.0))
-        turned = 1.0 if self.direction == "either" else sign(signals.dq[self.joints[0]], width)
+        turned = 1.0 + 0.0 * scaled[0] if self.direction == "either" else sign(signals.dq[self.joints[0]], width)
         if self.direction in ONE_WAY:
             turned = (1 + turned) / 2 if self.direction == "upwards" else (1 - turned) / 2
         if self.edges:
@@ -131,7 +135,7 @@ class Empirical(BlackBox):
 
     @property
     def resembles(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return "friction_over_speed" if ("dq", self.joints[0]) in self.variables else ""
+        return "friction_over_speed" if {("dq", self.joints[0]), ("speed", self.joints[0])} & set(self.variables) else ""
 
     def scales(self, view, trial, prior=None):
         """Of a series smaller the finer its cosines; of a torque that begins at an edge what it is at the range's end."""
@@ -143,11 +147,13 @@ class Empirical(BlackBox):
 
     @property
     def depends_on(self):
-        return (*self.variables, *([("sign", self.joints[0])] if self.direction != "either" else []))
+        named = (("dq", j) if kind == "speed" else (kind, j) for kind, j in self.variables)
+        return (*named, *([("sign", self.joints[0])] if self.direction != "either" else []))
 
     @property
     def validity(self):
-        return tuple(zip(self.variables, self.low, self.high, strict=True))
+        every = zip(self.variables, self.low, self.high, strict=True)
+        return tuple((("dq", v[1]), 0.0, SLOW * math.expm1(b)) if v[0] == "speed" else (v, a, b) for v, a, b in every)
 
     def words(self, theta):
         way = f" while the joint moves {self.direction}" if self.direction in ONE_WAY else ""
@@ -172,7 +178,7 @@ class Empirical(BlackBox):
         """Of one variable, coarse and fine, or beginning at an edge; and of two."""
         on_link, largest = torque == "load", max(map(abs, ranges["motor", j]))
         for effect in cls._shapes(view.n, j, ranges, largest, on_link):
-            if not on_link or all(kind in ("q", "dq") for kind, _ in effect.variables):
+            if not on_link or all(kind in ("q", "dq", "speed") for kind, _ in effect.variables):
                 yield effect.trial(view)
 
     @classmethod
@@ -182,11 +188,13 @@ class Empirical(BlackBox):
             low, high = zip(*(ranges[v] for v in variables), strict=True)
             return cls((j,), tuple(variables), low, high, tuple(orders), direction, tuple(edges), largest, on_link)
 
+        fastest = max(map(abs, ranges["dq", j]))
+        ranges = {**ranges, ("speed", j): (0.0, math.log1p(fastest / SLOW))}
         for v in ranges:
             if v == ("motor", j):
                 continue  # its own gain is in the catalogue; what is not linear, edges find
             for order in (3, 8, 20, 45) if v == ("q", j) else (3, 8):
-                for direction in EITHER if v[0] != "motor" and v != ("dq", j) else EITHER[:1]:
+                for direction in _directions(v, j):
                     yield one([v], [order], direction)
         for direction in ONE_WAY:
             yield one([("q", j)], edges=STRAIGHT, direction=direction)
@@ -209,6 +217,13 @@ class Empirical(BlackBox):
         yield one([("motor", j), ("time", -1)], [1, 1])
         yield one([("motor", j), ("time", -1)], [3, 3])
         yield one([("motor", j), ("dq", j)], [3, 3])
+
+
+def _directions(v: tuple[str, int], j: int) -> tuple[Direction, ...]:
+    """Of a series over one variable: the own speed has a direction already, what is over its size is friction."""
+    if v == ("speed", j):
+        return ("turned",)
+    return ("either",) if v[0] == "motor" or v == ("dq", j) else EITHER
 
 
 def _cosines(x, order: int) -> list:

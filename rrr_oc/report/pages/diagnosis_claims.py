@@ -84,29 +84,29 @@ def _concentrated(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
 def _rests_on(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     either = " or one of its rivals" * bool(e.get("rivals"))
     text = (
-        f"Probability {say.percent(e['probability'])} that it{either} is there, over all models that were compared; searches "
-        "without a part of the recordings found it again."
+        f"Probability {say.percent(e['probability'])} that it{either} is there: of claims like this one about sealed arms, so many were "
+        f"right. It raises the posterior odds by {e['log_odds']:.0f} nats."
     )
     prior = next((p for p in found.get("priors", ()) if p["joint"] == e["joint"] and p["effect"] == e.get("effect")), None)
     if prior is not None:
         text += (
             f" Before these recordings it was given a probability of {100 * prior['probability']:.2g} % ({prior['source']})."
         )
-    if say.rests_on_prior(e["probability"]):
+    if prior is not None and prior["claim_rests_on_prior"]:
         text += f" That matters: had it been {LESS_PROBABLE:g} times less probable before, it would not be claimed."
     return text
 
 
 def _could_be(e: Mapping[str, Any]) -> str:
     if "effect" not in e:
-        return "A law that the catalogue lacks: the model only has a curve through what was recorded, which holds in its range alone."
+        return (
+            "A law that the catalogue lacks, or a known one in another shape: the model only has a curve through what was recorded, which "
+            f"holds in its range alone. {say.most_like(e)}".strip()
+        )
     if not e["rivals"]:
         return "Nothing else of the catalogue explains these recordings as well; a law that the catalogue lacks might."
     others = listed(say.rivals(e))
-    return (
-        f"{others[:1].upper()}{others[1:]}, which these recordings do not tell apart from it. That it is itself has a probability of "
-        f"{say.percent(e['probability_of_itself'])}."
-    )
+    return f"{others[:1].upper()}{others[1:]}, which these recordings do not tell apart from it."
 
 
 def _unseen(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
@@ -120,6 +120,8 @@ def _unseen(e: Mapping[str, Any], found: Mapping[str, Any]) -> str:
             f"On stretches of some seconds left out of the fit, it lowers the error of {joint_words(size['joint'])}'s torque by "
             f"{say.share(size)}, beside all else that was found. "
         )
+        if (fast := size.get("innovations")) and fast["share"] > size["share"]:
+            text += f"Of what is fast in that error, which nothing before foretells, it explains {say.share(fast)}. "
     told = [
         f"{joint_words(joint)}'s goes from {say.error(errors[joint]['before'])} to {say.error(errors[joint]['after'])}"
         for joint in joints[: say.EACH]
@@ -140,7 +142,7 @@ def remaining(found: Mapping[str, Any]) -> list[str]:
     """What stays unexplained, in at least one sentence."""
     result = [say.worthless(joint, found) for joint in say.worthless_joints(found)]
     over = say.left_over(found)  # of which the verdict speaks where nothing is claimed
-    result += [*say.idle(found), *([over] if over and (say.missing(found) or found["unexplained"]) else [])]
+    result += [*say.events(found), *say.idle(found), *([over] if over and (say.missing(found) or found["unexplained"]) else [])]
     silent = {*say.worthless_joints(found), *(e["joint"] for e in found.get("idle", ()))}
     left = {
         joint: b["after"]["value"]
@@ -155,20 +157,16 @@ def remaining(found: Mapping[str, Any]) -> list[str]:
 
 
 def small(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """What is sure but too small for a claim, as a table: header and rows."""
-    body = []
-    for e in found.get("small", ()):
-        size = e["lowers_error"]
-        body.append(
-            [
-                say.placed(e) if say.is_black_box(e) else say.told(e),
-                say.percent(e["probability"]),
-                joint_words(size["joint"]),
-                say.share(size),
-                say.percent(size["needed"]),
-            ]
-        )
-    return ["what", "probability", "lowers the error of", "by", "a claim needs"], body
+    """What the model has, too, though it is small, as a table: header and rows."""
+    body = [
+        [
+            say.placed(e) if say.is_black_box(e) else say.told(e),
+            joint_words(e["lowers_error"]["joint"]),
+            say.share(e["lowers_error"]),
+        ]
+        for e in found.get("small", ())
+    ]
+    return ["what", "lowers the error of", "by"], body
 
 
 def record_next(found: Mapping[str, Any]) -> list[str]:

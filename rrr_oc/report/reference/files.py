@@ -252,8 +252,8 @@ def _meanings(structure: Any) -> dict[str, str]:
     """The sentence of each key, from "Attributes" in the docstring, or, of a structure made from effects, from the key's words."""
     texts = [inspect.cleandoc(kind.__doc__ or "") for kind in reversed(structure.__mro__) if issubclass(kind, msgspec.Struct)]
     listed = (text.partition("Attributes:\n")[2] for text in texts)
-    found = [one for text in listed for one in re.findall(r"^    (\w+): (.+(?:\n {8,}.+)*)", text, re.M)]
-    given = {name: " ".join(meaning.split()) for name, meaning in found}
+    found = [one for text in listed for one in re.findall(r"^    (\w+(?:, \w+)*): (.+(?:\n {8,}.+)*)", text, re.M)]
+    given = {name: " ".join(meaning.split()) for names, meaning in found for name in names.split(", ")}
     made = {} if given else {one.name: _made(one.encode_name) for one in msgspec.structs.fields(structure)}
     return made | given
 

@@ -14,15 +14,14 @@ from msgspec.structs import replace as told_with
 from rrr_oc.calibration.estimator.evidence import Hyperparameters, Start
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described
-from rrr_oc.calibration.estimator.left_out import block_edges
 from rrr_oc.calibration.link_findings import OffLink, link_findings, with_falls
 from rrr_oc.diagnosis.alternatives import Exchange
-from rrr_oc.diagnosis.effect_size import in_shape, squares
+from rrr_oc.diagnosis.claims.effect_size import LeftOut
 from rrr_oc.diagnosis.findings import LINK_ERRORS, Finding, Undecided, shown_as
 from rrr_oc.diagnosis.fitting import EXACT
 from rrr_oc.diagnosis.knobs import EXCESS, MATTERS
-from rrr_oc.diagnosis.structures.linear import Addition, Level
-from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
+from rrr_oc.diagnosis.structures.linear import Addition
+from rrr_oc.diagnosis.structures.neighbours import kind
 from rrr_oc.diagnosis.structures.search import Search
 from rrr_oc.errors import noted
 
@@ -40,10 +39,10 @@ def separated(
         fitted: A fit with all these effects.
         failed: Takes why what may be in an effect's place was not compared.
     """
-    near = search.neighbours(fitted)
-    own, blocks, hyper = {id(a.source): a for a in near.linear.own}, in_blocks(near), fitted.posterior.hyper
-    effects = tuple(in_shape(own[id(f.term)]) for f in [*findings, *small])
-    with_all = squares(blocks, effects, hyper).sum(axis=0)
+    near, hyper = search.neighbours(fitted), fitted.posterior.hyper
+    left_out = LeftOut(near)
+    effects = tuple(left_out.of(f.term) for f in [*findings, *small])
+    with_all = left_out.squares(effects)
     shown = {id(t): with_interval for t, with_interval in zip(fitted.model.terms, described(fitted).terms, strict=True)}
     told, undecided, exchanges = [], [], []
     for i, f in enumerate(findings):
@@ -52,16 +51,16 @@ def separated(
         found, fits = [], []
         for a in others:
             with noted(failed, f"comparison: {a.effect.name} in the place of {f.term.effect.name}"):
-                if as_good(squares(blocks, (*less, a), hyper).sum(axis=0), with_all, NEAR * MATTERS):
+                if as_good(left_out.squares((*less, a)), with_all, NEAR * MATTERS):
                     exact = search.fit(fitted, near.at((*(b for b in near.linear.own if b.source is not f.term), a), hyper))
-                    if as_good(squared(exact), squared(fitted)):
+                    if as_good(left_out.of_both(exact.residual), left_out.of_both(fitted.residual)):
                         found += described(exact).terms[-1:]
                         fits.append(exact)
         rivals = tuple(dict.fromkeys([*f.rivals, *map(shown_as, found)]))
         by_links = False
         with noted(failed, f"comparison: links in the place of {f.term.effect.name}"):
             if near.linear.fitter.data.free:
-                by_links = as_good(squares(blocks, less, far_off(hyper), "free").sum(axis=0), with_all)
+                by_links = as_good(left_out.squares(less, "free", far_off(hyper)), with_all)
         if not by_links:
             told.append(replace(f, rivals=rivals))
         elif all(t.effect.side == "body" for t in (f.term, *found)):  # all of which say the same to who reads it
@@ -151,10 +150,5 @@ def squared(fitted: Fitted) -> np.ndarray:
 
 
 def as_good(one: np.ndarray, other: np.ndarray, share: float = MATTERS) -> bool:
-    """Whether squared errors (n,) are no larger than others, but for a share of their root, of what does not matter by default."""
+    """Whether squared errors are no larger than others, but for a share of their root, of what does not matter by default."""
     return bool(np.all(np.sqrt(one) * (1 - share) <= np.sqrt(other)))
-
-
-def in_blocks(near: Neighbours) -> Neighbours:
-    """The neighbours with products by block of some seconds."""
-    return replace(near, level=Level(near.linear, block_edges(near.level.edges)))

@@ -1,0 +1,196 @@
+"""On what a joint's missing torque depends, and which law it is most like.
+
+Black-box terms are flexible functions of one or two variables, or filters of the load. Each takes the place of a law, on blocks left
+out. A law is named unless one of them predicts better beyond chance, and explains much that the law leaves: then the function is in the
+model, its variables are told, and the law as what the torque is most like.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rrr_oc.calibration.estimator.fitting import Fitted
+from rrr_oc.calibration.estimator.intervals import described as intervals
+from rrr_oc.calibration.estimator.left_out import Fall
+from rrr_oc.diagnosis.claims.effect_size import Falls, LeftOut
+from rrr_oc.diagnosis.findings import Finding, Like, further
+from rrr_oc.diagnosis.knobs import NAMED
+from rrr_oc.diagnosis.structures.linear import Addition, Structure
+from rrr_oc.diagnosis.structures.neighbours import Neighbours, kind
+from rrr_oc.diagnosis.structures.search import Search
+from rrr_oc.effects import BlackBox
+
+LIKE = 2  # laws that are fitted to say what a torque is most like
+FUNCTIONS = 12  # of a joint, of different variables, that are tried, those of the largest gain
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What explains a joint's torque in the place of others.
+
+    Attributes:
+        addition: The law, or the function.
+        falls: How the error falls with it, against nothing in its place.
+        reach: Share of what the best of all explains.
+    """
+
+    addition: Addition
+    falls: Falls
+    reach: float = 1.0
+
+    @property
+    def effect(self) -> BlackBox:
+        """Of a function."""
+        assert isinstance(self.addition.effect, BlackBox)
+        return self.addition.effect
+
+
+@dataclass(frozen=True)
+class Place:
+    """A finding's place: the joint where it is surest, and the structure without it, or a stack of laws, and functions of that joint."""
+
+    left_out: LeftOut
+    near: Neighbours
+    finding: Finding
+    less: Structure
+    whole: Structure
+
+    @classmethod
+    def of(
+        cls, left_out: LeftOut, near: Neighbours, finding: Finding, every: Sequence[Finding], stack: Sequence[Finding] = ()
+    ) -> "Place":
+        """Of a finding among others, and of those that stand with it."""
+        whole, joint = tuple(left_out.of(f.term) for f in every), finding.joint
+        here = [f for f in every if f in (finding, *stack) or (f.term.effect.black_box and joint in f.term.effect.joints)]
+        gone = [left_out.of(f.term) for f in here]
+        return cls(left_out, near, finding, tuple(a for a in whole if a not in gone), whole)
+
+    @property
+    def by_error(self) -> bool:
+        """Whether the finding is surest in the error, not in its innovations."""
+        assert self.finding.fall is not None
+        assert self.finding.innovations is not None
+        return self.finding.fall.low >= self.finding.innovations.low
+
+    def measure(self, falls: Falls) -> Fall:
+        """Of the error or of its innovations, that in which the finding is surest."""
+        return falls.error if self.by_error else falls.innovations
+
+    def of_joint(self, squares: np.ndarray) -> float:
+        """The same of squares (2, n)."""
+        return float(squares[0 if self.by_error else 1, self.finding.joint])
+
+    def against(self, after: Structure, before: Structure) -> Fall:
+        """The fall from one structure to another."""
+        return self.measure(self.left_out.falls(self.finding.joint, after, before))
+
+    def shape(self, a: Addition) -> Shape:
+        """Something in the finding's place."""
+        return Shape(a, self.left_out.falls(self.finding.joint, (*self.less, a), self.less))
+
+    def functions(self) -> list[Shape]:
+        """Flexible functions, of each set of variables the one of the largest gain."""
+        every, scope = dict[object, Addition](), self.finding.term.groups or None
+        here = self.near.at(self.less, self.left_out.hyper, True)
+        for a in self.near.black_boxes(here, self.finding.joint):
+            if a.scope == scope and isinstance(a.effect, BlackBox):
+                every.setdefault((a.effect.name, a.effect.depends_on), a)
+            if len(every) == FUNCTIONS:
+                break
+        return [self.shape(a) for a in every.values()]
+
+    def laws(self) -> list[Shape]:
+        """Laws of the catalogue that change the joint's torque, each in the best of its trials' shapes."""
+        here, joint = self.near.at(self.less, self.left_out.hyper, True), self.finding.joint
+        return [self.shape(a) for a in self.near.candidates(here) if a.columns[joint].any()]
+
+
+def reached(place: Place, shapes: Sequence[Shape]) -> list[Shape]:
+    """Shapes with their reach, by rms: 1 less the root of what each leaves beyond the best over what there was beyond it."""
+    left = [(1 - place.measure(s.falls).share) ** 2 for s in shapes]
+    least = min([*left, 1.0])
+    whole = 1 - least
+    return [
+        replace(s, reach=float(1 - np.sqrt((x - least) / whole)) if whole > 0 else 0.0)
+        for s, x in zip(shapes, left, strict=True)
+    ]
+
+
+def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> tuple[Fitted, list[Finding]]:
+    """A fit in which laws that are not named have given way to functions, and the findings with what these are most like.
+
+    Args:
+        complete: A fit with the findings.
+        findings: What predicts there, with its sizes.
+    """
+    near = search.neighbours(complete)
+    left_out, offered = LeftOut(near), {id(a.source): a for a in near.linear.own}
+    kept, new = list(findings), list[tuple[Addition, Like | None]]()
+    for f in findings:
+        if f not in kept or not f.matters:
+            continue
+        # a sum of laws of one joint can be like any curve
+        stack = [g for g in kept if not g.term.effect.black_box and g.term.effect.joints == f.term.effect.joints]
+        if len(stack) > 1 and f in stack:
+            place = Place.of(left_out, near, f, findings, stack)
+            others = tuple(offered[id(g.term)] for g in findings if left_out.of(g.term) in place.less)
+            best = _simplest(reached(place, place.functions()))
+            if best is not None and _is_better(search, complete, place, (*others, best.addition)):
+                kept = [g for g in kept if left_out.of(g.term) in place.less]
+                new.append((best.addition, _most_like(search, complete, place, others, reached(place, place.laws()), best)))
+                continue
+        place = Place.of(left_out, near, f, findings)
+        alone, laws, functions = place.shape(left_out.of(f.term)), place.laws(), place.functions()
+        every = reached(place, [alone, *laws, *functions])
+        laws, functions = every[1 : len(laws) + 1], every[len(laws) + 1 :]
+        others = tuple(offered[id(g.term)] for g in findings if left_out.of(g.term) in place.less)
+        if f.term.effect.black_box:
+            kept[kept.index(f)] = replace(f, like=_most_like(search, complete, place, others, laws, alone))
+            continue
+        own = max((every[0], *(s for s in laws if kind(s.addition.effect) == kind(f.term.effect))), key=lambda s: s.reach)
+        best = _simplest([s for s in functions if s.reach > own.reach])
+        after, before = ((*place.less, one.addition) for one in (best or own, own))
+        beaten = best is not None and own.reach < NAMED and place.against(after, before).low > 0
+        if best is not None and beaten and _is_better(search, complete, place, (*others, best.addition)):
+            kept = [g for g in kept if left_out.of(g.term) in place.less]
+            new.append((best.addition, _most_like(search, complete, place, others, laws, best)))
+        elif own is every[0]:
+            kept[kept.index(f)] = replace(f, reach=own.reach)
+        elif place.against((*place.less, own.addition), place.whole).share > 0:
+            kept = [g for g in kept if left_out.of(g.term) in place.less]  # in another shape nothing beside it is needed
+            new.append((own.addition, None))
+    if not new:
+        return complete, kept
+    structure = (*(offered[id(g.term)] for g in kept), *(a for a, _ in new))
+    fitted = search.fit(complete, near.at(structure, left_out.hyper))
+    some = [replace(g, term=t) for g, t in zip(kept, fitted.extra, strict=False)]
+    every = further(search, fitted, len(kept))
+    likes = {id(t): like for t, (_, like) in zip(fitted.extra[len(kept) :], new, strict=True)}
+    return fitted, [*some, *(replace(f, like=likes[id(f.term)]) for f in every)]
+
+
+def _is_better(search: Search, complete: Fitted, place: Place, structure: Structure) -> bool:
+    """Whether a fit with a function is more probable than that with what it takes the place of."""
+    fitted = search.fit(complete, place.near.at(structure, place.left_out.hyper))
+    return search.scored(fitted).score > search.scored(complete).score
+
+
+def _most_like(
+    search: Search, complete: Fitted, place: Place, others: Structure, laws: Sequence[Shape], best: Shape
+) -> Like | None:
+    """The law that reaches most of what the best function does, of some that are fitted beside the others."""
+    found = list[Like]()
+    before, least = (place.left_out.squares(structure) for structure in (place.less, (*place.less, best.addition)))
+    for s in sorted(laws, key=lambda s: -s.reach)[:LIKE]:
+        fitted = search.fit(complete, place.near.at((*others, s.addition), place.left_out.hyper))
+        left = place.left_out.of_both(fitted.residual)
+        beyond, whole = ((place.of_joint(x) - place.of_joint(least)) for x in (left, before))
+        found.append(Like(intervals(fitted).terms[-1], float(1 - np.sqrt(max(beyond, 0.0) / whole)) if whole > 0 else 0.0))
+    like = max(found, key=lambda one: one.reach, default=None)
+    return like if like is not None and like.reach > 0 else None
+
+
+def _simplest(functions: Sequence[Shape]) -> Shape | None:
+    """Of functions that explain nearly as much as the best of all that of fewest variables; else the best."""
+    return min(functions, key=lambda s: (s.reach < NAMED, len(s.effect.depends_on), -s.reach), default=None)

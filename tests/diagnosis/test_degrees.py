@@ -1,0 +1,116 @@
+"""What is said of a missing torque where more or less is known of it: the law, on what it depends, when nothing explains it; of how much
+of the error each part is, and how often that is right."""
+
+from dataclasses import replace
+
+import chains
+import numpy as np
+import pytest
+from recorded import Plant, as_set, record
+
+from rrr_oc.diagnosis.claims.dependence import Shape, reached
+from rrr_oc.diagnosis.claims.reliability import LEAST, MOST, NAMES, features, probability, regression
+from rrr_oc.diagnosis.files.diagnosis_file import to_json
+from rrr_oc.diagnosis.procedure import diagnose
+
+
+def bump(q):
+    """A torque that is unlike any law of the catalogue [Nm]."""
+    return 1.2 * np.exp(-(((q - 0.3) / 0.35) ** 2)) - 0.8 * np.exp(-(((q + 0.9) / 0.3) ** 2))
+
+
+@pytest.fixture(scope="module")
+def described(tmp_path_factory):
+    (urdf := tmp_path_factory.mktemp("arm") / "arm.urdf").write_text(chains.arm(1))
+    plant, rng = Plant(urdf, np.ones(1), np.ones(1), 0.1 * np.ones(1)), np.random.default_rng(5)
+    made = [record(plant, f"{i}.csv", rng, 12.0, 0.01) for i in range(3)]
+    return diagnose(as_set(plant, [replace(r, tau=r.tau + bump(r.q)) for r in made]))
+
+
+def test_a_torque_over_the_angle_that_no_law_is_like_is_told_as_that(described):
+    """It is in the model, with its variables and the law that comes closest, and no law is named."""
+    found = to_json(described)
+    assert found["effects"] == []
+    assert [u["depends_on"] for u in found["unexplained"]] == [["q_j1"]]
+    (u,) = found["unexplained"]
+    assert u["lowers_error"]["interval"][0] > 0.5
+    assert u["most_like"] is None or u["most_like"]["reaches"] < 0.9
+    (term,) = (f.term for f in described.findings)
+    assert term == described.model.terms[-1]
+    q = np.linspace(-1.5, 1.5, 50)
+    there = (q > term.effect.low[0]) & (q < term.effect.high[0])
+    basis = term.effect.basis(type("S", (), {"q": q[None], "dq": 0 * q[None]}), 0.1)
+    torque = sum(c * b for c, b in zip(term.values, basis, strict=True))
+    left, of_links = (torque + bump(q))[there], np.array([np.ones(there.sum()), np.sin(q[there]), np.cos(q[there])]).T
+    left -= of_links @ np.linalg.lstsq(of_links, left, rcond=None)[0]  # it opposes what is added to the motor's torque
+    assert np.std(left) < 0.15 * np.std(bump(q)[there])
+
+
+def test_the_parts_of_an_error_add_up_to_it(described):
+    (parts,) = described.anatomy
+    assert sum(parts.values()) == pytest.approx(1, abs=1e-9)
+    assert 0.02 < parts["seen, no law"] < 0.3
+    assert 0 < parts["noise"] < 0.05
+    assert abs(parts["not explained"]) < 0.05
+
+
+def test_pushes_are_told_with_their_times_and_change_nothing(planar):
+    """Without them the recordings are explained to their noise, by the same friction."""
+    plant, rng = planar(1), np.random.default_rng(6)
+    made = [record(plant, f"{i}.csv", rng, 15.0, 0.01) for i in range(3)]
+    times = [(3.1, 9.4), (5.2,), (2.2, 7.7, 11.6)]
+    pushed = [
+        replace(r, tau=r.tau + 3.0 * sum(np.abs(r.t - t) < 0.1 for t in some)) for r, some in zip(made, times, strict=True)
+    ]
+    found, clean = (diagnose(as_set(plant, one)) for one in (pushed, made))
+    assert found.findings == clean.findings == clean.events == ()
+    assert found.verdict == "nothing_missing"
+    true = [(f"{i}.csv", t) for i, some in enumerate(times) for t in some]
+    assert [e.recording for e in found.events] == [file for file, _ in true]
+    assert all(e.begin < t < e.end < e.begin + 1 for e, (_, t) in zip(found.events, true, strict=True))
+    assert all(1 < e.peak < 4 for e in found.events)
+    own, other = ([t.values for t in one.model.terms if t.effect.name == "dry_friction"] for one in (found, clean))
+    np.testing.assert_allclose(own, other, rtol=0.02)
+
+
+def test_what_comes_again_where_the_state_does_is_no_event(planar):
+    """A detent that the joint passes every few seconds is as large and as short as a push."""
+    plant, rng = planar(1), np.random.default_rng(7)
+    made = [record(plant, f"{i}.csv", rng, 15.0, 0.01) for i in range(3)]
+    there = [replace(r, tau=r.tau + 3.0 * np.exp(-(((r.q - 0.2) / 0.06) ** 2))) for r in made]
+    assert diagnose(as_set(plant, there)).events == ()
+
+
+def shape(share):
+    """Something with which the error falls by a share."""
+    return Shape(None, share)  # pyright: ignore[reportArgumentType]
+
+
+class Place:
+    """A place whose falls are shares."""
+
+    @staticmethod
+    def measure(falls):
+        return type("Fall", (), {"share": falls})
+
+
+def test_reach_is_what_is_explained_of_what_the_best_explains():
+    """By rms: a law that leaves 0.6 of a torque of which a function leaves nothing reaches 0.4; what makes it worse reaches less than 0."""
+    every = reached(Place(), [shape(1.0), shape(0.4), shape(0.0), shape(-0.5)])  # pyright: ignore[reportArgumentType]
+    assert [s.reach for s in every] == pytest.approx([1.0, 0.4, 0.0, -0.5])
+    assert [s.reach for s in reached(Place(), [shape(0.0)])] == [0.0]  # pyright: ignore[reportArgumentType]
+
+
+def entry(**more):
+    size = {"joint": "a", "share": 0.5, "interval": [0.4, 0.6], "innovations": None, "of_torque": 0.05}
+    return {"effect": "stribeck", "log_odds": 50.0, "lowers_error": size, "rivals": [], "reaches": 1.0} | more
+
+
+def test_a_probability_is_that_of_the_regression_and_never_certain():
+    parts = {"noise": 0.01, "not explained": 0.0}
+    sure = probability(entry(), parts)
+    assert len(features(entry(), parts)) == len(NAMES) == len(regression().law) == len(regression().dependence)
+    assert LEAST <= sure <= MOST
+    z = features(entry(), parts) @ np.array(regression().law)
+    assert sure == pytest.approx(1 / (1 + np.exp(-z)))
+    assert probability(entry(log_odds=1e9), parts) <= MOST

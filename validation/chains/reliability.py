@@ -1,0 +1,116 @@
+"""How often are claims right, by what is known of them? The coefficients of `rrr_oc/data/reliability.json`, and how they hold elsewhere.
+
+    python -m validation.chains.make --out cases --seed 2 --count 156
+    python -m validation.chains.diagnoses cases --out results/chains
+    python -m validation.chains.reliability cases --out results/chains --write
+
+An effect is right if it is there or equal to what is, by the plant's own columns; a torque that is described, if its joint lacks one of
+which its variables explain half. A table says how often claims are right of which a regression on all other families says how probable
+they are.
+"""
+
+import argparse
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from rrr_oc.diagnosis.claims.reliability import NAMES, features, probability_of
+from rrr_oc.storage import write_json
+from validation.chains.make import cases_of
+from validation.chains.scoring import Sealed, variables
+import itertools
+
+ROOT = Path(__file__).resolve().parents[2]
+PENALTY = 1.0  # precision of the coefficients of quantities of size 1, beside that of claims as a whole
+LEVELS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.97, 1.0)
+Claims = list[tuple[str, np.ndarray, bool]]  # family, quantities, whether it is right
+
+
+def claims(cases: Path, out: Path) -> dict[str, Claims]:
+    """The claims of all cases that were diagnosed, by kind."""
+    result: dict[str, Claims] = {"law": [], "dependence": []}
+    for folder in cases_of(cases):
+        file = out / "diagnoses" / f"{folder.name}.json"
+        if not file.exists() or "failed" in (found := json.loads(file.read_text())):
+            continue
+        truth = json.loads((folder / "sealed" / "truth.json").read_text())
+        for kind, x, right in _of_case(found["diagnosis"], Sealed.read(folder / "sealed", truth)):
+            result[kind].append((folder.name.split("-")[0], x, right))
+    return result
+
+
+def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.ndarray, bool]]:
+    parts = {joint: {p["part"]: p["share"] for p in own} for joint, own in found["anatomy"].items()}
+    for e in found["effects"]:
+        if e["effect"] != "time_delay":
+            right = any(sealed.right(x) for x in (e, *e["rivals"]))
+            yield "law", features(e, parts[e["lowers_error"]["joint"]]), right
+    for u in found["unexplained"]:
+        right = any(sealed.depends(j, variables(u, sealed)) for j in sealed.at(u) if j in sealed.hidden)
+        yield "dependence", features(u, parts[u["lowers_error"]["joint"]]), right
+
+
+def regression(some: Claims) -> np.ndarray:
+    """Coefficients of the penalised logistic regression, of `NAMES`, (7,)."""
+    x, y = np.array([x for _, x, _ in some]), np.array([right for *_, right in some], float)
+    size = np.maximum(x.std(axis=0), 1e-9)
+    size[0] = np.inf  # the constant is not penalised
+
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        z = x @ w
+        weights = PENALTY * np.where(np.isfinite(size), size, 0.0) ** 2
+        return float(np.sum(np.logaddexp(0, z) - y * z) + 0.5 * weights @ w**2), x.T @ (expit(z) - y) + weights * w
+
+    return minimize(loss, np.zeros(x.shape[1]), jac=True).x
+
+
+def elsewhere(some: Claims) -> list[tuple[str, float, bool]]:
+    """Family, probability by a regression on all other families, and whether it is right, of each claim."""
+    result = []
+    for family in sorted({one for one, *_ in some}):
+        w = regression([c for c in some if c[0] != family])
+        result += [(family, probability_of(x, w), right) for name, x, right in some if name == family]
+    return result
+
+
+def table(every: list[tuple[str, float, bool]]) -> str:
+    """Shares of right claims by their probability."""
+    lines = ["probability | claims | mean | right", "--- | --- | --- | ---"]
+    for low, high in itertools.pairwise(LEVELS):
+        inside = [(p, right) for _, p, right in every if low <= p < high]
+        if inside:
+            p, right = (np.mean(x) for x in zip(*inside, strict=True))
+            lines.append(f"{low} to {high} | {len(inside)} | {p:.3f} | {right:.3f}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="the folder that `diagnoses` wrote")
+    parser.add_argument("--write", action="store_true", help="the file of the package")
+    options = parser.parse_args()
+    every = claims(options.cases, options.out)
+    found = {}
+    for kind, some in every.items():
+        found[kind] = regression(some)
+        print(f"\n{kind}: {len(some)} claims, {sum(right for *_, right in some)} right")
+        print(", ".join(f"{name} {w:.2f}" for name, w in zip(NAMES, found[kind], strict=True)))
+        print(table(elsewhere(some)))
+    if options.write:
+        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True)
+        names = sorted({folder.name for folder in cases_of(options.cases)})
+        content = {kind: [round(float(x), 4) for x in w] for kind, w in found.items()}
+        content |= {"claims": [len(some) for some in every.values()]}
+        content |= {"cases": f"{len(names)} cases, {names[0]} to {names[-1]}, commit {commit.stdout.strip()}"}
+        write_json(ROOT / "rrr_oc" / "data" / "reliability.json", content)
+
+
+if __name__ == "__main__":
+    main()
