@@ -59,6 +59,7 @@ class Finding:
         innovations: The same of the error's innovations, which a slow disturbance does not hide.
         like: Of a black-box term: the law that it is most like.
         reach: Of a law: share of what the best flexible function in its place explains that it explains.
+        with_function: Whether it is not named, but told with a function beside it, whose torque is most like it.
     """
 
     term: Term
@@ -72,6 +73,7 @@ class Finding:
     innovations: Fall | None = None
     like: Like | None = None
     reach: float = 1.0
+    with_function: bool = False
 
     @property
     def joint(self) -> int:

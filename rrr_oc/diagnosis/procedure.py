@@ -50,7 +50,8 @@ from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import RecordingSet
 
 CHECK = "held-out check"  # the last stage of the procedure
-SETTLED, ALIKE = 2, 0.001  # searches until the delay of the torques is settled, and by how much it may differ then [s]
+AGAIN = "search with the delay that was found"
+ALIKE = 0.001  # by how much the delay that a search ends with may differ from that with which it was made [s]
 
 
 @dataclass(frozen=True)
@@ -143,15 +144,8 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     """The result of all stages up to the check on held-out recordings."""
     whole, fitter, every, _ = ready(recordings, priors, stages)
     fitter, plain, some = _begun(fitter, every, stages.start)
-    begin, search, at = _settled(fitter, every, plain, stages)
-    findings, possible, failed = *found(search, at), dict[str, str]()
-    stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
-    complete = search.completed(at)
-    added = [f for f in further(search, complete, len(at.fitted.extra)) if f.probability >= CLAIM]
-    findings = [*moved(findings, at.fitted, complete), *added]
-    findings, worse = predictive(LeftOut(search.neighbours(complete)), findings)
-    complete, findings, more = confirmed(search, begin, complete, findings)
-    worse = [*worse, *more]
+    failed = dict[str, str]()
+    begin, search, complete, findings, (possible, worse) = _settled(fitter, every, plain, stages)
     named = complete
     complete, findings = by_degree(search, complete, findings)
     if complete is not named:
@@ -170,7 +164,7 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
         model = replace(complete.model, terms=(*complete.model.terms[: complete.base], *kept))
         final = fitter.fit(model, complete.links, complete.posterior)
     alone, with_all = (LeftOut(search.neighbours(one)) for one in (begin, final))
-    parts = anatomy(alone, with_all, filtered_noise(fitter.data, final.model))
+    parts = anatomy(alone, with_all, findings, filtered_noise(fitter.data, final.model))
     closest = fitter.closest(final)
     undecided, instead, links = with_links(undecided, search, closest, failed)
     as_good = [*as_good, *instead]
@@ -187,17 +181,26 @@ def _made(recordings: RecordingSet, priors: Priors, stages: Stages) -> ResultDat
     )
 
 
-def _settled(fitter: Fitter, every: tuple[Trial, ...], plain: Fitted, stages: Stages) -> tuple[Fitted, Search, State]:
-    """The plain fit and a search under one delay of all torques, that of the model that the search ends with, and its best structure."""
+def _settled(
+    fitter: Fitter, every: tuple[Trial, ...], plain: Fitted, stages: Stages
+) -> tuple[Fitted, Search, Fitted, list[Finding], tuple[list[Possible], list[Finding]]]:
+    """The plain fit and a search under one delay of all torques, that of the model with what predicts; the fit with that, it, and what is
+    possible and what does not predict."""
     delay, name = fitter.delay_of(plain), "search"
-    for _ in range(SETTLED):
+    while True:
         holding, begin = fitter.holding(delay, plain)
         search, at = _searched(holding, every, begin, stages, name)
-        last, delay = delay, fitter.delay_of(at.fitted)
-        if abs(delay - last) < ALIKE:
-            break
-        name = "search with the delay that was found"
-    return begin, search, at
+        findings, possible = found(search, at)
+        stages.progress.tell("held-out check", 0.2, f"effects checked: {len(findings)}")
+        complete = search.completed(at)
+        added = [f for f in further(search, complete, len(at.fitted.extra)) if f.probability >= CLAIM]
+        findings = [*moved(findings, at.fitted, complete), *added]
+        findings, out = predictive(LeftOut(search.neighbours(complete)), findings)
+        complete, findings, worse = confirmed(search, begin, complete, findings)
+        last, delay = delay, fitter.delay_of(complete) if findings else delay
+        if abs(delay - last) < ALIKE or name == AGAIN:
+            return begin, search, complete, findings, (possible, [*out, *worse])
+        name = AGAIN
 
 
 def _searched(fitter: Fitter, every: tuple[Trial, ...], begin: Fitted, stages: Stages, name: str) -> tuple[Search, State]:

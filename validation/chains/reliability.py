@@ -10,6 +10,7 @@ they are.
 """
 
 import argparse
+import itertools
 import json
 import subprocess
 from collections.abc import Iterator
@@ -24,7 +25,6 @@ from rrr_oc.diagnosis.claims.reliability import NAMES, features, probability_of
 from rrr_oc.storage import write_json
 from validation.chains.make import cases_of
 from validation.chains.scoring import Sealed, variables
-import itertools
 
 ROOT = Path(__file__).resolve().parents[2]
 PENALTY = 1.0  # precision of the coefficients of quantities of size 1, beside that of claims as a whole
@@ -57,8 +57,13 @@ def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.nd
 
 
 def regression(some: Claims) -> np.ndarray:
-    """Coefficients of the penalised logistic regression, of `NAMES`, (7,)."""
+    """Coefficients of the penalised logistic regression, of `NAMES`, (7,).
+
+    One claim more that is right, and one that is wrong, are like the mean of all: of claims that are all right so far, the next may be
+    wrong (Laplace).
+    """
     x, y = np.array([x for _, x, _ in some]), np.array([right for *_, right in some], float)
+    x, y = np.vstack([x, x.mean(axis=0), x.mean(axis=0)]), np.append(y, [1.0, 0.0])
     size = np.maximum(x.std(axis=0), 1e-9)
     size[0] = np.inf  # the constant is not penalised
 

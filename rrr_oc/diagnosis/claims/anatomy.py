@@ -5,22 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.diagnosis.claims.effect_size import LeftOut
-from rrr_oc.diagnosis.findings import shown_as
+from rrr_oc.diagnosis.findings import Finding
 from rrr_oc.diagnosis.structures.linear import Links
 
 FRICTION, LINKS, NO_LAW, REST, NOISE = "friction and rotor", "links", "seen, no law", "not explained", "noise"
 WAYS: tuple[Links, ...] = ("declared", "as fitted")
 
 
-def anatomy(plain: LeftOut, found: LeftOut, noise: np.ndarray) -> list[dict[str, float]]:
+def anatomy(plain: LeftOut, found: LeftOut, findings: Sequence[Finding], noise: np.ndarray) -> list[dict[str, float]]:
     """Of each joint the shares of the squared error of the robot's file on data left out by which parts lower it, one after the other,
     and what is left; they add up to 1. A part that raises an error has a negative share.
 
     Args:
         plain, found: Errors about the fits without and with all that was found. What all of it lowers is shared out as the effects lower
             the error one after the other about the latter.
+        findings: Those of the latter, in the order of its terms.
         noise: What noise leaves of each joint's torque, root of the mean square over the rows, (n,) [Nm].
     """
     data, model = plain.near.linear.fitter.data, plain.near.linear.fitted.model
@@ -35,15 +35,15 @@ def anatomy(plain: LeftOut, found: LeftOut, noise: np.ndarray) -> list[dict[str,
     falls *= (left[-1] - last) / np.maximum(falls.sum(axis=0), 1e-300)
     noisy = np.minimum(data.counted.sum(axis=1) * noise**2, last)
     parts = {FRICTION: left[0] - left[1], LINKS: left[1] - last - falls.sum(axis=0)}  # links of the reported model
-    for term, fall in zip(own, falls, strict=True):
-        name = _part(term, model.joints)
+    for f, fall in zip(findings, falls, strict=True):
+        name = _part(f, model.joints)
         parts[name] = parts.get(name, 0.0) + fall
     parts |= {REST: last - noisy, NOISE: noisy}
     whole = np.maximum(left[0], 1e-300)
     return [{name: float(squares[j] / whole[j]) for name, squares in parts.items()} for j in range(data.n)]
 
 
-def _part(term: Term, joints: Sequence[str]) -> str:
-    """An effect as a part: effect@joint."""
-    name, own = shown_as(term)
-    return NO_LAW if term.effect.black_box else "@".join([name, *([" ".join(joints[j] for j in own)] if own else [])])
+def _part(finding: Finding, joints: Sequence[str]) -> str:
+    """A finding as a part: effect@joint."""
+    (name, own), no_law = finding.key, finding.term.effect.black_box or finding.with_function
+    return NO_LAW if no_law else "@".join([name, *([" ".join(joints[j] for j in own)] if own else [])])

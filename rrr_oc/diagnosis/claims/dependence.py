@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rrr_oc.calibration.calibrated_model import Term
 from rrr_oc.calibration.estimator.fitting import Fitted
 from rrr_oc.calibration.estimator.intervals import described as intervals
 from rrr_oc.calibration.estimator.left_out import Fall
@@ -48,13 +49,15 @@ class Shape:
 
 @dataclass(frozen=True)
 class Place:
-    """A finding's place: the joint where it is surest, and the structure without it, or a stack of laws, and functions of that joint."""
+    """A finding's place: the joint where it is surest, and the structure without it, or a stack of laws, and its companions, which are
+    functions of that joint."""
 
     left_out: LeftOut
     near: Neighbours
     finding: Finding
     less: Structure
     whole: Structure
+    companions: tuple[Finding, ...]
 
     @classmethod
     def of(
@@ -64,7 +67,8 @@ class Place:
         whole, joint = tuple(left_out.of(f.term) for f in every), finding.joint
         here = [f for f in every if f in (finding, *stack) or (f.term.effect.black_box and joint in f.term.effect.joints)]
         gone = [left_out.of(f.term) for f in here]
-        return cls(left_out, near, finding, tuple(a for a in whole if a not in gone), whole)
+        companions = tuple(f for f in here if f is not finding and f not in stack)
+        return cls(left_out, near, finding, tuple(a for a in whole if a not in gone), whole, companions)
 
     @property
     def by_error(self) -> bool:
@@ -126,8 +130,8 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
     """
     near = search.neighbours(complete)
     left_out, offered = LeftOut(near), {id(a.source): a for a in near.linear.own}
-    kept, new = list(findings), list[tuple[Addition, Like | None]]()
-    for f in findings:
+    kept, new, told = list(findings), list[tuple[Addition, Like | None]](), list[Term]()
+    for f in sorted(findings, key=lambda f: f.term.effect.black_box):
         if f not in kept or not f.matters:
             continue
         # a sum of laws of one joint can be like any curve
@@ -145,6 +149,8 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
         every = reached(place, [alone, *laws, *functions])
         laws, functions = every[1 : len(laws) + 1], every[len(laws) + 1 :]
         others = tuple(offered[id(g.term)] for g in findings if left_out.of(g.term) in place.less)
+        if f.term.effect.black_box and any(f.term is t for t in told):
+            continue
         if f.term.effect.black_box:
             kept[kept.index(f)] = replace(f, like=_most_like(search, complete, place, others, laws, alone))
             continue
@@ -155,6 +161,11 @@ def by_degree(search: Search, complete: Fitted, findings: Sequence[Finding]) -> 
         if best is not None and beaten and _is_better(search, complete, place, (*others, best.addition)):
             kept = [g for g in kept if left_out.of(g.term) in place.less]
             new.append((best.addition, _most_like(search, complete, place, others, laws, best)))
+        elif beaten and place.companions:  # both together are one torque, which the law is most like
+            companion = place.companions[0]
+            kept = [replace(g, with_function=True) if g is f else g for g in kept]
+            kept = [replace(g, like=Like(f.term, own.reach)) if g is companion else g for g in kept]
+            told.append(companion.term)
         elif own is every[0]:
             kept[kept.index(f)] = replace(f, reach=own.reach)
         elif place.against((*place.less, own.addition), place.whole).share > 0:

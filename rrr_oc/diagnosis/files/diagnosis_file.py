@@ -17,6 +17,7 @@ from rrr_oc.diagnosis.held_out import ranges
 from rrr_oc.diagnosis.mismatch import FAR
 from rrr_oc.diagnosis.procedure import Diagnosis
 from rrr_oc.effects import BlackBox, OfEach
+from rrr_oc.effects.words import listed
 from rrr_oc.recordings.recording import RecordingSet
 from rrr_oc.storage import plain
 
@@ -516,7 +517,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "mismatch": list(diagnosis.mismatch),
         "left_over": {j: x for j, x in zip(joints, diagnosis.above_noise, strict=False) if x > FAR},
         "effects": [
-            *(likely(_claim(diagnosis, f)) for f in diagnosis.findings if not f.term.effect.black_box),
+            *(likely(_claim(diagnosis, f)) for f in diagnosis.findings if not (f.term.effect.black_box or f.with_function)),
             *(_claim(diagnosis, f) for f in diagnosis.late),
         ],
         "undecided": [_class(diagnosis, u) for u in diagnosis.undecided],
@@ -617,6 +618,8 @@ def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
     validity = [{"variable": _variable(kind, j, joints), "range": [low, high]} for (kind, j), low, high in effect.validity]
     joint, files = joints[effect.joints[0]], files_of(finding.term, diagnosis.recordings)
     some = "" if files == "all" else f" in {', '.join(files)}"
+    laws = [f.term.effect.called() for f in diagnosis.findings if f.with_function and f.term.effect.joints == effect.joints]
+    beside = f" beside {listed(laws)}" * bool(laws)
     like = finding.like and {
         **named(shown_as(finding.like.term), joints),
         "parameters": _parameters(finding.like.term, diagnosis.recordings),
@@ -633,7 +636,7 @@ def _unexplained(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
         "most_like": like,
         "validity": validity,
         "description": f"a torque on {joint}{some} that depends on {' and '.join(on)} and that no effect of the catalogue explains; "
-        f"the model carries it as {effect.words(finding.term.named)}{', valid in the ranges given' if validity else ''}",
+        f"the model carries it as {effect.words(finding.term.named)}{beside}{', valid in the ranges given' if validity else ''}",
     }
 
 

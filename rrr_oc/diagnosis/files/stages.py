@@ -278,12 +278,15 @@ class FindingData(Struct):
     innovations: Fall | None
     like: tuple[TermEntry, float] | None
     reach: float
+    with_function: bool
 
     @classmethod
     def of(cls, f: Finding, robot: Robot) -> "FindingData":
         like = f.like and (term_entry(f.like.term, robot), f.like.reach)
         numbers = f.probability, f.alone, f.worth, f.p_value
-        return cls(term_entry(f.term, robot), *numbers, f.rivals, f.prior, f.fall, f.innovations, like, f.reach)
+        return cls(
+            term_entry(f.term, robot), *numbers, f.rivals, f.prior, f.fall, f.innovations, like, f.reach, f.with_function
+        )
 
     def finding(self, robot: Robot) -> Finding:
         numbers, like = (
@@ -291,7 +294,15 @@ class FindingData(Struct):
             self.like and Like(term_of(self.like[0], robot), self.like[1]),
         )
         return Finding(
-            term_of(self.term, robot), *numbers, self.rivals, self.prior, self.fall, self.innovations, like, self.reach
+            term_of(self.term, robot),
+            *numbers,
+            self.rivals,
+            self.prior,
+            self.fall,
+            self.innovations,
+            like,
+            self.reach,
+            self.with_function,
         )
 
 
