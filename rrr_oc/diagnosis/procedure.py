@@ -260,7 +260,7 @@ def _assembled(recordings, whole, fitter: Fitter, fits, told, check) -> ResultDa
     if not findings:
         folds = [replace(f, model=f.plain, after=f.before) for f in folds]
     before, after = map(mean_nrmse, errors_of(folds, fitter.data.n))
-    left = above_noise(fitter.data, final)
+    left = above_noise(fitter.data, closest)
     calibration = mean_nrmse(nrmse(fitter.data, plain)), mean_nrmse(nrmse(fitter.data, model))
     others = alternatives(fitter, as_good, model, closest, failed)
     model, suggestions = replace(model, alternatives=others, unexplained=unexplained(fitter.data, closest)), ()

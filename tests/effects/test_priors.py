@@ -147,7 +147,7 @@ def test_friction_of_two_joints_is_no_larger_than_that_of_the_joint_with_less(se
 
 def test_fine_cosines_of_a_series_are_smaller_and_edges_reach_the_same_torque(seen):
     series = Empirical((1,), (("q", 1),), (-0.5,), (0.5,), (3,))
-    np.testing.assert_allclose(series.scales(seen, series.trial(seen)), 0.2 * 30.0 / np.array([1.0, 2.0, 3.0, 4.0]))
+    np.testing.assert_allclose(series.scales(seen, series.trial(seen)), 0.2 * 30.0 / np.array([2.0, 3.0, 4.0]))
     both = replace(series, orders=(), edges=((1, 0.8, 3), (-1, 0.35, 1)))
     q = Signals(np.array([[0.0, 0.0], [0.5, -0.5], [0.0, 0.0]]), np.zeros((3, 2)))
     above, below = both.basis(q, 0.05)

@@ -28,6 +28,7 @@ from validation.chains.scoring import Sealed, variables
 
 ROOT = Path(__file__).resolve().parents[2]
 PENALTY = 1.0  # precision of the coefficients of quantities of size 1, beside that of claims as a whole
+SIGNS = (0, 1, 1, -1, -1, -1, 1)  # of the coefficients; the first may have any
 LEVELS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.97, 1.0)
 Claims = list[tuple[str, np.ndarray, bool]]  # family, quantities, whether it is right
 
@@ -59,7 +60,7 @@ def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.nd
 def regression(some: Claims) -> np.ndarray:
     """Coefficients of the penalised logistic regression, of `NAMES`, (7,).
 
-    One claim more that is right, and one that is wrong, are like the mean of all: of claims that are all right so far, the next may be
+    What speaks for a claim never speaks against it (`SIGNS`). One claim more that is right, and one that is wrong, are like the mean of all: of claims that are all right so far, the next may be
     wrong (Laplace).
     """
     x, y = np.array([x for _, x, _ in some]), np.array([right for *_, right in some], float)
@@ -72,7 +73,8 @@ def regression(some: Claims) -> np.ndarray:
         weights = PENALTY * np.where(np.isfinite(size), size, 0.0) ** 2
         return float(np.sum(np.logaddexp(0, z) - y * z) + 0.5 * weights @ w**2), x.T @ (expit(z) - y) + weights * w
 
-    return minimize(loss, np.zeros(x.shape[1]), jac=True).x
+    bounds = [(0.0 if sign > 0 else None, 0.0 if sign < 0 else None) for sign in SIGNS]
+    return minimize(loss, np.zeros(x.shape[1]), jac=True, bounds=bounds).x
 
 
 def elsewhere(some: Claims) -> list[tuple[str, float, bool]]:

@@ -41,6 +41,7 @@ class Empirical(BlackBox):
         direction: Factor d: "either" 1, "turned" sgn(dq), "upwards" and "downwards" (1 ± sgn(dq))/2.
         edges: (±1, edge in [0, 1], power) of a torque that begins at an edge, above or below it.
         largest: Bound of a series' coefficients [Nm], against large terms that cancel within the recorded range.
+        constant: Whether a constant is part of a series in either direction; in one direction it always is.
         on_link: Whether it acts on the link, not in the drive, as where the load torque was recorded; it then depends on positions
             and speeds only.
     """
@@ -63,6 +64,7 @@ class Empirical(BlackBox):
     edges: tuple[tuple[int, float, int], ...] = ()
     largest: float = 1e6
     on_link: bool = False
+    constant: bool = False
 
     def __post_init__(self) -> None:
         if self.on_link:
@@ -85,9 +87,9 @@ class Empirical(BlackBox):
 
     @cached_property
     def powers(self) -> list[tuple[int, ...]]:
-        """(k,) or (k, l) of each coefficient; a constant is no part of it where it would be plain dry friction."""
+        """(k,) or (k, l) of each coefficient."""
         every = itertools.product(*(range(o + 1) for o in self.orders))
-        return [p for p in every if any(p) or self.direction != "turned"]
+        return [p for p in every if any(p) or self.constant or self.direction in ONE_WAY]
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -186,7 +188,8 @@ class Empirical(BlackBox):
 
         def one(variables, orders=(), direction: Direction = "either", edges=()):
             low, high = zip(*(ranges[v] for v in variables), strict=True)
-            return cls((j,), tuple(variables), low, high, tuple(orders), direction, tuple(edges), largest, on_link)
+            constant = direction == "either" and not edges
+            return cls((j,), tuple(variables), low, high, tuple(orders), direction, tuple(edges), largest, on_link, constant)
 
         fastest = max(map(abs, ranges["dq", j]))
         ranges = {**ranges, ("speed", j): (0.0, math.log1p(fastest / SLOW))}
