@@ -88,9 +88,10 @@ class Finding:
 
     @property
     def matters(self) -> bool:
-        """Whether it lowers the error of a joint, or the error's innovations, by a share that matters, and by more than the best law may be
-        wrong."""
-        return any(f.share >= MATTERS and f.explained >= DISCREPANCY for f in (self.fall, self.innovations) if f)
+        """Whether it lowers the error of a joint, or the error's innovations, by a share that matters; a function by more than the best law
+        may be wrong."""
+        least = DISCREPANCY if self.term.effect.black_box else 0.0
+        return any(f.share >= MATTERS and f.explained >= least for f in (self.fall, self.innovations) if f)
 
     @property
     def key(self) -> Key:

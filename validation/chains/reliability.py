@@ -60,8 +60,8 @@ def _of_case(found: dict[str, Any], sealed: Sealed) -> Iterator[tuple[str, np.nd
 def regression(some: Claims) -> np.ndarray:
     """Coefficients of the penalised logistic regression, of `NAMES`, (7,).
 
-    What speaks for a claim never speaks against it (`SIGNS`). One claim more that is right, and one that is wrong, are like the mean of all: of claims that are all right so far, the next may be
-    wrong (Laplace).
+    What speaks for a claim never speaks against it (`SIGNS`). One claim more that is right, and one that is wrong, are like the mean of
+    all: of claims that are all right so far, the next may be wrong (Laplace).
     """
     x, y = np.array([x for _, x, _ in some]), np.array([right for *_, right in some], float)
     x, y = np.vstack([x, x.mean(axis=0), x.mean(axis=0)]), np.append(y, [1.0, 0.0])
