@@ -23,7 +23,7 @@ FAR, NEAR = (
 )  # deviations of a joint's error, of an event's peak and up to its ends; doubled, weak pushes stay in the fit
 SHARE = 0.15  # of a joint's torque, that a peak has at least; doubled, weak pushes stay in the fit
 SLOW = 2.0  # [s] over which the median of the error counts as no event
-LONGEST, MOST = 1.0, 0.2  # duration of an event [s], and share of the time that events may take; more is missing physics
+LONGEST, MOST = 2.0, 0.2  # duration of an event [s], and share of the time that events may take; more is missing physics
 ALIKE, AGAIN = 5, 0.3  # rows of a like state, and share of a peak that they may have in the median
 EXPLAINED = 0.7  # of the error at a joint's events, that a law may leave which explains them; doubled, no law does
 LEAST = 60  # rows from which deviations are known

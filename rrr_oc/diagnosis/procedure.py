@@ -50,6 +50,7 @@ from rrr_oc.progress import Progress, Step
 from rrr_oc.recordings.recording import RecordingSet
 
 CHECK = "held-out check"  # the last stage of the procedure
+MOST_EVENTS = 100  # from which no further ones are looked for
 AGAIN = "search with the delay that was found"
 ALIKE = 0.001  # by how much the delay that a search ends with may differ from that with which it was made [s]
 
@@ -316,9 +317,9 @@ def _restored(data: ResultData, recordings: RecordingSet, stages: Stages) -> Dia
 
 def _begun(fitter: Fitter, every: tuple[Trial, ...], start: CalibratedModel) -> tuple[Fitter, Fitted, list[Event]]:
     """What fits models to all but events, the plain fit, and the events."""
-    begin = fitter.begin(start)
-    some = events(begin)
-    if some and (some := unlike_laws(Search.of(fitter, every), begin, some)):
-        fitter = replace(fitter, data=fitter.data.of(without(fitter.data.prepared, start.joints, some)))
+    begin, some = fitter.begin(start), list[Event]()
+    while len(some) < MOST_EVENTS and (new := events(begin)) and (new := unlike_laws(Search.of(fitter, every), begin, new)):
+        some += new  # beside large ones others do not show
+        fitter = replace(fitter, data=fitter.data.of(without(fitter.data.prepared, start.joints, new)))
         begin = fitter.begin(start)
-    return fitter, begin, some
+    return fitter, begin, sorted(some, key=lambda e: (e.joint, e.recording, e.begin))
